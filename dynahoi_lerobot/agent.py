@@ -1,0 +1,81 @@
+"""Who moves the hand. A learned agent sees an Observation; an expert sees the WorldState; the types keep them apart."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.episode_spec import EpisodeSpec
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a policy may see of N worlds at one frame.
+
+    Attributes:
+        images: (N, H, W, 3) uint8 RGB of the hand's camera, or None if the agent asked for none.
+        state: (N, 18) float32, palm centre position [m] world and joint angles [rad].
+        fingertips: (N, 30) float32, 5 x (position [m], rotation vector [rad]), world.
+        phase: (N, 1) float32, 0 observing, 1 acting.
+        tasks: N instructions.
+    """
+
+    images: np.ndarray | None
+    state: np.ndarray
+    fingertips: np.ndarray
+    phase: np.ndarray
+    tasks: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WorldState:
+    """Everything the simulator knows of N worlds at one frame; for experts only.
+
+    Attributes:
+        observation: what a policy would see.
+        specs: the N episodes being played.
+        frame: (N,) int, frame index within the episode.
+        target_pose: (N, 7) position [m] and quaternion wxyz, world.
+        target_velocity: (N, 6) linear [m/s] and angular [rad/s], world.
+        target_contacts: (N, 5) 1 where the finger touches the target.
+        oracle_path: (N, F, 3) position [m] of each untouched target at every frame of its episode, world.
+    """
+
+    observation: Observation
+    specs: tuple[EpisodeSpec, ...]
+    frame: np.ndarray
+    target_pose: np.ndarray
+    target_velocity: np.ndarray
+    target_contacts: np.ndarray
+    oracle_path: np.ndarray
+
+
+class Agent(ABC):
+    """Maps observations of N worlds to N commands. ``name`` labels results; ``sees_images`` turns rendering on."""
+
+    name: str = "agent"
+    sees_images: bool = False
+
+    def reset(self, count: int) -> None:  # noqa: B027 - an agent without memory has nothing to forget
+        """Forget everything; ``count`` new episodes begin."""
+
+    @abstractmethod
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame."""
+
+
+class Expert(ABC):
+    """Maps the full simulator state of N worlds to N commands: deterministic and privileged."""
+
+    name: str = "expert"
+
+    def reset(self, count: int) -> None:  # noqa: B027 - an expert without memory has nothing to forget
+        """Forget everything; ``count`` new episodes begin."""
+
+    @abstractmethod
+    def act(self, world: WorldState) -> np.ndarray:
+        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame."""

@@ -1,0 +1,44 @@
+"""The numbers every part agrees on: clocks, units, thresholds, dimensions.
+
+SI units, z up, world frame unless a suffix says otherwise, quaternions wxyz, angles in radians.
+"""
+
+from __future__ import annotations
+
+CONTROL_HZ = 20
+"""Control and frame rate [Hz] (Appendix "Data collection": ``sendInterval = 0.05 s``)."""
+
+CONTROL_DT = 1.0 / CONTROL_HZ
+"""Duration of one frame [s]."""
+
+PHYSICS_HZ = 500
+"""Simulation rate [Hz]."""
+
+PHYSICS_DT = 1.0 / PHYSICS_HZ
+"""Duration of one physics step [s]."""
+
+SUBSTEPS = PHYSICS_HZ // CONTROL_HZ
+"""Physics steps per frame."""
+
+UNIT_M = 0.1
+"""One world unit (u) of the paper [m]."""
+
+LOCALIZATION_RADIUS_M = 0.3 * UNIT_M
+"""Palm centre to object centre, below which the target is localised [m] (Appendix "Evaluation Criteria")."""
+
+LENIENT_RADIUS_M = 1.0 * UNIT_M
+"""The threshold the paper grants vision-language models [m] (Appendix "Evaluation Criteria")."""
+
+GRASP_FRACTION = 0.9
+"""Share of the reference rotation every joint must reach (Appendix "Evaluation Criteria")."""
+
+PALM_DOF = 3
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+JOINTS_PER_FINGER = 3
+FINGER_DOF = len(FINGERS) * JOINTS_PER_FINGER
+HAND_DOF = PALM_DOF + FINGER_DOF
+"""3 palm translations and 15 flexion joints (Section 3.1)."""
+
+WINDOW_FRACTION = 0.2
+MIN_WINDOW_FRAMES = 8
+"""The observation window is the first 20 % of the frames, at least this many."""

@@ -1,0 +1,149 @@
+"""Episode: the narrow waist. The expert writes it, the dataset stores it, metrics read it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dynahoi_lerobot.conventions import GRASP_FRACTION, PALM_DOF
+
+
+@dataclass(frozen=True)
+class EpisodeMeta:
+    """What an episode was: one value per episode, each a column of the dataset's episode table.
+
+    Attributes:
+        seed: the seed that determines everything drawn for the episode.
+        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``).
+        motion: kind of motion, one of the 22 names.
+        category: its category, one of the 8 names.
+        object: the object's name, one of the 11.
+        parameters: the motion's parameters, JSON with SI units.
+        task: the instruction given to the policy.
+        agent: who moved the hand (``intercept``, ``hold``, a policy's name).
+        capture: the capture rule, ``attach`` or ``contact``.
+        protocol: ``observe_before_act`` or ``direct_act``.
+        window_frames: length of the observation window [frames].
+        length_frames: L, the length of the expert's recording [frames]; a policy gets L control steps.
+        intercept_frame: frame at which the oracle intercept takes place, counted from the episode's start.
+        attempts: how many attempts the agent needed, from 1.
+        fingerprint: identifies the code and recipe that made the episode.
+    """
+
+    seed: int
+    split: str
+    motion: str
+    category: str
+    object: str
+    parameters: str
+    task: str
+    agent: str
+    capture: str
+    protocol: str
+    window_frames: int
+    length_frames: int
+    intercept_frame: int
+    attempts: int
+    fingerprint: str
+
+    @property
+    def motion_parameters(self) -> dict[str, Any]:
+        """The motion's parameters as a dictionary."""
+        return json.loads(self.parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
+
+    World frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``action[t]`` is the command executed from
+    then until frame t + 1. The window is frames ``[0, window_frames)``; control starts at frame ``window_frames``.
+
+    Attributes:
+        meta: one value per episode.
+        images: (T, H, W, 3) uint8 RGB of the hand's camera, or None when nothing asked for it.
+        state: (T, 18) float32, palm centre position [m] and 15 joint angles [rad].
+        fingertips: (T, 30) float32, 5 x (position [m], rotation vector [rad]).
+        phase: (T, 1) float32, 0 observing, 1 acting.
+        action: (T, 18) float32, commanded palm position [m] and joint angles [rad] for the next frame.
+        target_pose: (T, 7) float32, position [m] and quaternion wxyz of the target.
+        target_velocity: (T, 6) float32, linear [m/s] and angular [rad/s] velocity of the target.
+        target_contacts: (T, 5) float32, 1 where the finger touches the target.
+        palm_distance: (T,) float32 [m], palm centre to target centre, the least within the control step that ends
+            at the frame (so a fast target cannot pass between two frames unseen).
+        fingertip_distance: (T,) float32 [m], least distance of the five fingertips to the target's surface, 0 inside.
+        localized: (T,) bool, the target is (or has been) localised and, under ``attach``, is welded to the hand.
+        captured: (T,) bool, the capture rule regards the target as captured at this frame.
+        intercept_position: (3,) float32 [m], the oracle intercept.
+        intercept_time: the oracle intercept's time [s] from the episode's start.
+        open_joints: (15,) float32 [rad], joint angles of the open hand.
+        reference_joints: (15,) float32 [rad], joint angles of the reference grasp of this object.
+        success: the capture rule's verdict on the whole episode.
+        stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or ``missed``, ``touched``,
+            ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
+    """
+
+    meta: EpisodeMeta
+    images: np.ndarray | None = field(repr=False)
+    state: np.ndarray = field(repr=False)
+    fingertips: np.ndarray = field(repr=False)
+    phase: np.ndarray = field(repr=False)
+    action: np.ndarray = field(repr=False)
+    target_pose: np.ndarray = field(repr=False)
+    target_velocity: np.ndarray = field(repr=False)
+    target_contacts: np.ndarray = field(repr=False)
+    palm_distance: np.ndarray = field(repr=False)
+    fingertip_distance: np.ndarray = field(repr=False)
+    localized: np.ndarray = field(repr=False)
+    captured: np.ndarray = field(repr=False)
+    intercept_position: np.ndarray = field(repr=False)
+    intercept_time: float
+    open_joints: np.ndarray = field(repr=False)
+    reference_joints: np.ndarray = field(repr=False)
+    success: bool
+    stage: str
+
+    def __len__(self) -> int:
+        """Return T, the number of frames."""
+        return len(self.state)
+
+    @property
+    def control(self) -> slice:
+        """Frames of the control phase."""
+        return slice(self.meta.window_frames, len(self))
+
+    @property
+    def palm_pos_w(self) -> np.ndarray:
+        """(T, 3) palm centre positions [m], world."""
+        return self.state[:, :PALM_DOF]
+
+    @property
+    def joints(self) -> np.ndarray:
+        """(T, 15) joint angles [rad]."""
+        return self.state[:, PALM_DOF:]
+
+    @property
+    def first_localized(self) -> int | None:
+        """The first localised frame of the control phase, or None (Section 5, "task completion")."""
+        hits = np.flatnonzero(self.localized[self.control])
+        return int(hits[0]) + self.meta.window_frames if hits.size else None
+
+
+def joints_reached(joints: np.ndarray, open_joints: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Tell which joints turned in the reference's direction by at least 0.9 of its rotation.
+
+    The pose criterion of Appendix "Evaluation Criteria". A joint that the reference leaves open counts as reached.
+
+    Args:
+        joints: (..., 15) joint angles [rad].
+        open_joints: (15,) angles of the open hand [rad].
+        reference: (15,) angles of the reference grasp [rad].
+
+    Returns:
+        (..., 15) bool.
+    """
+    rotation, wanted = joints - open_joints, reference - open_joints
+    return rotation * np.sign(wanted) >= GRASP_FRACTION * np.abs(wanted) - 1e-6

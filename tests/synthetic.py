@@ -1,0 +1,54 @@
+"""Synthetic episodes for tests that need no simulator: a straight reach that catches a constantly moving point."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from dynahoi_lerobot.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.episode import Episode, EpisodeMeta
+
+REFERENCE = np.full(15, 1.0, np.float32)
+
+
+def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 32, miss_m: float = 0.0) -> Episode:
+    """Return an episode whose palm moves at constant speed and passes ``miss_m`` beside the target."""
+    rng = np.random.default_rng(seed)
+    window = max(8, frames // 5)
+    arrival = window + (frames - window) // 2
+    home, meeting = np.array([0.0, 0.0, 1.0]), np.array([0.3, 0.1, 1.05])
+    progress = np.clip((np.arange(frames) - window) / (arrival - window), 0, 1)[:, None]
+    palm = home + progress * (meeting - home)
+    velocity = rng.uniform(-0.2, 0.2, 3)
+    moving = np.minimum(np.arange(frames), arrival)[:, None] - arrival
+    target = meeting + [0, 0, miss_m] + moving * CONTROL_DT * velocity
+    joints = progress * REFERENCE
+    distance = np.linalg.norm(palm - target, axis=1)
+    localized = np.maximum.accumulate(distance < LOCALIZATION_RADIUS_M)
+    state = np.hstack([palm, joints]).astype(np.float32)
+    command = np.vstack([state[1:], state[-1:]])
+    images = None
+    if image_size is not None:
+        ramp = np.linspace(0, 200, image_size, dtype=np.uint8)
+        images = np.broadcast_to(ramp[None, :, None, None], (frames, image_size, image_size, 3)).copy()
+        images += (np.arange(frames, dtype=np.uint8) % 50)[:, None, None, None]
+    pose = np.hstack([target, np.tile([1.0, 0, 0, 0], (frames, 1))])
+    meta = EpisodeMeta(
+        seed=seed, split="train", motion="constant", category="straight_line", object="ball",
+        parameters=json.dumps({"speed_m_s": float(np.linalg.norm(velocity))}), task="Catch the moving ball.",
+        agent="intercept", capture="attach", protocol="observe_before_act", window_frames=window,
+        length_frames=frames, intercept_frame=arrival, attempts=1, fingerprint="synthetic",
+    )  # fmt: skip
+    return Episode(
+        meta=meta, images=images, state=state,
+        fingertips=np.tile(state[:, :3], (1, 10)).astype(np.float32),
+        phase=(np.arange(frames) >= window).astype(np.float32)[:, None], action=command,
+        target_pose=pose.astype(np.float32),
+        target_velocity=np.tile(np.r_[velocity, 0, 0, 0], (frames, 1)).astype(np.float32),
+        target_contacts=np.zeros((frames, 5), np.float32), palm_distance=distance.astype(np.float32),
+        fingertip_distance=np.maximum(distance - 0.02, 0).astype(np.float32), localized=localized,
+        captured=localized, intercept_position=meeting.astype(np.float32), intercept_time=arrival * CONTROL_DT,
+        open_joints=np.zeros(15, np.float32), reference_joints=REFERENCE, success=bool(localized[-1]),
+        stage="captured" if localized[-1] else "missed",
+    )  # fmt: skip
