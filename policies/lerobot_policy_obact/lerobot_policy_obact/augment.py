@@ -1,0 +1,37 @@
+"""Image augmentation, the same draw for every frame of a sample so that motion stays motion."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+
+def shift_images(images: Tensor, max_shift_px: int) -> Tensor:
+    """Move each sample by a random whole number of pixels, repeating the border.
+
+    Args:
+        images: Shape ``(B, T, 3, H, W)``.
+        max_shift_px: Largest shift along each axis [px].
+    """
+    if max_shift_px == 0:
+        return images
+    height, width = images.shape[-2:]
+    padded = F.pad(images.flatten(0, 1), [max_shift_px] * 4, mode="replicate").unflatten(0, images.shape[:2])
+    corners = torch.randint(0, 2 * max_shift_px + 1, (len(images), 2)).tolist()
+    crops = [
+        sample[..., y : y + height, x : x + width] for sample, (y, x) in zip(padded, corners, strict=True)
+    ]
+    return torch.stack(crops)
+
+
+def jitter_colors(images: Tensor, max_change: float) -> Tensor:
+    """Scale each sample's contrast and brightness by up to ``1 +- max_change``; images ``(B, T, 3, H, W)`` in
+    [0, 1].
+    """
+    if max_change == 0:
+        return images
+    shape = (len(images), 1, 1, 1, 1)
+    contrast, brightness = (1 + max_change * (2 * torch.rand(2, *shape, device=images.device) - 1)).unbind(0)
+    mean = images.mean(dim=(1, 2, 3, 4), keepdim=True)
+    return ((images - mean) * contrast + mean * brightness).clamp(0, 1)

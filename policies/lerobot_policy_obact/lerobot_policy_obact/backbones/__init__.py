@@ -1,0 +1,10 @@
+"""Image encoders: each file registers one, and every file here is found without further lines."""
+
+import sys
+
+from ..registry import import_siblings
+from .base import Backbone, backbones
+
+import_siblings(sys.modules[__name__])
+
+__all__ = ["Backbone", "backbones"]

@@ -1,0 +1,54 @@
+"""What every image encoder offers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from ..registry import Registry
+
+backbones: Registry[type[Backbone]] = Registry("backbone")
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+class Backbone(nn.Module, ABC):
+    """Encodes single frames into tokens; time is none of its business.
+
+    A subclass takes ``width`` first and its own options as keywords, and implements `forward`.
+
+    Args:
+        width: Token size ``D`` it must return.
+        mean: Channel means its weights expect, images being in [0, 1].
+        std: Channel standard deviations.
+    """
+
+    reads_text: ClassVar[bool] = False
+
+    def __init__(
+        self, width: int, mean: tuple[float, ...] = IMAGENET_MEAN, std: tuple[float, ...] = IMAGENET_STD
+    ) -> None:
+        super().__init__()
+        self.width = width
+        self.register_buffer("pixel_mean", torch.tensor(mean).view(3, 1, 1), persistent=False)
+        self.register_buffer("pixel_std", torch.tensor(std).view(3, 1, 1), persistent=False)
+
+    def standardise(self, images: Tensor) -> Tensor:
+        """Map images in [0, 1], shape ``(F, 3, H, W)``, to the range the weights expect."""
+        return (images - self.pixel_mean) / self.pixel_std
+
+    @abstractmethod
+    def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
+        """Encode frames.
+
+        Args:
+            images: RGB in [0, 1], shape ``(F, 3, H, W)`` with ``F`` frames of any time and camera.
+            texts: One instruction per frame, for backbones with ``reads_text``.
+
+        Returns:
+            Tokens, shape ``(F, N, D)``.
+        """

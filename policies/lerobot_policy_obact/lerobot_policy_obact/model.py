@@ -1,0 +1,71 @@
+"""The network: frames -> tokens -> spatiotemporal attention -> condition of the action head."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from .attention import SpatioTemporalAttention
+from .backbones import backbones
+from .configuration_obact import ObActConfig
+from .heads import ActionSpec, Condition, heads
+from .observation import Observation
+from .text import ByteTextEncoder
+
+
+class ObActModel(nn.Module):
+    """Everything that learns.
+
+    Args:
+        config: The policy's config, with its features filled in.
+    """
+
+    def __init__(self, config: ObActConfig) -> None:
+        super().__init__()
+        width, n_heads = config.width, config.n_attention_heads
+        state_dim = sum(config.input_features[key].shape[0] for key in config.proprioceptive_keys)
+        self.backbone = backbones.build(config.backbone, width, options=config.backbone_options)
+        self.camera = nn.Parameter(0.02 * torch.randn(len(config.image_features), 1, width))
+        self.proprioception = nn.Sequential(nn.Linear(state_dim, width), nn.SiLU(), nn.Linear(width, width))
+        self.text = None if self.backbone.reads_text else ByteTextEncoder(width)
+        self.attention = SpatioTemporalAttention(width, config.n_attention_layers, n_heads, config.dropout)
+        spec = ActionSpec(
+            config.horizon, config.action_feature.shape[0], state_dim, width, n_heads, config.dropout
+        )
+        self.head = heads.build(config.head, spec, options=config.head_options)
+
+    def conditions(self, observation: Observation, frame_index: Tensor, age_s: Tensor) -> Condition:
+        """Encode every frame once and fuse the window of each decision.
+
+        Args:
+            observation: Frames of ``B`` samples.
+            frame_index: Frames each of the ``K`` decisions sees, its own last, shape ``(K, s + 1)``.
+            age_s: Time of those frames before their decision [s], shape ``(s + 1,)``.
+
+        Returns:
+            Conditions of ``B * K`` chunks, decisions of one sample in a row.
+        """
+        tokens = self.encode_frames(observation)  # (B, T, N, D)
+        n_batch, n_decisions = len(tokens), len(frame_index)
+        windows = tokens[:, frame_index].flatten(0, 1)  # (B, K, s+1, N, D) -> (B*K, s+1, N, D)
+        keep = observation.keep[:, frame_index].flatten(0, 1)  # (B, K, s+1) -> (B*K, s+1)
+        fused = self.attention(windows, age_s.expand(n_batch * n_decisions, -1), keep)  # (B*K, N, D)
+        state = observation.proprioception[:, frame_index[:, -1]].flatten(0, 1)  # (B, K, S) -> (B*K, S)
+        if self.text is not None:
+            said = self.text(observation.texts).repeat_interleave(n_decisions, 0)  # (B, 1, D) -> (B*K, 1, D)
+            fused = torch.cat([fused, said.to(fused.dtype)], dim=1)
+        return Condition(fused, state)
+
+    def encode_frames(self, observation: Observation) -> Tensor:
+        """Turn each frame into image tokens and one proprioceptive token, shape ``(B, T, N, D)``."""
+        images = observation.images
+        n_batch, n_frames, n_cameras = images.shape[:3]
+        texts = (
+            [text for text in observation.texts for _ in range(n_frames * n_cameras)]
+            if self.text is None
+            else None
+        )
+        seen = self.backbone(images.flatten(0, 2), texts)  # (B*T*C, n, D)
+        seen = seen.unflatten(0, (n_batch, n_frames, n_cameras)) + self.camera  # (B, T, C, n, D)
+        felt = self.proprioception(observation.proprioception)[:, :, None]  # (B, T, 1, D)
+        return torch.cat([seen.flatten(2, 3), felt.to(seen.dtype)], dim=2)  # (B, T, N, D) with N = C*n + 1

@@ -1,0 +1,318 @@
+"""ObAct as a LeRobot policy: training loss, acting, checkpoints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+from huggingface_hub import ModelCard
+from lerobot.configs import NormalizationMode
+from lerobot.policies.pretrained import PreTrainedPolicy
+from lerobot.policies.rtc import RTCProcessor
+from lerobot.utils.constants import ACTION, OBS_STATE
+from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
+
+from .action_frame import ActionFrame, affine_of, looks_absolute
+from .augment import jitter_colors, shift_images
+from .configuration_obact import ObActConfig
+from .heads.base import Guide
+from .history import ChunkQueue, History
+from .model import ObActModel
+from .model_card import describe
+from .observation import Observation
+from .rtc import rtc_guide
+
+
+class ObActPolicy(PreTrainedPolicy):
+    """Observe before act (DynaHOI, Section 4): a window of frames conditions a chunk of actions.
+
+    Args:
+        config: The policy's config, with its features filled in.
+        dataset_stats: LeRobot statistics of the training data; absent when a checkpoint is opened for acting.
+        dataset_meta: LeRobot metadata of the training data, for its frame rate.
+        **kwargs: What else LeRobot may pass, unused.
+    """
+
+    config_class = ObActConfig
+    name = "obact"
+
+    def __init__(
+        self,
+        config: ObActConfig,
+        dataset_stats: dict[str, dict[str, Any]] | None = None,
+        dataset_meta: Any | None = None,
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(config)
+        config.validate_features()
+        if dataset_meta is not None:
+            config.fps = float(dataset_meta.fps)
+        if config.action_frame == "auto":
+            config.action_frame = _choose_action_frame(config, dataset_stats)
+        self.frame = ActionFrame(config.relative_dims if config.action_frame == "relative" else 0)
+        self._set_stats(dataset_stats)
+        self.model = ObActModel(config)
+        self.ema = _averaged(self.model, config.ema_decay) if config.ema_decay else None
+        self.register_load_state_dict_pre_hook(_match_averages)
+        self.history, self.queue = History(config.windows), ChunkQueue()
+        self.init_rtc_processor()
+        if config.compile_model:
+            self._compile()
+
+    # -- training -------------------------------------------------------------------------------------------
+
+    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
+        """Return the loss of a preprocessed batch.
+
+        Args:
+            batch: LeRobot batch with the frames of ``observation_delta_indices`` and the actions of
+                ``action_delta_indices``.
+            reduction: "mean" for a scalar, "none" for one loss per sample, shape ``(B,)``.
+
+        Returns:
+            Loss, and what to log.
+        """
+        observation, windows = Observation.from_batch(batch, self.config), self.config.windows
+        if self.training:
+            observation = self._augmented(observation)
+        index = torch.tensor(windows.frame_index, device=batch[ACTION].device)  # (K, s+1)
+        chunk_index = torch.tensor(windows.action_index, device=batch[ACTION].device)  # (K, H)
+        condition = self._acting_model.conditions(observation, index, self._age_s(index.device))
+
+        actions = batch[ACTION][:, chunk_index].flatten(0, 1)  # (B, L, A) -> (B, K, H, A) -> (B*K, H, A)
+        keep = _kept_actions(batch)[:, chunk_index].flatten(0, 1)  # (B, L) -> (B, K, H) -> (B*K, H)
+        position = observation.position[:, index[:, -1]].flatten(0, 1)  # (B, K, P) -> (B*K, P)
+        if self.training:
+            self.frame.observe(actions, position, keep)
+        error = self._acting_model.head.loss(self.frame.to_model(actions, position), condition)  # (B*K, H, A)
+        loss = _masked_mean(error.mean(-1), keep, len(batch[ACTION]))  # (B,)
+        if reduction == "none":
+            return loss, {"loss": loss.mean().item()}
+        loss = (error.mean(-1) * keep).sum() / keep.sum().clamp_min(1)
+        return loss, {}
+
+    def _augmented(self, observation: Observation) -> Observation:
+        shape = observation.images.shape
+        images = observation.images.flatten(
+            1, 2
+        )  # (B, T, C, 3, H, W) -> (B, T*C, 3, H, W): one draw per sample
+        images = jitter_colors(shift_images(images, self.config.random_shift_px), self.config.color_jitter)
+        return replace(observation, images=images.reshape(shape))
+
+    def update(self) -> None:
+        """Move the averaged weights; LeRobot calls this after every optimiser step."""
+        if self.ema is not None:
+            self.ema.update_parameters(self.model)
+
+    def get_optim_params(self) -> list[dict[str, Any]]:
+        """Return parameter groups: weight decay for matrices, none for biases, norms and gates."""
+        trained = [p for p in self.model.parameters() if p.requires_grad]
+        return [
+            {"params": [p for p in trained if p.dim() >= 2]},
+            {"params": [p for p in trained if p.dim() < 2], "weight_decay": 0.0},
+        ]
+
+    # -- acting ---------------------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.history.clear()
+        self.queue.clear()
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
+        """Return the next action of every environment, shape ``(B, A)``, normalised.
+
+        Call it once per control step: each call is one frame of history. A row plans when its chunk is used
+        up, and when its ``replan_key`` rises, because a chunk planned while only watching is stale once the
+        hand may move.
+
+        Args:
+            batch: Preprocessed observation of one step.
+            noise: Where the chunks of this step start, shape ``(B, H, A)``; drawn as ``noise_seed`` says when
+                absent.
+            **kwargs: Unused.
+        """
+        self.eval()
+        frame = Observation.from_batch(batch, self.config)
+        self.history.append(frame)
+        rows = self.queue.rows_to_plan(self._trigger(batch), n_rows=len(frame.keep))
+        if rows:
+            start = self._noise([self.queue.n_planned[row] for row in rows]) if noise is None else noise[rows]
+            chunks = self._plan(self.history.window().rows(rows), start)
+            self.queue.put(rows, chunks[:, : self.config.n_action_steps])
+        return self.queue.pop()
+
+    @torch.no_grad()
+    def predict_action_chunk(
+        self,
+        batch: dict[str, Tensor],
+        noise: Tensor | None = None,
+        inference_delay: int | None = None,
+        prev_chunk_left_over: Tensor | None = None,
+        execution_horizon: int | None = None,
+    ) -> Tensor:
+        """Return a whole chunk, shape ``(B, H, A)``, normalised.
+
+        Args:
+            batch: One frame per environment, which joins the history, or a dataset batch with a time axis.
+            noise: Where sampling starts, shape ``(B, H, A)``; drawn as ``noise_seed`` says when absent.
+            inference_delay: Real-time chunking: actions that will have run when this chunk is ready.
+            prev_chunk_left_over: Real-time chunking: unexecuted normalised actions, shape ``(B, n, A)`` or
+                ``(n, A)``.
+            execution_horizon: Real-time chunking: actions over which the old chunk fades out.
+        """
+        self.eval()
+        window = self._window(Observation.from_batch(batch, self.config))
+        start = self._noise([0] * len(window.keep)) if noise is None else noise
+        guide = None
+        if self.rtc_processor is not None and prev_chunk_left_over is not None:
+            leftover = prev_chunk_left_over.reshape(len(window.keep), -1, start.shape[-1])[
+                :, : self.config.horizon
+            ]
+            leftover = self.frame.to_model(leftover, window.position[:, -1])
+            guide = rtc_guide(self.rtc_processor, leftover, inference_delay or 0, execution_horizon)
+        return self._plan(window, start, guide)
+
+    def _plan(self, window: Observation, noise: Tensor, guide: Guide | None = None) -> Tensor:
+        index = torch.arange(window.keep.shape[1], device=noise.device)[None]  # (1, s+1)
+        condition = self._acting_model.conditions(window, index, self._age_s(noise.device))
+        chunk = self._acting_model.head.sample(condition, noise, guide)  # (B, H, A)
+        return self.frame.to_actions(chunk, window.position[:, -1])
+
+    def _window(self, observation: Observation) -> Observation:
+        n_frames, windows = observation.keep.shape[1], self.config.windows
+        if n_frames == len(windows.lookback):
+            return observation
+        if n_frames == len(windows.observation_offsets):
+            return observation.frames(windows.frame_index[0])
+        if n_frames == 1:
+            self.history.append(observation)
+            return self.history.window()
+        raise ValueError(
+            f"the batch has {n_frames} frames per sample, but must have 1 or "
+            f"{len(windows.observation_offsets)}: those at {windows.observation_offsets}."
+        )
+
+    def _noise(self, chunk_numbers: list[int]) -> Tensor:
+        """Draw the start of one chunk per row; with a seed it depends on the chunk's number in its episode
+        alone.
+        """
+        shape = (self.config.horizon, self.config.action_feature.shape[0])
+        device = next(self.model.parameters()).device
+        if self.config.noise_seed is None:
+            return torch.randn(len(chunk_numbers), *shape, device=device)
+        seeds = [self.config.noise_seed + 1_000_003 * number for number in chunk_numbers]
+        draws = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
+        return torch.stack(draws).to(device)
+
+    def _trigger(self, batch: dict[str, Tensor]) -> Tensor | None:
+        value = batch.get(self.config.replan_key)
+        return None if value is None else value.flatten(1)[:, -1]  # (B, 1) -> (B,)
+
+    def _age_s(self, device: torch.device) -> Tensor:
+        return -torch.tensor(self.config.windows.lookback, device=device) / self.config.fps  # (s + 1,)
+
+    @property
+    def _acting_model(self) -> ObActModel:
+        return self.model if self.training or self.ema is None else self.ema.module
+
+    # -- what LeRobot asks for
+    # -----------------------------------------------------------------------------------------
+
+    def supports_rtc(self) -> bool:
+        """Whether `predict_action_chunk` honours real-time chunking: the head must be a flow."""
+        return self.model.head.accepts_guide
+
+    def init_rtc_processor(self) -> None:
+        """Build the guidance that ``config.rtc_config`` describes; LeRobot's rollout calls this after setting
+        it.
+        """
+        rtc = self.config.rtc_config
+        self.rtc_processor = RTCProcessor(rtc) if rtc is not None and rtc.enabled else None
+
+    @classmethod
+    def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
+        """Open a checkpoint. With ``dataset_stats`` (fine-tuning) actions are relative in the new data's
+        units.
+        """
+        policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
+        policy._set_stats(kwargs.get("dataset_stats"))
+        return policy
+
+    def wrap_with_peft(self, *args: Any, **kwargs: Any) -> PreTrainedPolicy:
+        """Add adapters to the acting weights. Adapters are not averaged, so the average becomes the base."""
+        if self.ema is not None:
+            self.model.load_state_dict(self.ema.module.state_dict())
+            self.ema, self.config.ema_decay = None, 0.0
+        return super().wrap_with_peft(*args, **kwargs)
+
+    def _get_default_peft_targets(self) -> dict[str, Any]:
+        return {"target_modules": r"model\..*\.(q_proj|v_proj)", "modules_to_save": []}
+
+    def generate_model_card(self, *args: Any, **kwargs: Any) -> ModelCard:
+        """Return LeRobot's model card with a section on what this policy is and how it was configured."""
+        card = super().generate_model_card(*args, **kwargs)
+        card.text += describe(self.config, n_parameters=sum(p.numel() for p in self.model.parameters()))
+        return card
+
+    def _set_stats(self, stats: dict[str, dict[str, Any]] | None) -> None:
+        if stats is None:
+            return
+        for name, key in (("action", ACTION), ("state", OBS_STATE)):
+            mode = self.config.normalization_mapping.get(name.upper(), NormalizationMode.IDENTITY)
+            self.frame.set_stats(name, affine_of(stats.get(key), mode))
+
+    def _compile(self) -> None:
+        for model in (self.model, *([self.ema.module] if self.ema is not None else [])):
+            for part in (model.backbone, model.attention, *model.head.children()):
+                part.compile(backend=self.config.compile_backend)
+
+
+def _choose_action_frame(config: ObActConfig, stats: dict[str, dict[str, Any]] | None) -> str:
+    """Resolve "auto": relative where state and action are measured to be the same quantity."""
+    if not config.can_be_relative or not stats or ACTION not in stats or OBS_STATE not in stats:
+        return "absolute"
+    return "relative" if looks_absolute(stats[ACTION], stats[OBS_STATE], config.relative_dims) else "absolute"
+
+
+def _kept_actions(batch: dict[str, Tensor]) -> Tensor:
+    pad = batch.get(f"{ACTION}_is_pad")
+    return torch.ones_like(batch[ACTION][..., 0], dtype=torch.bool) if pad is None else ~pad.bool()  # (B, L)
+
+
+def _masked_mean(error: Tensor, keep: Tensor, n_samples: int) -> Tensor:
+    """Average ``(B * K, H)`` over the kept actions of each sample, shape ``(B,)``."""
+    error, keep = (error * keep).reshape(n_samples, -1), keep.reshape(n_samples, -1)
+    return error.sum(-1) / keep.sum(-1).clamp_min(1)
+
+
+def _averaged(model: nn.Module, decay: float) -> AveragedModel:
+    """Return an exponential average whose decay grows from 0, so that it forgets the random start quickly."""
+
+    def average(averaged: list[Tensor], current: list[Tensor], n_averaged: Tensor) -> None:
+        n = int(n_averaged)
+        torch._foreach_lerp_(averaged, current, 1 - min(decay, (1 + n) / (10 + n)))
+
+    return AveragedModel(model, multi_avg_fn=average).requires_grad_(False)
+
+
+def _match_averages(policy: ObActPolicy, state: dict[str, Tensor], prefix: str, *_: Any) -> None:
+    """Fit a checkpoint with or without averaged weights to a policy without or with them.
+
+    A policy without an average takes the checkpoint's average as its weights; one with an average starts it
+    from the checkpoint's weights.
+    """
+    plain, averaged = f"{prefix}model.", f"{prefix}ema.module."
+    found = {key: value for key, value in state.items() if key.startswith(averaged)}
+    if policy.ema is None:
+        for key in [key for key in state if key.startswith(f"{prefix}ema.")]:
+            del state[key]
+        state.update({plain + key.removeprefix(averaged): value for key, value in found.items()})
+    elif not found:
+        weights = {key: value for key, value in state.items() if key.startswith(plain)}
+        state.update({averaged + key.removeprefix(plain): value for key, value in weights.items()})
+        state[f"{prefix}ema.n_averaged"] = policy.ema.n_averaged

@@ -1,0 +1,105 @@
+"""The policy's view of a LeRobot batch: images at model size, vectors joined, padding as one mask."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from lerobot.utils.constants import OBS_STATE
+from torch import Tensor
+
+from .configuration_obact import ObActConfig
+
+
+@dataclass(frozen=True)
+class Observation:
+    """``T`` frames of ``B`` samples, oldest first.
+
+    Attributes:
+        images: RGB in [0, 1] of ``C`` cameras, shape ``(B, T, C, 3, H, W)``.
+        proprioception: All vector observations joined, normalised, shape ``(B, T, S)``.
+        position: ``observation.state``, normalised, that relative actions refer to, shape ``(B, T, P)``; P
+            may be 0.
+        keep: False where a frame is padding, shape ``(B, T)``.
+        texts: One instruction per sample.
+    """
+
+    images: Tensor
+    proprioception: Tensor
+    position: Tensor
+    keep: Tensor
+    texts: list[str]
+
+    @classmethod
+    def from_batch(cls, batch: dict[str, Tensor], config: ObActConfig) -> Observation:
+        """Read a preprocessed LeRobot batch, with a time axis (dataset) or without one (environment)."""
+        images = torch.stack(
+            [_resize(_with_time(batch[key], 5), config.image_size) for key in config.image_features], 2
+        )
+        shape, device = images.shape[:2], images.device
+        vectors = [_with_time(batch[key], 3).reshape(*shape, -1) for key in config.proprioceptive_keys]
+        empty = torch.zeros(*shape, 0, device=device)
+        return cls(
+            images=images,
+            proprioception=torch.cat(vectors, dim=-1) if vectors else empty,
+            position=_with_time(batch[OBS_STATE], 3) if config.robot_state_feature else empty,
+            keep=_frame_mask(batch, shape, device),
+            texts=_texts(batch, shape[0]),
+        )
+
+    @classmethod
+    def concatenate(cls, frames: list[Observation]) -> Observation:
+        """Join observations of the same samples along time."""
+        joined = {
+            name: torch.cat([getattr(frame, name) for frame in frames], dim=1)
+            for name in ("images", "proprioception", "position", "keep")
+        }
+        return cls(**joined, texts=frames[-1].texts)
+
+    def frames(self, index: list[int]) -> Observation:
+        """Return the frames at ``index`` of every sample."""
+        return Observation(
+            self.images[:, index],
+            self.proprioception[:, index],
+            self.position[:, index],
+            self.keep[:, index],
+            self.texts,
+        )
+
+    def rows(self, index: list[int]) -> Observation:
+        """Return the samples at ``index``."""
+        texts = [self.texts[i] for i in index]
+        return Observation(
+            self.images[index], self.proprioception[index], self.position[index], self.keep[index], texts
+        )
+
+    def padding(self) -> Observation:
+        """Return a copy that no one may look at."""
+        keep = torch.zeros_like(self.keep)
+        return Observation(self.images, self.proprioception, self.position, keep, self.texts)
+
+
+def _with_time(x: Tensor, n_axes: int) -> Tensor:
+    return x if x.dim() == n_axes else x.unsqueeze(1)  # (B, ...) -> (B, 1, ...)
+
+
+def _resize(images: Tensor, size: int) -> Tensor:
+    if size in (0, images.shape[-1]) and images.shape[-1] == images.shape[-2]:
+        return images
+    flat = images.flatten(0, 1)  # (B, T, 3, H, W) -> (B*T, 3, H, W)
+    target = (size, size) if size else images.shape[-2:]
+    resized = F.interpolate(flat, target, mode="bilinear", antialias=True, align_corners=False)
+    return resized.unflatten(0, images.shape[:2])
+
+
+def _frame_mask(batch: dict[str, Tensor], shape: torch.Size, device: torch.device) -> Tensor:
+    pads = [
+        value for key, value in batch.items() if key.startswith("observation.") and key.endswith("_is_pad")
+    ]
+    return ~_with_time(pads[0].bool(), 2) if pads else torch.ones(*shape, dtype=torch.bool, device=device)
+
+
+def _texts(batch: dict[str, Tensor | list[str] | str], n: int) -> list[str]:
+    task = batch.get("task", "")
+    return [task] * n if isinstance(task, str) else list(task)

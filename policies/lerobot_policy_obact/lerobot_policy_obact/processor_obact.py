@@ -1,0 +1,26 @@
+"""LeRobot's own pre- and postprocessing: rename, batch, device, normalise; and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from lerobot.lerobot_types import PolicyAction
+from lerobot.processor import PolicyProcessorPipeline
+from lerobot.processor.factory import make_default_pre_post_processors
+
+from .configuration_obact import ObActConfig
+
+
+def make_obact_pre_post_processors(
+    config: ObActConfig, dataset_stats: dict[str, dict[str, torch.Tensor]] | None = None
+) -> tuple[
+    PolicyProcessorPipeline[dict[str, Any], dict[str, Any]],
+    PolicyProcessorPipeline[PolicyAction, PolicyAction],
+]:
+    """Return the pipelines LeRobot runs before and after the policy.
+
+    They are LeRobot's defaults, so every override of `lerobot-train` and `lerobot-eval` works; what is
+    particular to ObAct (image size, relative actions) happens inside the policy.
+    """
+    return make_default_pre_post_processors(config, dataset_stats)

@@ -1,0 +1,73 @@
+"""Which frames and which actions belong to a decision: pure index arithmetic.
+
+A *decision* is one moment at which the policy looks back and commits to a chunk. With history length ``s``
+and stride ``r`` it sees frames ``-s r, ..., -r, 0`` relative to its own moment, and predicts the actions of
+frames ``0 ... horizon - 1``.
+
+Encoding images dominates training on a CPU, and the windows of neighbouring decisions overlap. A training
+sample may therefore span ``n_decisions`` moments, ``decision_stride`` frames apart: every frame in the union
+of their windows is loaded and encoded once, and the loss is taken at each moment. With ``s = 5, r = 2`` and
+four decisions four frames apart, 12 encoded frames serve 4 decisions instead of 24 frames:
+
+    decision 0   -10 -8 -6 -4 -2  0
+    decision 1            -6 -4 -2  0  2  4
+    decision 2                   -2  0  2  4  6  8
+    decision 3                            2  4  6  8 10 12
+
+A decision never sees a frame after its own moment, so training stays causal although the sample holds
+later frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DecisionWindows:
+    """The frame offsets of one training sample. All values are in frames of the dataset.
+
+    Attributes:
+        n_obs_frames: Observed frames before the current one, ``s``; 0 is the single-frame control.
+        obs_stride: Distance between observed frames.
+        horizon: Actions in a chunk.
+        n_decisions: Moments at which the loss is taken.
+        decision_stride: Distance between those moments.
+    """
+
+    n_obs_frames: int
+    obs_stride: int
+    horizon: int
+    n_decisions: int = 1
+    decision_stride: int = 1
+
+    @property
+    def decision_moments(self) -> list[int]:
+        """Offsets of the decisions from the sample's own frame, shape ``(K,)`` [frames]."""
+        return [k * self.decision_stride for k in range(self.n_decisions)]
+
+    @property
+    def lookback(self) -> list[int]:
+        """Offsets a decision sees, oldest first and 0 last, shape ``(s + 1,)`` [frames]."""
+        return [-j * self.obs_stride for j in range(self.n_obs_frames, -1, -1)]
+
+    @property
+    def observation_offsets(self) -> list[int]:
+        """Every frame any decision sees, ascending and without repeats, shape ``(T,)`` [frames]."""
+        return sorted({moment + back for moment in self.decision_moments for back in self.lookback})
+
+    @property
+    def action_offsets(self) -> list[int]:
+        """Every action any decision predicts, ascending, shape ``(L,)`` [frames]."""
+        return list(range(self.decision_moments[-1] + self.horizon))
+
+    @property
+    def frame_index(self) -> list[list[int]]:
+        """Positions in ``observation_offsets`` of each decision's window, shape ``(K, s + 1)``."""
+        position = {offset: i for i, offset in enumerate(self.observation_offsets)}
+        return [[position[moment + back] for back in self.lookback] for moment in self.decision_moments]
+
+    @property
+    def action_index(self) -> list[list[int]]:
+        """Positions in ``action_offsets`` of each decision's chunk, shape ``(K, horizon)``."""
+        return [list(range(moment, moment + self.horizon)) for moment in self.decision_moments]
