@@ -1,1 +1,5 @@
-""""""
+"""Metrics: pure functions of an Episode, one file each; every one says unit, direction and source."""
+
+from dynahoi_lerobot.metrics.base import METRICS, Metric, measure, metric
+
+__all__ = ["METRICS", "Metric", "measure", "metric"]

@@ -1,0 +1,83 @@
+"""Two policies on the same episodes: the paired difference, its interval and how surprising it is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.evaluate.intervals import bootstrap_means
+from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
+from dynahoi_lerobot.metrics import METRICS
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Policy A against policy B on the episodes both played.
+
+    Attributes:
+        metric: the compared metric.
+        n: paired episodes in which it applies to both.
+        difference: mean of A - B, in the metric's unit.
+        low: lower end of the paired bootstrap's 95 % interval of the difference.
+        high: upper end of that interval.
+        p_value: exact McNemar for rates, paired bootstrap for means; two-sided.
+    """
+
+    metric: str
+    n: int
+    difference: float
+    low: float
+    high: float
+    p_value: float
+
+
+def paired_values(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> np.ndarray:
+    """Return (n, 2) values of ``metric`` in the episodes that both row sets hold and in which it applies."""
+    other = {_identity(row): row[metric] for row in rows_b}
+    pairs = ((row[metric], other.get(_identity(row))) for row in rows_a)
+    return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
+
+
+def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Comparison:
+    """Compare two row sets on one metric, episode by episode.
+
+    Raises:
+        UnknownNameError: if the metric is not registered.
+        ValueError: if no episode is in both sets with the metric applying.
+    """
+    kind = METRICS[metric].kind
+    pairs = paired_values(rows_a, rows_b, metric)
+    if len(pairs) == 0:
+        raise ValueError(
+            f"the result sets share no episode with a value of {metric}; evaluate both on the same split"
+        )
+    differences = pairs[:, 0] - pairs[:, 1]
+    means = bootstrap_means(differences)
+    low, high = np.percentile(means, [2.5, 97.5])
+    only_a, only_b = int((differences > 0).sum()), int((differences < 0).sum())
+    p_value = mcnemar(only_a, only_b) if kind == "rate" else _tail(means)
+    return Comparison(metric, len(pairs), float(differences.mean()), float(low), float(high), p_value)
+
+
+def mcnemar(only_a: int, only_b: int) -> float:
+    """Return the exact two-sided p-value of McNemar's test from the two discordant counts.
+
+    Under the hypothesis that A and B are equally good, ``only_a`` is binomial(only_a + only_b, 1/2).
+    """
+    discordant = only_a + only_b
+    tail = sum(math.comb(discordant, k) for k in range(min(only_a, only_b) + 1))
+    # whole numbers until the end: 2 ** discordant has no float form beyond 1023
+    return min(1.0, 2 * tail / 2**discordant)
+
+
+def _tail(means: np.ndarray) -> float:
+    """Return the two-sided share of bootstrap means beyond zero, never less than one resample's."""
+    far = min((means <= 0).sum(), (means >= 0).sum())
+    return float(min(1.0, 2 * max(far, 1) / len(means)))
+
+
+def _identity(row: Row) -> tuple:
+    return tuple(row[name] for name in IDENTITY)

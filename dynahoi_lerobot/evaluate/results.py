@@ -1,0 +1,182 @@
+"""The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and ``actions.npz``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate import files
+from dynahoi_lerobot.evaluate.files import ResultsError
+from dynahoi_lerobot.evaluate.rows import Row, episode_row
+from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
+
+__all__ = ["Recorder", "Results", "ResultsError", "RunInfo", "read_results", "summarise", "write_results"]
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What was evaluated and how.
+
+    Attributes:
+        policy: the policy's name or path.
+        split: the split that was played.
+        capture: the capture rule, ``attach`` or ``contact``.
+        command: the exact command line.
+        fingerprint: identifies the code and recipe.
+        extra: anything a figure may need, such as ``n_obs_frames`` or ``data_fraction``.
+    """
+
+    policy: str
+    split: str
+    capture: str
+    command: str
+    fingerprint: str
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """One evaluation: what was run, and a row and the commands of every episode.
+
+    Attributes:
+        folder: where it was read from or written to.
+        info: what was evaluated and how.
+        rows: one row an episode, as ``rows.episode_row`` makes them.
+        actions: one (T, 18) float32 array an episode, palm position [m] world and joint angles [rad].
+    """
+
+    folder: Path
+    info: RunInfo
+    rows: tuple[Row, ...]
+    actions: tuple[np.ndarray, ...] = field(repr=False)
+
+    def summary(self) -> Summary:
+        """Return every metric with its interval over all episodes."""
+        return summarise_rows(self.rows)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the content of ``metrics.json``: per metric its value, interval, unit and count."""
+        info = self.info
+        return {
+            "n": len(self.rows),
+            "split": info.split,
+            "policy": info.policy,
+            "capture": info.capture,
+            "metrics": _plain(self.summary()),
+            "per_kind": {kind: _plain(summary) for kind, summary in summarise_by(self.rows, "kind").items()},
+            "fingerprint": info.fingerprint,
+            "command": info.command,
+            "extra": info.extra,
+        }
+
+
+class Recorder:
+    """Collects episodes batch by batch; of each it keeps a row and the commands, never the images."""
+
+    def __init__(self, rows: Sequence[Row] = (), actions: Sequence[np.ndarray] = ()) -> None:
+        """Start empty, or go on from the rows and actions of an earlier run."""
+        self._rows = list(rows)
+        self._actions = list(actions)
+
+    @classmethod
+    def resume(cls, folder: Path) -> Recorder:
+        """Return a recorder that goes on where the results in ``folder`` end, empty if there are none.
+
+        Raises:
+            ResultsError: if there are results and they are damaged.
+        """
+        if not (Path(folder) / files.METRICS_FILE).exists():
+            return cls()
+        earlier = read_results(folder)
+        return cls(earlier.rows, earlier.actions)
+
+    def __len__(self) -> int:
+        """Return how many episodes are recorded."""
+        return len(self._rows)
+
+    @property
+    def seeds(self) -> set[int]:
+        """Seeds of the recorded episodes."""
+        return {row["seed"] for row in self._rows}
+
+    def extend(self, episodes: Iterable[Episode]) -> None:
+        """Record ``episodes``, which may be a generator."""
+        for episode in episodes:
+            self._rows.append(episode_row(episode))
+            self._actions.append(np.array(episode.action, np.float32))
+
+    def write(self, folder: Path, info: RunInfo) -> Results:
+        """Write the result folder, each file whole or not at all, and return what it holds.
+
+        Raises:
+            ValueError: if nothing was recorded, or an episode was played under another capture rule.
+        """
+        self._check(info)
+        results = Results(Path(folder), info, tuple(self._rows), tuple(self._actions))
+        files.write(results.folder, results.as_json(), results.rows, results.actions)
+        return results
+
+    def _check(self, info: RunInfo) -> None:
+        if not self._rows:
+            raise ValueError("no episode was recorded; results need at least one")
+        stray = next((row for row in self._rows if row["capture"] != info.capture), None)
+        if stray:
+            raise ValueError(
+                f"seed {stray['seed']} was played under the capture rule {stray['capture']!r}, "
+                f"the results say {info.capture!r}; write one folder per rule"
+            )
+
+
+def write_results(
+    folder: Path,
+    episodes: Iterable[Episode],
+    *,
+    policy: str,
+    split: str,
+    capture: str,
+    command: str,
+    fingerprint: str,
+    extra: dict[str, Any] | None = None,
+) -> Results:
+    """Write the result folder of ``episodes``, which may be a generator, and return what it holds.
+
+    Args:
+        folder: made if it does not exist; earlier results in it are replaced.
+        episodes: the played episodes; their images are not kept.
+        policy: the policy's name or path.
+        split: the split that was played.
+        capture: the capture rule, ``attach`` or ``contact``.
+        command: the exact command line.
+        fingerprint: identifies the code and recipe.
+        extra: JSON values that a figure may need, such as ``{"n_obs_frames": 5}``.
+
+    Raises:
+        ValueError: if there is no episode, or one was played under another capture rule.
+    """
+    recorder = Recorder()
+    recorder.extend(episodes)
+    return recorder.write(folder, RunInfo(policy, split, capture, command, fingerprint, dict(extra or {})))
+
+
+def read_results(folder: Path) -> Results:
+    """Read a result folder.
+
+    Raises:
+        ResultsError: one sentence that says what is missing or damaged.
+    """
+    folder = Path(folder)
+    head, rows, actions = files.read(folder)
+    info = RunInfo(
+        *(str(head[key]) for key in ("policy", "split", "capture", "command", "fingerprint")),
+        extra=dict(head.get("extra") or {}),
+    )
+    return Results(folder, info, tuple(rows), tuple(actions))
+
+
+def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
+    return {name: estimate.as_json() for name, estimate in summary.items()}

@@ -1,0 +1,74 @@
+"""Results as plain text of fixed width, in the order of the paper's columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by
+from dynahoi_lerobot.metrics import METRICS
+
+PAPER_COLUMNS = ("S_loc", "E_loc", "S_gra", "E_gra", "Q_smooth", "Q_line", "R_time")
+"""The seven metrics in the order of the paper's table "Online evaluation of mainstream policy models"."""
+
+CONTACT_COLUMNS = ("S_hold", *PAPER_COLUMNS)
+"""The columns as soon as one row was played under the capture rule contact."""
+
+
+def results_table(results: Sequence[Results], columns: Sequence[str] | None = None) -> str:
+    """Return one row per evaluation: what was played, how often, and each metric with its interval."""
+    columns = columns or columns_for(results)
+    rows = [[*_labels(result), *_cells(result.summary(), columns)] for result in results]
+    return _layout([["policy", "split", "capture", "n", *map(heading, columns)], *rows], left=3)
+
+
+def stratum_table(results: Results, stratum: str = "kind", columns: Sequence[str] | None = None) -> str:
+    """Return one row per label of ``stratum``, ``kind`` by default, each metric with its interval."""
+    columns = columns or columns_for([results])
+    groups: Mapping[str, Summary] = summarise_by(results.rows, stratum)
+    counts = {label: sum(row[stratum] == label for row in results.rows) for label in groups}
+    rows = [[label, str(counts[label]), *_cells(summary, columns)] for label, summary in groups.items()]
+    return _layout([[stratum, "n", *map(heading, columns)], *rows], left=1)
+
+
+def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
+    """Return the paper's columns, led by S_hold if anything was captured by contact."""
+    return CONTACT_COLUMNS if any(r.info.capture == "contact" for r in results) else PAPER_COLUMNS
+
+
+def heading(name: str) -> str:
+    """Return a metric's column title: its name, its printed unit, and an arrow towards better."""
+    metric = METRICS[name]
+    unit = {"fraction": " %", "score": ""}.get(metric.unit, f" {metric.unit}")
+    return f"{name}{unit} {'↑' if metric.direction == 'higher' else '↓'}"
+
+
+def printed(estimate: Estimate) -> str:
+    """Return ``value [low, high]``, fractions in per cent; a dash where no episode meets the condition."""
+    if estimate.value is None:
+        return "-"
+    scale, digits = (100, 1) if estimate.unit == "fraction" else (1, 2)
+    numbers = (estimate.value, estimate.low, estimate.high)
+    value, low, high = (f"{scale * number:.{digits}f}" for number in numbers)
+    return f"{value} [{low}, {high}]"
+
+
+def _labels(result: Results) -> list[str]:
+    return [result.info.policy, result.info.split, result.info.capture, str(len(result.rows))]
+
+
+def _cells(summary: Summary, columns: Sequence[str]) -> list[str]:
+    return [printed(summary[name]) for name in columns]
+
+
+def _layout(table: list[list[str]], left: int) -> str:
+    """Return the lines of ``table``, its first ``left`` columns flush left and the others flush right."""
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines = [
+        "  ".join(
+            cell.ljust(width) if place < left else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in table
+    ]
+    return "\n".join([lines[0], "-" * max(map(len, lines)), *lines[1:]])

@@ -1,0 +1,96 @@
+"""What a metric is: a pure function of an Episode that knows its unit, direction, range and condition."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.registry import Registry
+
+Direction = Literal["higher", "lower"]
+Kind = Literal["rate", "mean"]
+Compute = Callable[[Episode], "float | bool | None"]
+
+FRACTION = "fraction"
+"""Unit of shares and rates, in [0, 1]; tables print them in per cent."""
+
+UNIT = "u"
+"""The paper's world unit, 0.1 m (``conventions.UNIT_M``)."""
+
+SCORE = "score"
+"""Unit of dimensionless scores, printed as they are."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One number per episode.
+
+    Attributes:
+        name: the name in every table, the paper's where it has one.
+        compute: the function of one episode; its docstring gives the formula and the source.
+        unit: ``fraction``, ``u`` (0.1 m) or ``score``.
+        direction: which way is better.
+        kind: ``rate`` (0 or 1 per episode, Wilson interval) or ``mean`` (real, bootstrap interval).
+        bounds: least and greatest possible value, in ``unit``.
+        condition: which episodes count, in words; empty when all do. The value of the others is None.
+    """
+
+    name: str
+    compute: Compute
+    unit: str
+    direction: Direction
+    kind: Kind
+    bounds: tuple[float, float]
+    condition: str = ""
+
+    def __call__(self, episode: Episode) -> float | None:
+        """Return the episode's value in ``unit``, or None where the condition does not hold.
+
+        Raises:
+            ValueError: if the episode has no frame of the control phase, on which every metric is defined.
+        """
+        if len(episode) <= episode.meta.window_frames:
+            raise ValueError(
+                f"the episode with seed {episode.meta.seed} has {len(episode)} frames and a window of "
+                f"{episode.meta.window_frames}; metrics need at least one frame after the window"
+            )
+        value = self.compute(episode)
+        return None if value is None else float(value)
+
+    @property
+    def doc(self) -> str:
+        """The definition: formula, unit and source."""
+        return inspect.cleandoc(self.compute.__doc__ or "")
+
+    @property
+    def summary(self) -> str:
+        """The definition's first line."""
+        return self.doc.partition("\n")[0]
+
+
+METRICS: Registry[Metric] = Registry("metric", "dynahoi_lerobot.metrics")
+
+
+def metric(
+    name: str,
+    *,
+    unit: str,
+    direction: Direction,
+    kind: Kind,
+    bounds: tuple[float, float] = (0.0, 1.0),
+    condition: str = "",
+) -> Callable[[Compute], Metric]:
+    """Return a decorator that turns a function of an episode into the registered metric ``name``."""
+
+    def decorate(compute: Compute) -> Metric:
+        return METRICS.register(name)(Metric(name, compute, unit, direction, kind, bounds, condition))
+
+    return decorate
+
+
+def measure(episode: Episode) -> dict[str, float | None]:
+    """Return every registered metric of one episode; None where a metric's condition does not hold."""
+    return {name: evaluate(episode) for name, evaluate in METRICS.items()}

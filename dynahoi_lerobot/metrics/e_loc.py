@@ -1,0 +1,16 @@
+"""E_loc: how close the palm came."""
+
+from __future__ import annotations
+
+from dynahoi_lerobot.conventions import UNIT_M
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.metrics.base import UNIT, metric
+
+
+@metric("E_loc", unit=UNIT, direction="lower", kind="mean", bounds=(0.0, float("inf")))
+def e_loc(episode: Episode) -> float:
+    """Localisation error: the least palm to target centre distance, in u (0.1 m) as the paper prints it.
+
+    ``E_loc = min_t |palm(t) - target(t)| / 0.1 m`` over the control phase (Section "Evaluation metrics").
+    """
+    return float(episode.palm_distance[episode.control].min()) / UNIT_M

@@ -1,0 +1,23 @@
+"""S_gra_window: a grasp that may close a little after the arrival."""
+
+from __future__ import annotations
+
+from dynahoi_lerobot.conventions import CONTROL_HZ
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.metrics.base import FRACTION, metric
+from dynahoi_lerobot.metrics.fingers import grasps_at
+
+WINDOW_S = 0.5
+"""How long after localisation the grasp may close [s]."""
+
+
+@metric("S_gra_window", unit=FRACTION, direction="higher", kind="rate", condition="localised episodes")
+def s_gra_window(episode: Episode) -> bool | None:
+    """Grasp success within 0.5 s, given localisation: S_gra's test on the first localised frame and ten more.
+
+    Ours: S_gra judges one instant, which a hand that closes 50 ms late fails.
+    """
+    first = episode.first_localized
+    return (
+        None if first is None else grasps_at(episode, slice(first, first + round(WINDOW_S * CONTROL_HZ) + 1))
+    )
