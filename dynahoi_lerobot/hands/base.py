@@ -1,0 +1,40 @@
+"""What a hand is to the rest: a body on three slides, fifteen flexion joints, five fingertips and a camera."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import mujoco
+import numpy as np
+
+from dynahoi_lerobot.registry import Registry
+
+HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")
+
+PALM_SITE = "palm_center"
+PALM_BODY = "palm"
+EGO_CAMERA = "ego"
+HAND_GEOM_PREFIX = "hand_"
+"""Names every hand gives to the things the scene looks up; fingertip sites are ``<finger>_tip``."""
+
+
+class Hand(ABC):
+    """An embodiment: it adds its bodies, actuators, sites and camera to a model under construction.
+
+    Contract: body ``palm`` hangs on joints ``palm_x, palm_y, palm_z``; the fifteen joints are named as in
+    ``spec.JOINT_NAMES``; site ``palm_center`` lies in the middle of the grasp volume and coincides with the origin of
+    ``palm`` at zero slide positions; sites ``<finger>_tip`` sit on the pads with z along the finger; camera ``ego`` is
+    fixed to the palm; each actuator drives one joint, in the order of ``spec.HAND_NAMES``.
+    """
+
+    @abstractmethod
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add the hand to ``spec``."""
+
+    @abstractmethod
+    def open_joints(self) -> np.ndarray:
+        """Return (15,) joint angles [rad] of the open hand."""
+
+    @abstractmethod
+    def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
+        """Return (15,) joint angles [rad] that close the fingers around an object of that radius [m]."""

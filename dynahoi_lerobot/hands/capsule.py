@@ -1,0 +1,198 @@
+"""The bundled hand: a left hand of capsules, palm facing +x, fingers pointing +y, thumb up.
+
+Lengths follow an adult hand; the palm hangs on a three-axis gantry. The palm centre lies 3.6 cm in front of the palm's
+surface, in the middle of what the fingers enclose. Every joint is a position servo with a force limit.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from dynahoi_lerobot.conventions import FINGERS
+from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, HANDS, PALM_BODY, PALM_SITE, Hand
+from dynahoi_lerobot.spec import PALM_AXES
+
+PALM_MASS_KG = 0.8
+PALM_FORCE_N = 120.0
+PALM_BANDWIDTH_RAD_S = 150.0
+FINGER_TORQUE_NM = 1.2
+FINGER_BANDWIDTH_RAD_S = 120.0
+FINGER_ARMATURE = 2.0e-4
+"""Reflected rotor inertia [kg m^2]; it dominates the finger links' own."""
+MAX_FLEXION_RAD = 1.6
+GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
+"""Reach of the palm centre, world."""
+
+CAMERA_POS = (-0.19, -0.02, 0.17)
+CAMERA_PITCH_RAD = 0.42
+CAMERA_FOVY_DEG = 80.0
+"""The camera looks over the back of the hand, along +x and down, and sees past the thumb into the grasp volume."""
+
+
+@dataclass(frozen=True)
+class Finger:
+    """One finger: where it starts, its three links, and how it lies at rest.
+
+    Attributes:
+        base: first joint, palm frame [m].
+        along: direction of the straight finger, unit vector, palm frame.
+        axis: flexion axis, unit vector, palm frame; positive rotation closes.
+        lengths: of the three links [m].
+        radius: of the links [m].
+        share: (3,) how far each joint flexes when the hand closes fully [rad].
+    """
+
+    base: tuple[float, float, float]
+    along: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    lengths: tuple[float, float, float]
+    radius: float
+    share: tuple[float, float, float]
+
+
+def _row_finger(z: float, scale: float) -> Finger:
+    lengths = (0.046 * scale, 0.029 * scale, 0.022 * scale)
+    return Finger((-0.046, 0.014, z), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), lengths, 0.0085, (1.15, 1.35, 1.0))
+
+
+HAND = {
+    "thumb": Finger(
+        (-0.044, -0.022, 0.038),
+        (0.10, 0.05, 0.9937),
+        (-0.05, 0.9987, 0.0),
+        (0.044, 0.034, 0.026),
+        0.0095,
+        (0.8, 1.0, 1.0),
+    ),
+    "index": _row_finger(0.034, 0.98),
+    "middle": _row_finger(0.013, 1.05),
+    "ring": _row_finger(-0.008, 1.0),
+    "little": _row_finger(-0.028, 0.82),
+}
+SKIN = (0.87, 0.68, 0.55, 1.0)
+JOINT_SUFFIXES = ("base", "middle", "tip")
+
+
+@HANDS.register("capsule")
+class CapsuleHand(Hand):
+    """Eighteen degrees of freedom: three slides of the palm and three flexion joints in each of five fingers."""
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add palm, fingers, servos, sites and the ego camera to ``spec``."""
+        palm = spec.worldbody.add_body(name=PALM_BODY, gravcomp=1.0)
+        palm.explicitinertial = True
+        palm.mass, palm.inertia = PALM_MASS_KG, [8e-4, 8e-4, 8e-4]
+        for axis, name in enumerate(PALM_AXES):
+            palm.add_joint(
+                name=name,
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=np.eye(3)[axis],
+                range=GANTRY_RANGE_M[axis],
+                limited=True,
+            )
+            _add_servo(spec, name, PALM_MASS_KG, PALM_BANDWIDTH_RAD_S, PALM_FORCE_N)
+        palm.add_geom(
+            name=f"{HAND_GEOM_PREFIX}palm", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(-0.0475, -0.03, 0.003),
+            size=(0.0115, 0.045, 0.041), rgba=SKIN, mass=0.0,
+        )  # fmt: skip
+        palm.add_site(name=PALM_SITE, pos=(0.0, 0.0, 0.0))
+        for name in FINGERS:
+            self._add_finger(spec, palm, name, HAND[name])
+        c, s = np.cos(CAMERA_PITCH_RAD), np.sin(CAMERA_PITCH_RAD)
+        right, up = (0.0, -1.0, 0.0), (s, 0.0, c)
+        palm.add_camera(name=EGO_CAMERA, pos=CAMERA_POS, quat=_camera_quat(right, up), fovy=CAMERA_FOVY_DEG)
+
+    def open_joints(self) -> np.ndarray:
+        """Return (15,) zeros: straight fingers."""
+        return np.zeros(15)
+
+    def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
+        """Return (15,) angles [rad] at which each fingertip pad is ``grasp_radius_m`` away from the palm's axis.
+
+        Larger objects give smaller rotations (Figure 3b of the paper). Fingers that cannot come that close stop at
+        full closure.
+        """
+        closure, distance = _closure_table()
+        joints = [
+            np.asarray(HAND[name].share) * np.interp(-grasp_radius_m, -distance[i], closure)
+            for i, name in enumerate(FINGERS)
+        ]
+        return np.concatenate(joints)
+
+    def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, finger: Finger) -> None:
+        parent, pos = palm, np.asarray(finger.base)
+        along = np.asarray(finger.along)
+        for suffix, length in zip(JOINT_SUFFIXES, finger.lengths, strict=True):
+            link = parent.add_body(name=f"{name}_{suffix}", pos=pos, gravcomp=1.0)
+            joint = f"{name}_{suffix}"
+            link.add_joint(
+                name=joint,
+                axis=finger.axis,
+                range=(0.0, MAX_FLEXION_RAD),
+                limited=True,
+                armature=FINGER_ARMATURE,
+            )
+            _add_servo(spec, joint, FINGER_ARMATURE, FINGER_BANDWIDTH_RAD_S, FINGER_TORQUE_NM)
+            link.add_geom(
+                name=f"{HAND_GEOM_PREFIX}{joint}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=0.012, rgba=SKIN,
+                fromto=np.concatenate([np.zeros(3), along * length]), size=(finger.radius, 0, 0),
+            )  # fmt: skip
+            parent, pos = link, along * length
+        pad = along * finger.lengths[-1] + finger.radius * np.cross(finger.axis, along)
+        parent.add_site(name=f"{name}_tip", pos=pad, quat=_z_to(along))
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth_rad_s: float, limit: float) -> None:
+    """Add a critically damped position servo: force = kp (u - q) - kv qdot, clipped to +- ``limit``."""
+    kp, kv = inertia * bandwidth_rad_s**2, 2 * inertia * bandwidth_rad_s
+    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.set_to_position(kp, kv=kv)
+    actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
+
+
+def _camera_quat(right: tuple[float, ...], up: tuple[float, ...]) -> np.ndarray:
+    """Quaternion wxyz of a camera, which looks along its -z, from its right and up vectors."""
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.column_stack([right, up, np.cross(right, up)]).ravel())
+    return quat
+
+
+def _z_to(direction: np.ndarray) -> np.ndarray:
+    """Quaternion wxyz that turns z to ``direction`` the short way."""
+    quat = np.zeros(4)
+    mujoco.mju_quatZ2Vec(quat, direction)
+    return quat
+
+
+@functools.cache
+def _closure_table() -> tuple[np.ndarray, np.ndarray]:
+    """Closure fractions (K,) and, per finger, the pad's distance (5, K) [m] from the axis of the grasp volume.
+
+    The axis runs through the palm centre along the thumb's direction (z): fingers close around an upright object. The
+    thumb's distance is to the palm centre itself, as it comes from above.
+    """
+    closure = np.linspace(0.0, 1.0, 101)
+    distance = np.array([[_pad_distance(name, c) for c in closure] for name in FINGERS])
+    return closure, np.minimum.accumulate(distance, axis=1)
+
+
+def _pad_distance(name: str, closure: float) -> float:
+    finger = HAND[name]
+    pos, rotation = np.asarray(finger.base, float), np.eye(3)
+    along = np.asarray(finger.along)
+    for share, length in zip(finger.share, finger.lengths, strict=True):
+        rotation = rotation @ _turn(np.asarray(finger.axis), share * closure)
+        pos = pos + rotation @ along * length
+    pad = pos + rotation @ np.cross(finger.axis, along) * finger.radius
+    return float(np.linalg.norm(pad if name == "thumb" else pad[:2]))
+
+
+def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    quat, matrix = np.zeros(4), np.zeros(9)
+    mujoco.mju_axisAngle2Quat(quat, axis, angle)
+    mujoco.mju_quat2Mat(matrix, quat)
+    return matrix.reshape(3, 3)

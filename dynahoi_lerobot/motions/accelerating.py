@@ -1,0 +1,25 @@
+"""Straight line, speeding up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from dynahoi_lerobot.motions.base import MOTIONS, Draw, level_heading
+from dynahoi_lerobot.motions.straight import RISE_M, StraightMotion
+
+
+@MOTIONS.register("accelerating")
+@dataclass(frozen=True)
+class Accelerating(StraightMotion):
+    """Speed from 0.03 to 0.15 m/s at first, 0.35 to 0.9 m/s at the horizon, changing evenly."""
+
+    name: ClassVar[str] = "accelerating"
+    phrase: ClassVar[str] = "moving in a straight line and speeding up"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw the two speeds and a direction that stays off the floor."""
+        speeds = (draw.uniform(0.03, 0.15) * draw.tempo, draw.uniform(0.35, 0.9) * draw.tempo)
+        direction = level_heading(draw, RISE_M, sum(speeds) / 2 * draw.horizon_s)
+        return cls.between(draw.meeting_point(), direction, draw.intercept_s, speeds, draw.horizon_s)

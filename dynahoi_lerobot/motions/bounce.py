@@ -1,0 +1,64 @@
+"""A ball that falls, bounces off the floor and rises again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynahoi_lerobot.motions.base import (
+    GRAVITY_M_S2,
+    MOTIONS,
+    Draw,
+    Launch,
+    PhysicalMotion,
+    Vector,
+    as_vector,
+    damping_ratio_for,
+    heading,
+)
+from dynahoi_lerobot.objects import TargetObject
+
+
+@MOTIONS.register("bounce")
+@dataclass(frozen=True)
+class Bounce(PhysicalMotion):
+    """Dropped from 0.6 to 1.1 m with 0.1 to 0.5 m/s sideways; restitution 0.7 to 0.88.
+
+    Attributes:
+        start: point of release [m].
+        velocity: horizontal velocity at release [m/s].
+        release_s: time of release [s].
+        restitution: rebound speed over impact speed.
+    """
+
+    start: Vector
+    velocity: Vector
+    release_s: float
+    restitution: float
+    name: ClassVar[str] = "bounce"
+    category: ClassVar[str] = "projectile"
+    phrase: ClassVar[str] = "bouncing off the floor"
+    max_frames: ClassVar[int] = 60
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw drop, drift and rebound; the meeting lies in the first rebound."""
+        height, restitution = draw.uniform(0.6, 1.1), draw.uniform(0.7, 0.88)
+        fall_s = np.sqrt(2 * (height - draw.target.rest_height_m) / GRAVITY_M_S2)
+        meeting_s = fall_s * (1 + 2 * restitution * draw.uniform(0.25, 0.85))
+        velocity = np.asarray(heading(draw.angle())) * draw.uniform(0.1, 0.5) * draw.tempo
+        start = np.asarray(draw.meeting_point()) - velocity * meeting_s
+        start[2] = height
+        return cls(as_vector(start), as_vector(velocity), max(0.0, draw.intercept_s - meeting_s), restitution)
+
+    @classmethod
+    def objects(cls) -> list[str]:
+        """Return the one that bounces the same way whatever side it lands on."""
+        return ["ball"]
+
+    def launch(self, target: TargetObject) -> Launch:
+        """Return the drop."""
+        ratio = damping_ratio_for(self.restitution)
+        return Launch(self.start, velocity=self.velocity, release_s=self.release_s, damping_ratio=ratio)

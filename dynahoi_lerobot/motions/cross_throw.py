@@ -1,0 +1,26 @@
+"""A flat throw from one side to the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynahoi_lerobot.motions.base import MOTIONS, Draw
+from dynahoi_lerobot.motions.throw import ThrowMotion
+
+
+@MOTIONS.register("cross_throw")
+@dataclass(frozen=True)
+class CrossThrow(ThrowMotion):
+    """Across the view from 0.5 to 1.0 m to the side, 0.45 to 0.75 s before the meeting, released at its height."""
+
+    name: ClassVar[str] = "cross_throw"
+    phrase: ClassVar[str] = "being thrown across the view"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw the throw."""
+        yaw = draw.sign() * np.pi / 2 + draw.uniform(-0.4, 0.4)
+        return cls.aimed(draw, draw.uniform(0.45, 0.75), yaw, draw.uniform(0.5, 1.0), draw.uniform(0.9, 1.2))

@@ -1,0 +1,19 @@
+"""Simple harmonic motion, oscillating towards and away from the hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from dynahoi_lerobot.motions.base import MOTIONS, Vector
+from dynahoi_lerobot.motions.harmonic import HarmonicMotion
+
+
+@MOTIONS.register("depth")
+@dataclass(frozen=True)
+class Depth(HarmonicMotion):
+    """Harmonic along (1.0, 0.0, 0.0)."""
+
+    name: ClassVar[str] = "depth"
+    phrase: ClassVar[str] = "oscillating towards and away from the hand"
+    axis: ClassVar[Vector] = (1.0, 0.0, 0.0)

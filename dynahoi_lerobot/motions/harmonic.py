@@ -1,0 +1,63 @@
+"""What the three simple harmonic motions share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynahoi_lerobot.motions.base import Draw, PrescribedMotion, Vector
+
+MAX_PEAK_SPEED_M_S = 1.0
+
+
+@dataclass(frozen=True)
+class HarmonicMotion(PrescribedMotion):
+    """r(t) = center + axis A sin(2 pi f t + phase) (primitive H).
+
+    Amplitude 0.08 to 0.3 m, frequency 0.15 to 0.7 Hz, peak speed at most 1 m/s.
+
+    Attributes:
+        center: equilibrium [m].
+        amplitude_m: A.
+        frequency_hz: f.
+        phase_rad: phase at t = 0.
+    """
+
+    center: Vector
+    amplitude_m: float
+    frequency_hz: float
+    phase_rad: float
+    category: ClassVar[str] = "simple_harmonic"
+    axis: ClassVar[Vector]
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw amplitude, frequency and phase."""
+        amplitude = draw.uniform(0.08, 0.3)
+        fastest = MAX_PEAK_SPEED_M_S / (2 * np.pi * amplitude)
+        frequency = min(draw.uniform(0.15, 0.7), fastest) * draw.tempo
+        return cls(draw.meeting_point(), amplitude, frequency, draw.angle())
+
+    def position(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) position [m]."""
+        return np.asarray(self.center) + self._along(np.sin(self._phase(time_s)))
+
+    def velocity(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) velocity [m/s]."""
+        return self._along(self._rate * np.cos(self._phase(time_s)))
+
+    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) acceleration [m/s^2]."""
+        return self._along(-(self._rate**2) * np.sin(self._phase(time_s)))
+
+    @property
+    def _rate(self) -> float:
+        return 2 * np.pi * self.frequency_hz
+
+    def _phase(self, time_s: np.ndarray) -> np.ndarray:
+        return self._rate * time_s + self.phase_rad
+
+    def _along(self, amount: np.ndarray) -> np.ndarray:
+        return self.amplitude_m * amount[:, None] * np.asarray(self.axis)

@@ -1,0 +1,97 @@
+"""What the two rolling motions share: a plank, and a round object that rolls down it without slipping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynahoi_lerobot.motions.base import GRAVITY_M_S2, Box, Draw, Launch, PhysicalMotion, Vector, as_vector, heading
+from dynahoi_lerobot.objects import OBJECTS, TargetObject
+
+PLANK_HALF_THICKNESS_M = 0.012
+PLANK_HALF_WIDTH_M = 0.07
+
+
+@dataclass(frozen=True)
+class RollingMotion(PhysicalMotion):
+    """Down a slope a = g sin q / (1 + I / (m r^2)), from rest.
+
+    Attributes:
+        meeting: where the centre of the target is to be met, on the slope or at its foot [m].
+        slope_rad: inclination q, 4 to 12 degrees.
+        yaw_rad: horizontal direction of descent.
+        run_m: rolled from rest to ``meeting`` [m].
+        release_s: time of release [s].
+    """
+
+    meeting: Vector
+    slope_rad: float
+    yaw_rad: float
+    run_m: float
+    release_s: float
+    category: ClassVar[str] = "inclined_rolling"
+    max_frames: ClassVar[int] = 80
+
+    @classmethod
+    def objects(cls) -> list[str]:
+        """Return the round ones."""
+        return [name for name, kind in OBJECTS.items() if kind.rolls]
+
+    @classmethod
+    def rolled(cls, draw: Draw, run_m: float, until_s: float) -> Self:
+        """Return a roll that is at the meeting point ``until_s``, shortened if there is no time for ``run_m``."""
+        slope = float(np.radians(draw.uniform(4, 12)) * draw.tempo)
+        pace = rolling_acceleration(slope, draw.target)
+        run = min(run_m, pace * until_s**2 / 2)
+        yaw = np.pi + draw.uniform(-2.0, 2.0)
+        return cls(draw.meeting_point(), slope, yaw, run, until_s - float(np.sqrt(2 * run / pace)))
+
+    def launch(self, target: TargetObject) -> Launch:
+        """Return the plank and the target at rest on it, its axis across the slope."""
+        forward, normal = self.slope_axes()
+        start = np.asarray(self.meeting) - self.run_m * forward
+        return Launch(
+            as_vector(start),
+            quat=self._lying(target),
+            release_s=self.release_s,
+            boxes=self.surfaces(target, forward, normal),
+            friction=1.0,
+        )
+
+    def surfaces(self, target: TargetObject, forward: np.ndarray, normal: np.ndarray) -> tuple[Box, ...]:
+        """Return the boxes the target rolls on: one plank, from 12 cm above the start to 60 cm past the meeting."""
+        return (self.plank(target, forward, normal, 0.6),)
+
+    def plank(self, target: TargetObject, forward: np.ndarray, normal: np.ndarray, past_m: float) -> Box:
+        """Return the slope: from 12 cm above the start to ``past_m`` beyond the meeting point."""
+        half_length = (self.run_m + 0.12 + past_m) / 2
+        contact = np.asarray(self.meeting) - target.roll_radius_m * normal
+        center = contact + (past_m - half_length) * forward - PLANK_HALF_THICKNESS_M * normal
+        half_size = (half_length, PLANK_HALF_WIDTH_M, PLANK_HALF_THICKNESS_M)
+        return Box(as_vector(center), half_size, _yaw_pitch_quat(self.yaw_rad, self.slope_rad))
+
+    def slope_axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the (3,) unit vectors down the slope and out of it."""
+        flat, up = np.asarray(heading(self.yaw_rad)), np.array([0.0, 0.0, 1.0])
+        c, s = np.cos(self.slope_rad), np.sin(self.slope_rad)
+        return c * flat - s * up, s * flat + c * up
+
+    def _lying(self, target: TargetObject) -> tuple[float, float, float, float]:
+        """Lay the object's axis of symmetry horizontally across the slope."""
+        half, root = self.yaw_rad / 2, float(np.sqrt(0.5))
+        c, s = float(np.cos(half)), float(np.sin(half))
+        return (c * root, -c * root, -s * root, s * root)  # yaw about z after a quarter turn about -x
+
+
+def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
+    """Return the acceleration of rolling without slipping [m/s^2]."""
+    ratio = target.inertia[2] / (target.mass_kg * target.roll_radius_m**2)
+    return float(GRAVITY_M_S2 * np.sin(slope_rad) / (1 + ratio))
+
+
+def _yaw_pitch_quat(yaw: float, pitch: float) -> tuple[float, float, float, float]:
+    """Rotation that points x to ``yaw`` and ``pitch`` below the horizon, wxyz."""
+    cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+    return (float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp))

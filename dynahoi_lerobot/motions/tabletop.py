@@ -1,0 +1,63 @@
+"""What the two impact motions share: an object that slides on a slippery table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from dynahoi_lerobot.motions.base import Box, PhysicalMotion, Vector, as_vector, heading, yaw_quat
+from dynahoi_lerobot.objects import OBJECTS, TargetObject
+
+TABLE_HALF_M = (0.9, 0.9, 0.02)
+
+
+@dataclass(frozen=True)
+class TabletopMotion(PhysicalMotion):
+    """An impact on a level table of low friction.
+
+    Attributes:
+        contact: centre of the target at the impact [m].
+        yaw_rad: horizontal direction of the blow or the approach.
+        speed_m_s: of whatever is moving towards the impact.
+        impact_s: time of the impact [s], as planned without friction.
+        restitution: rebound speed over approach speed.
+        friction: sliding friction of the table.
+    """
+
+    contact: Vector
+    yaw_rad: float
+    speed_m_s: float
+    impact_s: float
+    restitution: float
+    friction: float
+    category: ClassVar[str] = "impact_response"
+    max_frames: ClassVar[int] = 80
+
+    @classmethod
+    def objects(cls) -> list[str]:
+        """Return the ones that stay flat when pushed."""
+        return [name for name, kind in OBJECTS.items() if kind.slides]
+
+    def table(self, target: TargetObject) -> Box:
+        """Return the table under the target."""
+        top = np.asarray(self.contact) - [0.0, 0.0, target.rest_height_m + TABLE_HALF_M[2]]
+        return Box(as_vector(top), TABLE_HALF_M, yaw_quat(self.yaw_rad))
+
+    def direction(self) -> np.ndarray:
+        """Return the (3,) unit vector of the blow or the approach."""
+        return np.asarray(heading(self.yaw_rad))
+
+
+def reach_m(target: TargetObject) -> float:
+    """Return how far the target extends from its centre, horizontally and upright [m].
+
+    The blow always comes along the object's x axis, so boxes are met face on.
+    """
+    extents = []
+    for primitive in target.primitives:
+        size = np.asarray(primitive.half_size)
+        along = size[0] if primitive.shape == "box" else size[0] + abs(primitive.pos[0])
+        extents.append(along)
+    return float(max(extents))

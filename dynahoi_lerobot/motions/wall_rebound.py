@@ -1,0 +1,47 @@
+"""An object slides along a table into a wall and rebounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynahoi_lerobot.motions.base import MOTIONS, Box, Draw, Launch, as_vector, damping_ratio_for, yaw_quat
+from dynahoi_lerobot.motions.tabletop import TabletopMotion, reach_m
+from dynahoi_lerobot.objects import TargetObject
+
+WALL_HALF_M = (0.02, 0.3, 0.05)
+
+
+@MOTIONS.register("wall_rebound")
+@dataclass(frozen=True)
+class WallRebound(TabletopMotion):
+    """Approach at 0.3 to 0.7 m/s, restitution 0.6 to 0.9, table friction 0.01 to 0.04."""
+
+    name: ClassVar[str] = "wall_rebound"
+    phrase: ClassVar[str] = "rebounding from a wall"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw approach and rebound; the wall is hit 0.2 to 0.6 s before the intercept and within the window."""
+        impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.2, 0.6), draw.window_s - 0.05))
+        yaw = draw.uniform(-2.2, 2.2)
+        return cls(
+            draw.meeting_point(), yaw, draw.uniform(0.3, 0.7) * draw.tempo, impact_s,
+            draw.uniform(0.6, 0.9), draw.uniform(0.01, 0.04),
+        )  # fmt: skip
+
+    def launch(self, target: TargetObject) -> Launch:
+        """Return the target under way on the table, and the wall."""
+        direction, reach = self.direction(), reach_m(target)
+        wall = np.asarray(self.contact) + (reach + WALL_HALF_M[0]) * direction
+        wall[2] += WALL_HALF_M[2] - target.rest_height_m
+        return Launch(
+            as_vector(np.asarray(self.contact) - self.speed_m_s * self.impact_s * direction),
+            quat=yaw_quat(self.yaw_rad),
+            velocity=as_vector(self.speed_m_s * direction),
+            boxes=(self.table(target), Box(as_vector(wall), WALL_HALF_M, yaw_quat(self.yaw_rad))),
+            damping_ratio=damping_ratio_for(self.restitution),
+            friction=self.friction,
+        )

@@ -1,0 +1,26 @@
+"""A cone of base radius 2.8 to 3.8 cm, six tapering slices high."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynahoi_lerobot.objects.base import OBJECTS, ObjectKind, Primitive, TargetShape
+
+
+@OBJECTS.register("cone")
+class Cone(ObjectKind):
+    """A cone of base radius 2.8 to 3.8 cm, six tapering slices high."""
+
+    @classmethod
+    def shape(cls, rng: np.random.Generator) -> TargetShape:
+        """Draw the geometry [m]."""
+        radius, slice_half = rng.uniform(0.028, 0.038), rng.uniform(0.005, 0.0075)
+        heights = (
+            np.arange(6) * 2 * slice_half - 3 * slice_half
+        )  # the centre of mass lies a quarter of the height up
+        widths = radius * (1 - np.arange(6) / 6)
+        slices = tuple(
+            Primitive("cylinder", (float(width), slice_half), (0.0, 0.0, float(height)))
+            for width, height in zip(widths, heights, strict=True)
+        )
+        return TargetShape(slices, 0.75 * radius, 4 * slice_half)
