@@ -1,0 +1,1 @@
+"""How pictures are stored: one file per codec, found by its decorator."""

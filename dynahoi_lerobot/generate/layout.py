@@ -1,0 +1,47 @@
+"""Where the parts of a LeRobotDataset v3.0 lie on disk, and how large they may grow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+CODEBASE_VERSION = "v3.0"
+ROBOT_TYPE = "dynahoi_hand"
+
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+TASKS_PATH = "meta/tasks.parquet"
+INFO_PATH = "meta/info.json"
+STATS_PATH = "meta/stats.json"
+MANIFEST_PATH = "meta/manifest.json"
+"""Not part of LeRobot's format, which ignores it: hashes, recipe and histograms of our own."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Size limits of a dataset's files.
+
+    Attributes:
+        data_mb: largest parquet file [MiB], LeRobot's default.
+        video_mb: largest mp4 file [MiB], LeRobot's default.
+        video_s: longest mp4 file [s]. LeRobot compares frame times as float32 within 1e-4 s; above 1024 s
+            neighbouring float32 numbers are further apart than that, and correct frames would be refused.
+        chunk_files: files per chunk folder, LeRobot's default.
+    """
+
+    data_mb: float = 100
+    video_mb: float = 200
+    video_s: float = 1000.0
+    chunk_files: int = 1000
+
+    def place(self, number: int) -> tuple[int, int]:
+        """Return (chunk index, file index) of the ``number``-th file of a kind."""
+        return divmod(number, self.chunk_files)
+
+    def path(self, root: Path, template: str, number: int, **keys: str) -> Path:
+        """Return the path of the ``number``-th file of a kind and make its folder."""
+        chunk, file = self.place(number)
+        path = root / template.format(chunk_index=chunk, file_index=file, **keys)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path

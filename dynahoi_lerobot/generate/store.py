@@ -1,0 +1,140 @@
+"""Store: a dataset on disk, read without LeRobot."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from PIL import Image
+
+from dynahoi_lerobot.conventions import CONTROL_HZ
+from dynahoi_lerobot.episode import Episode, EpisodeMeta
+from dynahoi_lerobot.generate.catalog import column_array
+from dynahoi_lerobot.generate.features import Features
+from dynahoi_lerobot.generate.layout import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
+from dynahoi_lerobot.generate.rows import META_COLUMNS, TRACES, Row
+from dynahoi_lerobot.generate.tables import read_tasks
+from dynahoi_lerobot.generate.video import decode
+from dynahoi_lerobot.spec import CAMERA_KEY
+
+
+class Store:
+    """Lazy access to a dataset's tables and frames."""
+
+    def __init__(self, root: Path) -> None:
+        """Look at the dataset below ``root``.
+
+        Raises:
+            FileNotFoundError: if there is none.
+        """
+        self.root = root
+        if not (root / INFO_PATH).is_file():
+            raise FileNotFoundError(f"{root} holds no LeRobot dataset: {INFO_PATH} is missing")
+
+    @cached_property
+    def info(self) -> dict[str, Any]:
+        """The content of ``info.json``."""
+        return json.loads((self.root / INFO_PATH).read_text())
+
+    @property
+    def features(self) -> Features:
+        """The feature table."""
+        return self.info["features"]
+
+    @property
+    def has_video(self) -> bool:
+        """Whether the camera is stored as video."""
+        return self.features.get(CAMERA_KEY, {}).get("dtype") == "video"
+
+    @cached_property
+    def tasks(self) -> list[str]:
+        """The instructions, by task index."""
+        return read_tasks(self.root / TASKS_PATH)
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The episode table without its statistics, one dictionary per episode."""
+        tables = []
+        for path in self.row_files():
+            names = [name for name in pq.read_schema(path).names if not name.startswith("stats/")]
+            tables.append(pq.read_table(path, columns=names))
+        return pa.concat_tables(tables).to_pylist()
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes in the episode table."""
+        return len(self.rows)
+
+    def row_files(self) -> list[Path]:
+        """Return the files of the episode table, in order."""
+        return sorted((self.root / "meta/episodes").glob("*/*.parquet"))
+
+    def data_files(self) -> list[Path]:
+        """Return the files of the frame table, in order."""
+        return sorted((self.root / "data").glob("*/*.parquet"))
+
+    def full_rows(self) -> Iterator[Row]:
+        """Yield the rows of the episode table with their statistics."""
+        for path in self.row_files():
+            yield from pq.read_table(path).to_pylist()
+
+    def data_path(self, row: Row) -> Path:
+        """Return the file that holds the episode's rows."""
+        place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
+        return self.root / DATA_PATH.format(**place)
+
+    def video_path(self, row: Row) -> Path:
+        """Return the file that holds the episode's pictures."""
+        place = {name: row[f"videos/{CAMERA_KEY}/{name}"] for name in ("chunk_index", "file_index")}
+        return self.root / VIDEO_PATH.format(video_key=CAMERA_KEY, **place)
+
+    def frames(self, row: Row) -> pa.Table:
+        """Return the episode's rows of the frame table."""
+        return pq.read_table(self.data_path(row), filters=[("episode_index", "=", row["episode_index"])])
+
+    def images(self, row: Row, table: pa.Table) -> np.ndarray | None:
+        """Return the episode's pictures, (T, H, W, 3) uint8 RGB, None without a camera."""
+        if CAMERA_KEY not in self.features:
+            return None
+        if not self.has_video:
+            cells = table[CAMERA_KEY].to_pylist()
+            return np.stack([np.asarray(Image.open(io.BytesIO(cell["bytes"]))) for cell in cells])
+        start = round(row[f"videos/{CAMERA_KEY}/from_timestamp"] * CONTROL_HZ)
+        return np.stack(list(decode(self.video_path(row), start, start + row["length"])))
+
+    def episode(self, index: int, *, images: bool = True) -> Episode:
+        """Return one episode.
+
+        Raises:
+            IndexError: if there is no such episode.
+        """
+        if not 0 <= index < self.episodes:
+            raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
+        row = self.rows[index]
+        table = self.frames(row)
+        flat = {name: np.array(row[name], np.float32) for name in TRACES}
+        return Episode(
+            meta=EpisodeMeta(**{name: row[name] for name in META_COLUMNS}),
+            images=self.images(row, table) if images else None,
+            state=column_array(table, "observation.state"),
+            fingertips=column_array(table, "observation.fingertips"),
+            phase=column_array(table, "observation.phase"),
+            action=column_array(table, "action"),
+            target_pose=column_array(table, "target.pose"),
+            target_velocity=column_array(table, "target.velocity"),
+            target_contacts=column_array(table, "target.contacts"),
+            localized=column_array(table, "localized")[:, 0],
+            captured=column_array(table, "captured")[:, 0],
+            intercept_position=column_array(table, "intercept.position")[0],
+            intercept_time=float(column_array(table, "intercept.time")[0, 0]),
+            success=row["success"],
+            stage=row["stage"],
+            **flat,
+        )

@@ -1,0 +1,56 @@
+"""What the tests need from LeRobot, imported late and quietly."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.generate.features import BOOKKEEPING, content_arrays, info_features
+
+logging.disable(logging.WARNING)
+
+from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
+from lerobot.datasets.video_utils import RGBEncoderConfig  # noqa: E402
+
+logging.disable(logging.NOTSET)
+
+
+REPO = "local/dataset"
+
+
+def open_dataset(root: Path, **options) -> LeRobotDataset:
+    return LeRobotDataset(REPO, root=root, video_backend="pyav", **options)
+
+
+def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobotDataset:
+    """The same episodes through LeRobot's own recording interface."""
+    size = episodes[0].images.shape[1]
+    features = {key: ft for key, ft in info_features(size, encoding).items() if key not in BOOKKEEPING}
+    for feature in features.values():
+        feature.pop("info", None)
+        feature["shape"] = tuple(feature["shape"])
+    codec = encoding.kind
+    encoder = RGBEncoderConfig(
+        vcodec="h264", crf=codec.chosen_crf, preset=codec.chosen_preset, g=encoding.gop,
+        fast_decode=int(encoding.fast_decode),
+    )  # fmt: skip
+    dataset = LeRobotDataset.create(
+        "local/dataset",
+        20,
+        features,
+        root=root,
+        robot_type="dynahoi_hand",
+        rgb_encoder=encoder,
+        encoder_threads=1,
+    )
+    for episode in episodes:
+        arrays = content_arrays(episode)
+        for frame in range(len(episode)):
+            row = {key: np.asarray(values[frame]) for key, values in arrays.items()}
+            dataset.add_frame(row | {"observation.images.ego": episode.images[frame], "task": episode.meta.task})
+        dataset.save_episode()
+    dataset.finalize()
+    return dataset
