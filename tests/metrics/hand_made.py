@@ -24,7 +24,7 @@ def hand_made(
 ) -> Episode:
     """Return an episode that rests for 8 frames and then passes through the ``palm`` positions [m].
 
-    ``joints`` gives one angle [rad] per control frame, taken by all 15 joints (the reference is 1, open is 0);
+    ``joints`` gives one angle [rad] per control frame, taken by all 15 joints (reference 1, open 0);
     ``localized_from`` counts from control start.
     """
     points = _after_the_window(palm)

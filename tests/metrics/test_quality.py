@@ -49,9 +49,7 @@ def test_quality_is_the_papers_formula_over_the_control_phase(seed: int):
 def test_the_trajectory_ends_with_the_first_localised_frame(localized_from: int):
     path = random_path(3)
     episode = hand_made(path, localized_from=localized_from)
-    assert METRICS["Q_smooth"](episode) == pytest.approx(
-        plain_smoothness(path[: localized_from + 1]), abs=1e-9
-    )
+    assert METRICS["Q_smooth"](episode) == pytest.approx(plain_smoothness(path[: localized_from + 1]), abs=1e-9)
     assert METRICS["Q_line"](episode) == pytest.approx(plain_linearity(path[: localized_from + 1]), abs=1e-9)
 
 
@@ -87,9 +85,7 @@ def test_flicker_of_the_last_bit_is_no_motion():
 def test_a_round_trip_has_no_linearity():
     episode = hand_made([(0, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0, 0, 0)])
     assert METRICS["Q_line"](episode) == 0.0
-    assert METRICS["Q_smooth"](episode) == pytest.approx(
-        plain_smoothness([(0, 0), (1, 0), (1, 1), (0, 0)]), abs=1e-6
-    )
+    assert METRICS["Q_smooth"](episode) == pytest.approx(plain_smoothness([(0, 0), (1, 0), (1, 1), (0, 0)]), abs=1e-6)
 
 
 def test_a_pause_adds_nothing_to_linearity_but_counts_as_a_step():

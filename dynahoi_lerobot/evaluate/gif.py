@@ -1,0 +1,114 @@
+"""An episode as a GIF: the camera's frames, a border that tells the phase, a thin caption."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dynahoi_lerobot.conventions import CONTROL_HZ
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate.atomic import write_atomically
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+BORDERS = {"observing": (128, 128, 128), "acting": (30, 30, 34), "localized": (46, 160, 67)}
+"""Border colour [RGB 0-255] of each phase: grey while watching, dark while acting, green once localised."""
+
+BORDER_PX = 3
+CAPTION_PX = 16
+MAX_FPS = 50
+"""Viewers slow anything faster down to 10 frames per second."""
+
+
+def episode_gif(path: Path, episode: Episode, caption: str | None = None, min_width: int = 192) -> Path:
+    """Write one episode as a GIF at its true speed.
+
+    Args:
+        path: the file to write.
+        episode: an episode with images.
+        caption: the line under the picture; None says kind, object and stage.
+        min_width: frames are enlarged by a whole factor until they are at least this wide [px].
+
+    Raises:
+        ValueError: if the episode has no images.
+    """
+    if episode.images is None:
+        raise ValueError(f"the episode with seed {episode.meta.seed} holds no images; play it with a renderer")
+    text = f"{episode.meta.motion} · {episode.meta.object} · {episode.stage}" if caption is None else caption
+    scale = -(-min_width // episode.images.shape[2])
+    return write_gif(path, episode.images, caption=text, phases=phases_of(episode), scale=scale)
+
+
+def phases_of(episode: Episode) -> list[str]:
+    """Return ``observing``, ``acting`` or ``localized`` for each of the T frames."""
+    acting = np.where(episode.localized, "localized", "acting")
+    return np.where(np.arange(len(episode)) < episode.meta.window_frames, "observing", acting).tolist()
+
+
+def write_gif(
+    path: Path,
+    frames: np.ndarray,
+    *,
+    fps: float = CONTROL_HZ,
+    caption: str = "",
+    phases: Sequence[str] | None = None,
+    scale: int = 1,
+) -> Path:
+    """Write frames as an endless GIF.
+
+    Args:
+        path: the file to write, whole or not at all.
+        frames: (T, H, W, 3) uint8 RGB.
+        fps: frames per second; the format rounds the time of a frame to 10 ms.
+        caption: text for a strip under the picture; empty leaves the strip out.
+        phases: T names out of ``BORDERS``, or None for no border.
+        scale: whole factor of enlargement, so that small frames stay crisp.
+
+    Raises:
+        ValueError: if the frames, the frame rate or the phases are not as described.
+    """
+    _check(frames, fps, phases)
+    names = phases or [None] * len(frames)
+    pages = [_page(frame, name, caption, scale) for frame, name in zip(frames, names, strict=True)]
+    options = {"save_all": True, "append_images": pages[1:], "duration": round(100 / fps) * 10, "loop": 0}
+    write_atomically({Path(path): lambda draft: pages[0].save(draft, "GIF", **options)})
+    return Path(path)
+
+
+def _check(frames: np.ndarray, fps: float, phases: Sequence[str] | None) -> None:
+    if frames.ndim != 4 or frames.shape[-1] != 3 or frames.dtype != np.uint8 or 0 in frames.shape:
+        raise ValueError(f"a GIF needs (T, H, W, 3) uint8 frames, not {frames.shape} {frames.dtype}")
+    if not 0 < fps <= MAX_FPS:
+        raise ValueError(f"a GIF plays at up to {MAX_FPS} frames per second, not {fps}")
+    if phases is not None and (len(phases) != len(frames) or not set(phases) <= set(BORDERS)):
+        raise ValueError(
+            f"phases must be {len(frames)} names out of {', '.join(BORDERS)}, not {len(phases)} of "
+            f"{', '.join(sorted(set(phases)))}"
+        )
+
+
+def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> Image.Image:
+    from PIL import Image, ImageOps
+
+    picture = Image.fromarray(np.repeat(np.repeat(frame, scale, axis=0), scale, axis=1))
+    if phase is not None:
+        picture = ImageOps.expand(picture, BORDER_PX, BORDERS[phase])
+    if caption:
+        picture = _captioned(picture, caption)
+    return picture.quantize(128)
+
+
+def _captioned(picture: Image.Image, caption: str) -> Image.Image:
+    from PIL import Image, ImageDraw, ImageFont
+
+    page = Image.new("RGB", (picture.width, picture.height + CAPTION_PX), (30, 30, 34))
+    page.paste(picture)
+    font = ImageFont.load_default(size=11)
+    while caption and font.getlength(caption) > page.width - 8:
+        caption = caption[:-2].rstrip("…") + "…" if len(caption) > 2 else ""
+    ImageDraw.Draw(page).text((4, picture.height + 1), caption, fill=(235, 235, 235), font=font)
+    return page

@@ -1,0 +1,94 @@
+"""GIFs: size, timing, borders, captions, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from dynahoi_lerobot.evaluate.gif import BORDER_PX, BORDERS, CAPTION_PX, episode_gif, phases_of, write_gif
+from tests.synthetic import synthetic_episode
+
+FRAMES = np.random.default_rng(0).integers(0, 255, (5, 12, 16, 3), np.uint8)
+
+
+def pages(path: Path) -> list[Image.Image]:
+    with Image.open(path) as gif:
+        return [page.convert("RGB").copy() for page in ImageSequence.Iterator(gif)]
+
+
+def total_ms(path: Path) -> int:
+    with Image.open(path) as gif:
+        return sum(page.info["duration"] for page in ImageSequence.Iterator(gif))
+
+
+def test_frames_keep_their_number_size_and_pace(tmp_path: Path):
+    path = write_gif(tmp_path / "clips" / "a.gif", FRAMES)
+    assert [page.size for page in pages(path)] == [(16, 12)] * 5
+    assert total_ms(path) == 5 * 50
+
+
+def test_colours_survive(tmp_path: Path):
+    flat = np.zeros((2, 8, 8, 3), np.uint8)
+    flat[0], flat[1] = (200, 30, 60), (10, 120, 240)
+    first, second = pages(write_gif(tmp_path / "a.gif", flat))
+    assert np.abs(np.asarray(first, int)[4, 4] - [200, 30, 60]).max() < 8
+    assert np.abs(np.asarray(second, int)[4, 4] - [10, 120, 240]).max() < 8
+
+
+def test_the_border_tells_the_phase(tmp_path: Path):
+    names = ["observing", "observing", "acting", "localized", "localized"]
+    shown = pages(write_gif(tmp_path / "a.gif", FRAMES, phases=names))
+    assert shown[0].size == (16 + 2 * BORDER_PX, 12 + 2 * BORDER_PX)
+    for page, name in zip(shown, names, strict=True):
+        assert np.abs(np.array(page.getpixel((0, 0))) - BORDERS[name]).max() < 12
+
+
+def test_enlarged_pixels_stay_crisp(tmp_path: Path):
+    (page, *_) = pages(write_gif(tmp_path / "a.gif", FRAMES[:1], scale=3))
+    pixels = np.asarray(page)
+    assert pixels.shape == (36, 48, 3)
+    assert (pixels[0:3, 0:3] == pixels[0, 0]).all()
+
+
+def test_the_caption_is_a_strip_that_any_text_fits(tmp_path: Path):
+    (plain, *_) = pages(write_gif(tmp_path / "a.gif", FRAMES[:1] // 255, caption="x"))
+    assert plain.size == (16, 12 + CAPTION_PX)
+    assert np.asarray(plain)[12:].max() > 150, "the text must be visible"
+    write_gif(tmp_path / "b.gif", FRAMES, caption="a sentence far wider than the picture " * 9)
+
+
+def test_an_episode_is_shown_at_a_readable_size(tmp_path: Path):
+    episode = synthetic_episode(frames=40, image_size=32)
+    path = episode_gif(tmp_path / "episode.gif", episode)
+    assert pages(path)[0].size == (192 + 2 * BORDER_PX, 192 + 2 * BORDER_PX + CAPTION_PX)
+    assert total_ms(path) == 40 * 50
+    names = phases_of(episode)
+    assert names[:8] == ["observing"] * 8
+    assert names[8] == "acting"
+    assert names[-1] == "localized"
+
+
+def test_an_episode_without_images_is_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match="seed 7 holds no images"):
+        episode_gif(tmp_path / "a.gif", synthetic_episode(7, image_size=None))
+
+
+@pytest.mark.parametrize(
+    ("frames", "options", "message"),
+    [
+        (FRAMES[0], {}, r"not \(12, 16, 3\) uint8"),
+        (FRAMES.astype(np.float32), {}, "float32"),
+        (FRAMES[:0], {}, r"not \(0, 12, 16, 3\)"),
+        (FRAMES, {"fps": 0}, "up to 50 frames per second, not 0"),
+        (FRAMES, {"fps": 60}, "not 60"),
+        (FRAMES, {"phases": ["acting"]}, "5 names out of observing, acting, localized, not 1 of acting"),
+        (FRAMES, {"phases": ["sleeping"] * 5}, "5 of sleeping"),
+    ],
+)
+def test_bad_input_is_named(tmp_path: Path, frames: np.ndarray, options: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        write_gif(tmp_path / "a.gif", frames, **options)
+    assert list(tmp_path.iterdir()) == []
