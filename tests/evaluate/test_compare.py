@@ -58,9 +58,7 @@ def test_only_the_same_episodes_are_paired_whatever_their_order():
     assert paired_values(a, b[::-1], "E_loc").tolist() == [[2.0, 20.0], [3.0, 30.0]]
 
 
-@pytest.mark.parametrize(
-    "change", [{"split": "val"}, {"kind": "bounce"}, {"object": "egg"}, {"length_frames": 41}]
-)
+@pytest.mark.parametrize("change", [{"split": "val"}, {"kind": "bounce"}, {"object": "egg"}, {"length_frames": 41}])
 def test_a_seed_alone_does_not_make_a_pair(change: dict):
     with pytest.raises(ValueError, match="share no episode with a value of S_loc"):
         compare(rows([1.0]), rows([1.0], **change), "S_loc")

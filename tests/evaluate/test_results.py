@@ -106,6 +106,7 @@ def test_a_stopped_run_goes_on_where_it_ended(tmp_path: Path):
     first.extend(every[:2])
     first.write(tmp_path / "part", RunInfo(**RUN))
     second = Recorder.resume(tmp_path / "part")
+    assert second.seeds == {0, 1}
     second.extend(episode for episode in every if episode.meta.seed not in second.seeds)
     second.write(tmp_path / "part", RunInfo(**RUN))
     whole = write_results(tmp_path / "whole", every, **RUN)

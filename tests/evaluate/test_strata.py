@@ -67,15 +67,16 @@ def test_duration_bins(frames: int, expected: str):
     [(0.0, "0-0.5"), (0.04, "0-0.5"), (0.06, "0.5-2"), (0.21, "2-4"), (0.39, "2-4"), (0.41, ">4")],
 )
 def test_travel_is_from_the_palm_at_control_start_to_the_intercept(distance_m: float, expected: str):
-    start = EPISODE.palm_pos_w[EPISODE.meta.window_frames]
-    goal = start + np.array([0, distance_m, 0], np.float32)
-    assert STRATA["travel"].label(replace(EPISODE, intercept_position=goal)) == expected
+    window = EPISODE.meta.window_frames
+    goal = EPISODE.palm_pos_w[window] + np.array([0, distance_m, 0], np.float32)
+    state = EPISODE.state.copy()
+    state[:window, :3] = 50.0
+    assert STRATA["travel"].label(replace(EPISODE, state=state, intercept_position=goal)) == expected
 
 
 def test_labels_of_meta_data():
     assert [
-        label(name, motion="lob", object="egg", category="projectile")
-        for name in ("kind", "object", "category")
+        label(name, motion="lob", object="egg", category="projectile") for name in ("kind", "object", "category")
     ] == [
         "lob",
         "egg",
