@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.conventions import FINGERS, HAND_DOF, PHYSICS_DT
+from dynahoi_lerobot.conventions import FINGERS, PHYSICS_DT
 from dynahoi_lerobot.hands import HANDS, Hand
 from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE
 from dynahoi_lerobot.looks import PATTERNS, texture_pixels
@@ -32,6 +32,9 @@ ENVIRONMENT, HAND_BIT = 1, 2
 FIXTURE_BOXES = ("box_a", "box_b")
 LARGEST_SLOT_M = 0.12
 LARGEST_BOX_M = (1.5, 1.0, 0.3)
+OFF_FRAME_POS, OFF_FRAME_QUAT = (0.01, 0.01, 0.01), (0.8, 0.6, 0.0, 0.0)
+"""A geom compiled at its body's own frame would ignore a position written later."""
+
 HIDDEN_POS = (0.0, 0.0, -5.0)
 ARENA_HALF_M = 6.0
 WALLS = {
@@ -63,7 +66,7 @@ class Scene:
     """
 
     model: mujoco.MjModel
-    hand: Hand
+    hand: Hand | None
     slots: dict[str, tuple[int, ...]]
     target_body: int
     target_qpos: int
@@ -96,15 +99,16 @@ class Scene:
 
 
 @functools.cache
-def compile_scene(hand: str = "capsule") -> Scene:
-    """Compile the scene with the named hand; cached, as it never changes."""
-    embodiment = HANDS[hand]()
+def compile_scene(hand: str | None = "capsule") -> Scene:
+    """Compile the scene with the named hand, or without one to roll targets ahead; cached, as it never changes."""
+    embodiment = None if hand is None else HANDS[hand]()
     spec = mujoco.MjSpec()
     _set_options(spec)
     _add_materials(spec)
     _add_surroundings(spec)
-    embodiment.add_to(spec)
-    _set_hand_collisions(spec)
+    if embodiment:
+        embodiment.add_to(spec)
+        _set_hand_collisions(spec)
     _add_target(spec)
     _add_fixtures(spec)
     return _index(spec.compile(), embodiment)
@@ -179,18 +183,18 @@ def _set_hand_collisions(spec: mujoco.MjSpec) -> None:
 
 def _add_target(spec: mujoco.MjSpec) -> None:
     body = spec.worldbody.add_body(name="target", pos=(0, 0, 1.5))
-    body.explicitinertial, body.mass, body.inertia = True, 0.1, (4e-5, 5e-5, 6e-5)
+    body.explicitinertial, body.mass, body.inertia, body.ipos = True, 0.1, (4e-5, 5e-5, 6e-5), (0.0, 0.0, 0.0)
     body.add_freejoint(name="target")
     for shape, count in sorted(slot_counts().items()):
         for index in range(count):
             body.add_geom(
                 name=f"target_{shape}_{index}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, mass=0.0,
                 contype=ENVIRONMENT | HAND_BIT, conaffinity=0, condim=6, friction=(1.0, 0.002, 0.0002), priority=1,
-                material="plain_fine",
+                material="plain_fine", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
             )  # fmt: skip
     body.add_geom(
         name="tether", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(0.003, 0.5, 0), mass=0.0, contype=0, conaffinity=0,
-        rgba=(0.25, 0.25, 0.25, 1),
+        rgba=(0.25, 0.25, 0.25, 1), pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
     )  # fmt: skip
 
 
@@ -202,7 +206,7 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
             material="plain_fine", condim=6, friction=(1.0, 0.002, 0.0002),
         )  # fmt: skip
     striker = spec.worldbody.add_body(name="striker", pos=HIDDEN_POS, gravcomp=1.0)
-    striker.explicitinertial, striker.mass, striker.inertia = True, 0.3, (2e-4, 2e-4, 2e-4)
+    striker.explicitinertial, striker.mass, striker.inertia, striker.ipos = True, 0.3, (2e-4,) * 3, (0.0, 0.0, 0.0)
     striker.add_joint(name="striker", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1, 0, 0))
     striker.add_geom(
         name="striker", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.04, 0, 0), contype=0, conaffinity=ENVIRONMENT,
@@ -218,23 +222,24 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
         **stiff,
     )
     tether.data[:3] = (0.0, 0.0, 0.5)
+    if not spec.body(PALM_BODY):
+        return
     spec.add_equality(
         name="weld", type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="target", name2=PALM_BODY,
         active=False, **stiff,
     )  # fmt: skip
 
 
-def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
+def _index(model: mujoco.MjModel, hand: Hand | None) -> Scene:
     geoms = {model.geom(i).name: i for i in range(model.ngeom)}
     slots = {
         shape: tuple(geoms[f"target_{shape}_{i}"] for i in range(count))
         for shape, count in sorted(slot_counts().items())
     }
-    joints = model.actuator_trnid[:HAND_DOF, 0]
+    joints = model.actuator_trnid[:, 0]
     target, striker = model.joint("target"), model.joint("striker")
     fingers = [
-        [g for name, g in geoms.items() if name.startswith(f"{HAND_GEOM_PREFIX}{finger}_")]
-        for finger in FINGERS
+        [g for name, g in geoms.items() if name.startswith(f"{HAND_GEOM_PREFIX}{finger}_")] for finger in FINGERS
     ]
     return Scene(
         model=model,
@@ -255,12 +260,17 @@ def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
         box_mocap=tuple(int(model.body(n).mocapid[0]) for n in FIXTURE_BOXES),
         tether_eq=model.equality("tether").id,
         tether_geom=geoms["tether"],
-        weld_eq=model.equality("weld").id,
-        palm_site=model.site(PALM_SITE).id,
-        palm_body=model.body(PALM_BODY).id,
-        tip_sites=np.array([model.site(f"{finger}_tip").id for finger in FINGERS]),
-        camera=model.camera(EGO_CAMERA).id,
+        weld_eq=_find(model, mujoco.mjtObj.mjOBJ_EQUALITY, "weld"),
+        palm_site=_find(model, mujoco.mjtObj.mjOBJ_SITE, PALM_SITE),
+        palm_body=_find(model, mujoco.mjtObj.mjOBJ_BODY, PALM_BODY),
+        tip_sites=np.array([_find(model, mujoco.mjtObj.mjOBJ_SITE, f"{finger}_tip") for finger in FINGERS]),
+        camera=_find(model, mujoco.mjtObj.mjOBJ_CAMERA, EGO_CAMERA),
         materials={model.mat(i).name: i for i in range(model.nmat)},
         hand_geoms=np.array([i for name, i in geoms.items() if name.startswith(HAND_GEOM_PREFIX)]),
         finger_geoms=np.array(fingers),
     )
+
+
+def _find(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
+    """Id of a named thing, -1 in a scene without a hand."""
+    return mujoco.mj_name2id(model, kind, name)

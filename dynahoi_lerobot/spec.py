@@ -47,7 +47,17 @@ PRIVILEGED = (
 
 OBSERVATIONS = (STATE, FINGERTIPS, PHASE)
 
-__all__ = ["ACTION", "CAMERA_KEY", "FINGERTIPS", "FINGER_DOF", "OBSERVATIONS", "PHASE", "PRIVILEGED", "STATE", "Feature"]
+__all__ = [
+    "ACTION",
+    "CAMERA_KEY",
+    "FINGERTIPS",
+    "FINGER_DOF",
+    "OBSERVATIONS",
+    "PHASE",
+    "PRIVILEGED",
+    "STATE",
+    "Feature",
+]
 
 
 def camera_feature(image_size: int) -> Feature:

@@ -85,7 +85,7 @@ class CapsuleHand(Hand):
         """Add palm, fingers, servos, sites and the ego camera to ``spec``."""
         palm = spec.worldbody.add_body(name=PALM_BODY, gravcomp=1.0)
         palm.explicitinertial = True
-        palm.mass, palm.inertia = PALM_MASS_KG, [8e-4, 8e-4, 8e-4]
+        palm.mass, palm.inertia, palm.ipos = PALM_MASS_KG, (8e-4,) * 3, (0.0, 0.0, 0.0)
         for axis, name in enumerate(PALM_AXES):
             palm.add_joint(
                 name=name,

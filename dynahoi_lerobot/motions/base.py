@@ -85,6 +85,8 @@ class Motion(ABC):
     """Whether it never appears in training; only ``ood_motion`` uses it."""
     max_frames: ClassVar[int] = 160
     """Longest recording [frames] in which the motion still makes sense."""
+    max_approach_frames: ClassVar[int] = 40
+    """Latest intercept [frames after the control start]; short-lived motions are met early."""
 
     @classmethod
     @abstractmethod

@@ -24,7 +24,7 @@ from dynahoi_lerobot.objects import TargetObject
 @MOTIONS.register("bounce")
 @dataclass(frozen=True)
 class Bounce(PhysicalMotion):
-    """Dropped from 0.6 to 1.1 m with 0.1 to 0.5 m/s sideways; restitution 0.7 to 0.88.
+    """Dropped from 0.5 to 0.9 m, coming at 0.4 to 1.0 m/s; restitution 0.75 to 0.9.
 
     Attributes:
         start: point of release [m].
@@ -40,15 +40,16 @@ class Bounce(PhysicalMotion):
     name: ClassVar[str] = "bounce"
     category: ClassVar[str] = "projectile"
     phrase: ClassVar[str] = "bouncing off the floor"
-    max_frames: ClassVar[int] = 60
+    max_frames: ClassVar[int] = 59
+    max_approach_frames: ClassVar[int] = 13
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw drop, drift and rebound; the meeting lies in the first rebound."""
-        height, restitution = draw.uniform(0.6, 1.1), draw.uniform(0.7, 0.88)
+        height, restitution = draw.uniform(0.5, 0.9), draw.uniform(0.75, 0.9)
         fall_s = np.sqrt(2 * (height - draw.target.rest_height_m) / GRAVITY_M_S2)
-        meeting_s = fall_s * (1 + 2 * restitution * draw.uniform(0.25, 0.85))
-        velocity = np.asarray(heading(draw.angle())) * draw.uniform(0.1, 0.5) * draw.tempo
+        meeting_s = fall_s * (1 + 2 * restitution * draw.uniform(0.15, 0.7))
+        velocity = np.asarray(heading(np.pi + draw.uniform(-0.8, 0.8))) * draw.uniform(0.4, 1.0) * draw.tempo
         start = np.asarray(draw.meeting_point()) - velocity * meeting_s
         start[2] = height
         return cls(as_vector(start), as_vector(velocity), max(0.0, draw.intercept_s - meeting_s), restitution)

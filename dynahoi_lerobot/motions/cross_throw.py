@@ -14,7 +14,7 @@ from dynahoi_lerobot.motions.throw import ThrowMotion
 @MOTIONS.register("cross_throw")
 @dataclass(frozen=True)
 class CrossThrow(ThrowMotion):
-    """Across the view from 0.5 to 1.0 m to the side, 0.45 to 0.75 s before the meeting, released at its height."""
+    """From 0.4 to 0.8 m away, 40 to 66 degrees in front of the side, 0.45 to 0.75 s before the meeting."""
 
     name: ClassVar[str] = "cross_throw"
     phrase: ClassVar[str] = "being thrown across the view"
@@ -22,5 +22,5 @@ class CrossThrow(ThrowMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw the throw."""
-        yaw = draw.sign() * np.pi / 2 + draw.uniform(-0.4, 0.4)
-        return cls.aimed(draw, draw.uniform(0.45, 0.75), yaw, draw.uniform(0.5, 1.0), draw.uniform(0.9, 1.2))
+        yaw = draw.sign() * (np.pi / 2 + draw.uniform(0.7, 1.15))
+        return cls.aimed(draw, draw.uniform(0.45, 0.75), yaw, draw.uniform(0.4, 0.8), draw.uniform(0.85, 1.1))

@@ -32,7 +32,8 @@ class RollingMotion(PhysicalMotion):
     run_m: float
     release_s: float
     category: ClassVar[str] = "inclined_rolling"
-    max_frames: ClassVar[int] = 80
+    max_frames: ClassVar[int] = 79
+    max_approach_frames: ClassVar[int] = 20
 
     @classmethod
     def objects(cls) -> list[str]:

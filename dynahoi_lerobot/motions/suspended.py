@@ -17,7 +17,7 @@ class SuspendedMotion(PhysicalMotion):
 
     Attributes:
         anchor: where the string is fixed [m].
-        length_m: from the anchor to the target's centre, 0.3 to 0.8 m.
+        length_m: from the anchor to the target's centre, 0.3 to 1.1 m.
         angle_rad: of the string with the vertical at t = 0.
         yaw_rad: horizontal direction of the initial deflection.
         drag_1_s: drag over mass, so amplitudes decay as exp(-drag t / 2).
@@ -33,7 +33,7 @@ class SuspendedMotion(PhysicalMotion):
     @classmethod
     def hung(cls, draw: Draw, angle_rad: float, drag_1_s: float = 0.0) -> Self:
         """Return a pendulum whose lowest point is near the middle of the stage."""
-        length = draw.uniform(0.3, 0.8)
+        length = draw.uniform(0.3, 1.1)
         anchor = np.asarray(draw.meeting_point()) + [0.0, 0.0, length]
         return cls(as_vector(anchor), length, angle_rad, draw.angle(), drag_1_s)
 

@@ -33,7 +33,8 @@ class TabletopMotion(PhysicalMotion):
     restitution: float
     friction: float
     category: ClassVar[str] = "impact_response"
-    max_frames: ClassVar[int] = 80
+    max_frames: ClassVar[int] = 79
+    max_approach_frames: ClassVar[int] = 20
 
     @classmethod
     def objects(cls) -> list[str]:

@@ -28,7 +28,8 @@ class ThrowMotion(PhysicalMotion):
     velocity: Vector
     release_s: float
     category: ClassVar[str] = "projectile"
-    max_frames: ClassVar[int] = 60
+    max_frames: ClassVar[int] = 59
+    max_approach_frames: ClassVar[int] = 11
 
     @classmethod
     def aimed(cls, draw: Draw, flight_s: float, yaw: float, distance_m: float, height_m: float) -> Self:

@@ -1,0 +1,65 @@
+"""Where a target goes if nobody touches it: roll the untouched world ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from dynahoi_lerobot.conventions import SUBSTEPS
+from dynahoi_lerobot.drive import drive_for
+from dynahoi_lerobot.motions import Motion, PhysicalMotion
+from dynahoi_lerobot.objects import TargetObject
+from dynahoi_lerobot.rows import Rows
+from dynahoi_lerobot.scene import ENVIRONMENT, compile_scene
+
+CONTROL_SPEC = mujoco.mjtState.mjSTATE_QFRC_APPLIED
+
+
+def roll_ahead(
+    motions: Sequence[Motion], targets: Sequence[TargetObject], frames: Sequence[int], *, threads: int = 1
+) -> list[np.ndarray]:
+    """Return the path of each untouched target.
+
+    Prescribed targets follow their closed form, which the simulated drive reproduces; physical ones are simulated in a
+    scene without a hand.
+
+    Args:
+        motions, targets: N worlds.
+        frames: how many frames of each are wanted.
+        threads: for the simulation; the result does not depend on it.
+
+    Returns:
+        N arrays (F, 3) of positions [m], world, 0.05 s apart, the first at t = 0.
+    """
+    paths: list[np.ndarray] = [np.empty(0)] * len(motions)
+    physical = [i for i, motion in enumerate(motions) if isinstance(motion, PhysicalMotion)]
+    for i, motion in enumerate(motions):
+        if not isinstance(motion, PhysicalMotion):
+            paths[i] = motion.position(np.arange(frames[i]) / 20.0)  # type: ignore[attr-defined]
+    if physical:
+        longest = max(frames[i] for i in physical)
+        rolled = _simulate([motions[i] for i in physical], [targets[i] for i in physical], longest, threads)
+        for i, path in zip(physical, rolled, strict=True):
+            paths[i] = path[: frames[i]]
+    return paths
+
+
+def _simulate(motions: Sequence[Motion], targets: Sequence[TargetObject], frames: int, threads: int) -> np.ndarray:
+    """(N, frames, 3) positions of physical targets in the scene without a hand."""
+    scene = compile_scene(None)
+    batch = Batch(scene.model, nsim=len(motions), nthread=threads)
+    rows, ids = Rows(batch, scene), np.arange(len(motions))
+    rows.reset(ids)
+    drives = [drive_for(motion, target, frames - 1) for motion, target in zip(motions, targets, strict=True)]
+    for i, drive in enumerate(drives):
+        rows.write_world(i, motions[i], targets[i], drive, ENVIRONMENT)
+    rows.finish(ids)
+    start = rows.qpos[:, scene.target_qpos : scene.target_qpos + 3].copy()
+    control = np.zeros((len(motions), (frames - 1) * SUBSTEPS, scene.model.nv))
+    control[..., scene.target_dof : scene.target_dof + 3] = [d.force_w.reshape(-1, 3) for d in drives]
+    record = batch.rollout(control.shape[1], control, CONTROL_SPEC.value, record=("qpos",))
+    path = record["qpos"][:, SUBSTEPS - 1 :: SUBSTEPS, scene.target_qpos : scene.target_qpos + 3]
+    return np.concatenate([start[:, None], path], axis=1)

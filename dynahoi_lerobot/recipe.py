@@ -1,0 +1,145 @@
+"""A recipe: everything besides the seed that decides what an episode is. One YAML file, read by draccus."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import draccus
+
+from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
+from dynahoi_lerobot.objects import OBJECTS
+
+SPLITS = ("train", "val", "test", "ood_speed", "ood_object", "ood_motion")
+"""Disjoint seed streams; ``test_small`` is the first 110 episodes of ``test``."""
+PROTOCOLS = ("observe_before_act", "direct_act")
+INSTRUCTIONS = ("reveal", "neutral", "mixed")
+OOD_TEMPO = 1.6
+"""Factor on every speed in ``ood_speed``; training never exceeds 1."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What to generate or to play.
+
+    Attributes:
+        split: seed stream, one of ``SPLITS``.
+        motions: kinds to cycle through; empty means all that the split allows.
+        objects: objects to draw from; empty means all that the split allows.
+        protocol: ``observe_before_act`` or ``direct_act``.
+        capture: capture rule.
+        hand: embodiment.
+        expert: who demonstrates.
+        instructions: whether texts name the motion: ``reveal``, ``neutral`` or ``mixed``.
+        image_size: side of the square camera images [px].
+        renderer: ``warp`` or ``opengl``.
+    """
+
+    split: str = "train"
+    motions: tuple[str, ...] = ()
+    objects: tuple[str, ...] = ()
+    protocol: str = "observe_before_act"
+    capture: str = "attach"
+    hand: str = "capsule"
+    expert: str = "intercept"
+    instructions: str = "mixed"
+    image_size: int = 128
+    renderer: str = "warp"
+
+    def __post_init__(self) -> None:
+        """Check every name against what exists.
+
+        Raises:
+            ValueError: naming the value received and the ones allowed.
+        """
+        for value, allowed, noun in (
+            (self.split, SPLITS, "split"),
+            (self.protocol, PROTOCOLS, "protocol"),
+            (self.instructions, INSTRUCTIONS, "instructions"),
+        ):
+            if value not in allowed:
+                raise ValueError(f"unknown {noun} {value!r}; known: {', '.join(allowed)}")
+        for name in self.motions:
+            MOTIONS[name]
+        for name in self.objects:
+            OBJECTS[name]
+        if not 16 <= self.image_size <= 1024:
+            raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")
+
+    @property
+    def motion_names(self) -> list[str]:
+        """The kinds the recipe cycles through, sorted unless it lists them."""
+        if self.motions:
+            return list(self.motions)
+        if self.split == "ood_motion":
+            return [name for name, kind in MOTIONS.items() if kind.held_out]
+        return benchmark_motions()
+
+    @property
+    def object_names(self) -> list[str]:
+        """The objects the recipe draws from."""
+        if self.objects:
+            return list(self.objects)
+        held_out = self.split == "ood_object"
+        return [name for name, kind in OBJECTS.items() if kind.held_out == held_out]
+
+    @property
+    def tempo(self) -> float:
+        """Factor on speeds."""
+        return OOD_TEMPO if self.split == "ood_speed" else 1.0
+
+    def fingerprint(self) -> str:
+        """Return 16 hex digits that identify this recipe together with the code that plays it."""
+        text = json.dumps(dataclasses.asdict(self), sort_keys=True) + code_fingerprint()
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def load_recipe(path: Path) -> Recipe:
+    """Read a recipe from YAML.
+
+    Raises:
+        ValueError: if the file does not exist or holds an unknown key or value.
+    """
+    if not path.is_file():
+        raise ValueError(f"there is no recipe at {path}")
+    try:
+        with path.open() as stream:
+            return draccus.load(Recipe, stream)
+    except (draccus.utils.DecodingError, TypeError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+@functools.cache
+def code_fingerprint() -> str:
+    """Return 16 hex digits over the source of everything that decides an episode's content."""
+    root = Path(__file__).parent
+    folders = ("motions", "objects", "hands", "captures", "experts", "renderers")
+    files = [p for folder in folders for p in (root / folder).glob("*.py")]
+    files += [root / f"{name}.py" for name in CONTENT_MODULES]
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+CONTENT_MODULES = (
+    "conventions",
+    "drive",
+    "episode_spec",
+    "looks",
+    "oracle",
+    "placement",
+    "rollout",
+    "rows",
+    "sampling",
+    "scene",
+    "servo",
+    "surface",
+    "timing",
+    "world_batch",
+)
+"""Modules beside the registries that decide what an episode contains."""
