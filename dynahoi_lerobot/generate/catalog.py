@@ -14,10 +14,12 @@ import pyarrow.parquet as pq
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.generate.features import BOOKKEEPING, Features, content_keys, numeric_keys
+from dynahoi_lerobot.generate.histograms import SHOWN, histograms
 from dynahoi_lerobot.generate.layout import (
     CODEBASE_VERSION,
     DATA_PATH,
     EPISODES_PATH,
+    HISTOGRAMS_PATH,
     INFO_PATH,
     ROBOT_TYPE,
     STATS_PATH,
@@ -83,6 +85,8 @@ class Catalog:
         stats = self._stats(histogram)
         as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
         write_json(as_lists, self.root / STATS_PATH)
+        batches = {key: lambda key=key: numeric_batches(self.root, [key]) for key in SHOWN}
+        write_json(histograms(batches, self.features, stats), self.root / HISTOGRAMS_PATH)
 
     def _flush(self) -> None:
         if not self._pending:

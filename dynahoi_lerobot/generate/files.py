@@ -7,6 +7,7 @@ import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
 
 
@@ -19,7 +20,7 @@ def temporary_sibling(target: Path) -> Iterator[Path]:
     result stays: both are the same, because datasets are functions of their recipe.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    for leftover in target.parent.glob(f".{target.name}.*.tmp"):
+    for leftover in target.parent.glob(f".{escape(target.name)}.*.tmp"):
         shutil.rmtree(leftover, ignore_errors=True)
     folder = target.parent / f".{target.name}.{socket.gethostname()}-{os.getpid()}.tmp"
     try:

@@ -15,7 +15,8 @@ TASKS_PATH = "meta/tasks.parquet"
 INFO_PATH = "meta/info.json"
 STATS_PATH = "meta/stats.json"
 MANIFEST_PATH = "meta/manifest.json"
-"""Not part of LeRobot's format, which ignores it: hashes, recipe and histograms of our own."""
+HISTOGRAMS_PATH = "meta/histograms.json"
+"""These two are ours; LeRobot ignores them."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,8 @@ class Layout:
     Attributes:
         data_mb: largest parquet file [MiB], LeRobot's default.
         video_mb: largest mp4 file [MiB], LeRobot's default.
-        video_s: longest mp4 file [s]. LeRobot compares frame times as float32 within 1e-4 s; above 1024 s
-            neighbouring float32 numbers are further apart than that, and correct frames would be refused.
+        video_s: longest mp4 file [s]. LeRobot's PyAV reader opens the file for every sample and reads its whole
+            index: two frames cost 11 ms in a file of 16,000 frames and 26 ms in one of 64,000.
         chunk_files: files per chunk folder, LeRobot's default.
     """
 

@@ -9,7 +9,7 @@ import pytest
 
 from dynahoi_lerobot.generate.codecs.base import Encoding
 from dynahoi_lerobot.generate.writer import DatasetWriter
-from tests.generate.conftest import varied_episode
+from tests.generate.episodes import varied_episode
 from tests.generate.lerobot_api import open_dataset, write_with_lerobot
 
 SEEDS = range(4)

@@ -1,0 +1,118 @@
+"""``dynahoi generate``: the command's arguments, progress and one-sentence errors."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from dynahoi_lerobot.generate.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.generate.manifest import Manifest
+from dynahoi_lerobot.generate.pipeline import generate
+from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record
+
+BAD_INPUT, FAILED, STOPPED = 2, 1, 130
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi generate``."""
+    parser.add_argument("--root", type=Path, required=True, help="the dataset's folder; must not exist")
+    parser.add_argument("--recipe", type=Path, help="YAML file; the options below override it")
+    parser.add_argument("--episodes", type=int, help="number of successful episodes")
+    parser.add_argument("--seed", type=int, help="seed of the first episode; episode i has seed + i")
+    parser.add_argument("--image-size", type=int, help="side of the square frames [pixels]; 0 for no camera")
+    parser.add_argument("--motions", help="comma-separated kinds of motion")
+    parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
+    parser.add_argument("--shard-episodes", type=int, default=256, help="episodes per unit of work")
+    parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
+    parser.add_argument("--crf", type=int, help="rate factor; lower is better and larger")
+    parser.add_argument("--preset", help="the encoder's speed setting")
+    parser.add_argument("--gop", type=int, default=Encoding.gop, help="frames between key frames")
+    parser.add_argument("--json", type=Path, help="write the summary there as well")
+
+
+def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None) -> int:
+    """Carry the command out.
+
+    Args:
+        args: what ``add_arguments`` declares.
+        record: plays the expert, ``dynahoi_lerobot.rollout.record`` by default.
+        recipe: what the options override, the default recipe or ``--recipe`` by default.
+
+    Returns:
+        The exit code: 0 done, 1 failed (run it again to go on), 2 bad input, 130 stopped by the user.
+    """
+    try:
+        plan = _plan(args, recipe if recipe is not None else _load_recipe(args.recipe))
+        manifest = _generate(plan, args, record or _record())
+    except (ValueError, FileExistsError, FileNotFoundError) as error:
+        return _say(error, BAD_INPUT)
+    except (OSError, GenerationError) as error:
+        return _say(error, FAILED)
+    except KeyboardInterrupt:
+        return _say("stopped; the same command goes on from here", STOPPED)
+    summary = _summary(args.root, manifest)
+    print(json.dumps(summary, indent=2))
+    if args.json:
+        args.json.write_text(json.dumps(summary, indent=2))
+    return 0
+
+
+def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
+    changes: dict[str, Any] = {}
+    if args.episodes is not None:
+        changes["episodes"] = args.episodes
+    if args.seed is not None:
+        changes["seed"] = args.seed
+    if args.image_size is not None:
+        changes["image_size"] = args.image_size or None
+    if args.motions is not None:
+        changes["motions"] = tuple(args.motions.split(","))
+    known = {field.name for field in fields(recipe)}
+    if unknown := sorted(set(changes) - known):
+        raise ValueError(f"the recipe has no {unknown[0]!r}; it has {', '.join(sorted(known))}")
+    encoding = Encoding(args.codec, args.crf, args.preset, args.gop)
+    return Plan(replace(recipe, **changes), encoding, args.shard_episodes)
+
+
+def _load_recipe(path: Path | None) -> Any:
+    from dynahoi_lerobot.recipe import load_recipe
+
+    return load_recipe(path)
+
+
+def _record() -> Record:
+    from dynahoi_lerobot.rollout import record
+
+    return record
+
+
+def _generate(plan: Plan, args: argparse.Namespace, record: Record) -> Manifest:
+    with tqdm(total=plan.recipe.episodes, unit="episode", smoothing=0.05, disable=None) as bar:
+
+        def show(done: int) -> None:
+            bar.update(done - bar.n)
+
+        return generate(plan, args.root, record=record, workers=args.workers, progress=show)
+
+
+def _summary(root: Path, manifest: Manifest) -> dict[str, Any]:
+    size = sum((root / name).stat().st_size for name in manifest.files)
+    return {
+        "root": str(root),
+        "episodes": manifest.episodes,
+        "frames": manifest.frames,
+        "megabytes": round(size / 1e6, 1),
+        "yield": round(manifest.yields["kept"] / manifest.yields["tried"], 4),
+        "rejected": manifest.yields["rejected"],
+    }
+
+
+def _say(problem: object, code: int) -> int:
+    print(f"dynahoi generate: {problem}", file=sys.stderr)
+    return code

@@ -1,0 +1,21 @@
+"""Episodes for the dataset tests; worker processes import this, so it stays light."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from tests.synthetic import synthetic_episode
+
+
+def varied_episode(seed: int, image_size: int | None = 32) -> Episode:
+    """A synthetic episode whose length, task and pictures depend on its seed."""
+    episode = synthetic_episode(seed, frames=20 + seed % 7, image_size=image_size)
+    meta = dataclasses.replace(episode.meta, task=f"Catch the {('red', 'blue')[seed % 2]} ball.")
+    images = episode.images
+    if images is not None:
+        images = images + np.uint8(seed % 5)
+        images[:, :4, :4] = np.random.default_rng(seed).integers(0, 255, (4, 4, 3), np.uint8)
+    return dataclasses.replace(episode, meta=meta, images=images)

@@ -1,0 +1,66 @@
+"""A recorder that needs no simulator; other processes import it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.generate.plan import REDRAW_STRIDE
+from tests.generate.episodes import varied_episode
+
+
+@dataclass(frozen=True)
+class FakeRecipe:
+    seed: int = 0
+    episodes: int = 10
+    image_size: int | None = 16
+    name: str = "fake"
+    miss_every: int = 0
+    """Every first draw that this divides is missed by the expert; 0 for none."""
+    hopeless: bool = False
+    """The expert misses everything."""
+
+
+def record(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+    for seed in seeds:
+        first_draw = seed < REDRAW_STRIDE
+        if not (recipe.hopeless or (recipe.miss_every and first_draw and seed % recipe.miss_every == 0)):
+            yield varied_episode(seed, recipe.image_size)
+
+
+def record_slowly(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+    for episode in record(recipe, seeds):
+        time.sleep(0.01)
+        yield episode
+
+
+def record_with_nan(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+    """Seeds below 100 that end in 3 give a corrupt recording."""
+    for episode in record(recipe, seeds):
+        if episode.meta.seed % 10 == 3 and episode.meta.seed < 100:
+            state = episode.state.copy()
+            state[5, 2] = np.nan
+            yield replace(episode, state=state)
+        else:
+            yield episode
+
+
+def record_and_die_once(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+    """The first process that comes here dies in the middle of its shard."""
+    marker = Path(recipe.name)
+    for number, episode in enumerate(record(recipe, seeds)):
+        if number == 1 and not marker.exists():
+            marker.touch()
+            os._exit(9)
+        yield episode
+
+
+def record_and_die(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+    yield from record(recipe, seeds[:1])
+    os._exit(9)

@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import argparse
+import json
+
+import pytest
+
+from dynahoi_lerobot.generate import command
+from dynahoi_lerobot.generate.manifest import Manifest
+from tests.generate import recorder
+from tests.generate.recorder import FakeRecipe
+
+
+def run(*words, record=recorder.record) -> int:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return command.run(parser.parse_args([str(word) for word in words]), record=record, recipe=FakeRecipe())
+
+
+def test_generates_and_summarises(tmp_path, capsys):
+    root, summary = tmp_path / "d", tmp_path / "summary.json"
+    assert run("--root", root, "--episodes", 3, "--seed", 7, "--image-size", 16, "--json", summary) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads(summary.read_text())
+    assert (told["episodes"], told["yield"]) == (3, 1.0)
+    assert Manifest.read(root).seeds == [7, 8, 9]
+    assert told["megabytes"] == pytest.approx(sum(f.stat().st_size for f in root.rglob("*.*")) / 1e6, abs=0.1)
+
+
+def test_no_camera(tmp_path):
+    assert run("--root", tmp_path / "d", "--episodes", 2, "--image-size", 0) == 0
+    assert not (tmp_path / "d/videos").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--episodes", -5], "number of episodes is -5"),
+        (["--codec", "mpeg2"], "unknown codec 'mpeg2'"),
+        (["--gop", 0], "gop is 0"),
+        (["--workers", 0], "number of workers is 0"),
+        (["--shard-episodes", 0], "episodes per shard is 0"),
+        (["--image-size", 31], "image size is 31"),
+        (["--motions", "lob"], "the recipe has no 'motions'"),
+    ],
+)
+def test_bad_input_is_one_sentence(tmp_path, capsys, words, sentence):
+    assert run("--root", tmp_path / "d", *words) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "d").exists()
+
+
+def test_existing_folder_is_refused(tmp_path, capsys):
+    (tmp_path / "keep.txt").write_text("mine")
+    assert run("--root", tmp_path, "--episodes", 2) == 2
+    assert "exists" in capsys.readouterr().err
+    assert (tmp_path / "keep.txt").read_text() == "mine"
+
+
+def test_failure_and_interruption(tmp_path, capsys):
+    def interrupted(recipe, seeds, *, workers=1):
+        yield from recorder.record(recipe, seeds[:1])
+        raise KeyboardInterrupt
+
+    def full(recipe, seeds, *, workers=1):
+        raise OSError(28, "No space left on device")
+
+    assert run("--root", tmp_path / "a", record=interrupted) == 130
+    assert "the same command goes on" in capsys.readouterr().err
+    assert run("--root", tmp_path / "b", record=full) == 1
+    assert "No space left" in capsys.readouterr().err
+    assert run("--root", tmp_path / "a") == 0
