@@ -45,12 +45,17 @@ def heading(name: str) -> str:
 
 def printed(estimate: Estimate) -> str:
     """Return ``value [low, high]``, fractions in per cent; a dash where no episode meets the condition."""
+    return " ".join(part for part in printed_parts(estimate) if part)
+
+
+def printed_parts(estimate: Estimate) -> tuple[str, str]:
+    """Return the value and its interval as ``printed`` joins them."""
     if estimate.value is None:
-        return "-"
+        return "-", ""
     scale, digits = (100, 1) if estimate.unit == "fraction" else (1, 2)
     numbers = (estimate.value, estimate.low, estimate.high)
     value, low, high = (f"{scale * number:.{digits}f}" for number in numbers)
-    return f"{value} [{low}, {high}]"
+    return value, f"[{low}, {high}]"
 
 
 def _labels(result: Results) -> list[str]:

@@ -1,0 +1,37 @@
+"""GIFs that stand in a result folder, embedded."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dynahoi_lerobot.report.entries import Entry
+
+MOST_CLIPS = 12
+"""Clips shown of one folder, the first by name; a page with more is too heavy to open."""
+
+
+@dataclass(frozen=True)
+class Clips:
+    """The clips of one entry: names with ``data:`` addresses, and how many were left out."""
+
+    label: str
+    clips: tuple[tuple[str, str], ...]
+    left_out: int
+
+
+def find_clips(entries: Sequence[Entry]) -> list[Clips]:
+    """Return the clips of every entry that has any."""
+    found = [_clips_of(entry) for entry in entries]
+    return [clips for clips in found if clips.clips]
+
+
+def _clips_of(entry: Entry) -> Clips:
+    paths = sorted(entry.results.folder.glob("*.gif"))
+    shown = tuple((path.stem, _data_uri(path.read_bytes())) for path in paths[:MOST_CLIPS])
+    return Clips(entry.label, shown, len(paths) - len(shown))
+
+
+def _data_uri(gif: bytes) -> str:
+    return "data:image/gif;base64," + base64.b64encode(gif).decode()

@@ -1,0 +1,105 @@
+"""The evaluations of one report, each with a short unique label and a colour of its own."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
+from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
+
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
+"""Okabe and Ito's palette without black and yellow, legible on light and dark, and told apart by most eyes."""
+
+LABEL_LENGTH = 32
+
+GENERIC_PARTS = {"checkpoints", "last", "pretrained_model"}
+"""Folders of every LeRobot training run, which tell nothing about the policy."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One evaluation in a report.
+
+    Attributes:
+        results: what was read from its folder.
+        label: short and unique within the report.
+        colour: hexadecimal RGB.
+    """
+
+    results: Results
+    label: str
+    colour: str
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Every metric over all episodes."""
+        return self.results.summary()
+
+    @cached_property
+    def _by_stratum(self) -> dict[str, dict[str, Summary]]:
+        return {}
+
+    def by(self, stratum: str) -> dict[str, Summary]:
+        """Return every metric for every label of ``stratum``; computed once."""
+        if stratum not in self._by_stratum:
+            self._by_stratum[stratum] = summarise_by(self.results.rows, stratum)
+        return self._by_stratum[stratum]
+
+
+def read_entries(folders: Sequence[Path]) -> list[Entry]:
+    """Read result folders, each once, best S_loc first.
+
+    Raises:
+        ResultsError: if a folder is missing or damaged.
+    """
+    unique = dict.fromkeys(Path(folder).resolve() for folder in folders)
+    results = [read_results(folder) for folder in unique]
+    results.sort(key=lambda result: -sum(row["S_loc"] for row in result.rows) / len(result.rows))
+    labels = unique_labels(results)
+    return [
+        Entry(result, label, COLOURS[place % len(COLOURS)])
+        for place, (result, label) in enumerate(zip(results, labels, strict=True))
+    ]
+
+
+def unique_labels(results: Sequence[Results]) -> list[str]:
+    """Return a label per result: the policy, with the folder, then a number, where that is not unique."""
+    labels = [short_name(result.info.policy) for result in results]
+    labels = [
+        clip(f"{label} ({result.folder.name})") if _is_repeated(label, labels) else label
+        for label, result in zip(labels, results, strict=True)
+    ]
+    return [
+        f"{label} #{labels[:place].count(label) + 1}" if _is_repeated(label, labels) else label
+        for place, label in enumerate(labels)
+    ]
+
+
+def short_name(policy: str) -> str:
+    """Return the telling part of a policy's name: of a path to a checkpoint, the name of the training run."""
+    parts = [part for part in re.split(r"[\\/]", policy) if part.strip()]
+    telling = [part for part in parts if part not in GENERIC_PARTS and not part.isdigit()]
+    return clip((telling or parts or ["?"])[-1])
+
+
+def clip(text: str, length: int = LABEL_LENGTH) -> str:
+    """Return ``text`` in printable characters, its middle left out where it is too long."""
+    clean = "".join(letter if letter.isprintable() else "?" for letter in text.strip())
+    half = (length - 1) // 2
+    return clean if len(clean) <= length else f"{clean[:half]}…{clean[-half:]}"
+
+
+def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
+    """Return one row for every episode that any evaluation played."""
+    rows = {tuple(row[name] for name in IDENTITY): row for entry in entries for row in entry.results.rows}
+    return list(rows.values())
+
+
+def _is_repeated(label: str, labels: Sequence[str]) -> bool:
+    return Counter(labels)[label] > 1

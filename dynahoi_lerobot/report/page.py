@@ -1,0 +1,68 @@
+"""``render_report``: one HTML file that needs nothing else, from any number of result folders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from dynahoi_lerobot.evaluate.atomic import write_atomically
+from dynahoi_lerobot.report.clips import find_clips
+from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
+from dynahoi_lerobot.report.figures.base import in_order
+from dynahoi_lerobot.report.tables import (
+    comparison_tables,
+    glossary,
+    leaderboard,
+    other_metrics,
+    stratum_tables,
+)
+
+FILE_NAME = "report.html"
+
+
+def render_report(folders: Sequence[Path], out: Path) -> Path:
+    """Write the report of ``folders`` as one self-contained HTML page.
+
+    Args:
+        folders: result folders; one that is named twice counts once.
+        out: the file to write, or an existing folder in which ``report.html`` is written.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        ResultsError: if a folder is missing or damaged.
+        ValueError: if no folder is given.
+    """
+    if not folders:
+        raise ValueError("a report needs at least one result folder, got none")
+    entries = read_entries(folders)
+    html = _template().render(**page_content(entries))
+    page = Path(out) / FILE_NAME if Path(out).is_dir() else Path(out)
+    write_atomically({page: lambda path: path.write_text(html, encoding="utf-8")})
+    return page
+
+
+def page_content(entries: Sequence[Entry]) -> dict[str, Any]:
+    """Return what the template shows."""
+    figures = [(figure, figure.render(entries)) for figure in in_order()]
+    return {
+        "entries": entries,
+        "episodes": len(distinct_episodes(entries)),
+        "leaderboard": leaderboard(entries),
+        "other_metrics": other_metrics(entries),
+        "comparisons": comparison_tables(entries),
+        "figures": [(figure, address) for figure, address in figures if address],
+        "per_kind": stratum_tables(entries, "kind"),
+        "glossary": glossary(),
+        "clips": find_clips(entries),
+    }
+
+
+def _template() -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    loader = FileSystemLoader(Path(__file__).with_name("templates"))
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    return environment.get_template("report.html.j2")

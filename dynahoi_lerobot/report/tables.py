@@ -1,0 +1,166 @@
+"""The report's tables as data: cells with a text, a number to sort by and a mark, ready for the template."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dynahoi_lerobot.evaluate.compare import Comparison, compare, paired_values
+from dynahoi_lerobot.evaluate.summary import Estimate, Summary
+from dynahoi_lerobot.evaluate.table import columns_for, heading, printed_parts
+from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.report.entries import Entry
+
+COMPARED = ("S_hold", "S_loc", "S_joint", "E_loc")
+"""Metrics of the paired comparisons; one that applies to no pair is left out."""
+
+SIGNIFICANT = 0.05
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell.
+
+    Attributes:
+        text: what is printed.
+        detail: a smaller line under it.
+        key: the number to sort by; None sorts by the text.
+        mark: a class of the style sheet.
+    """
+
+    text: str
+    detail: str = ""
+    key: float | None = None
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table: a caption, its column titles and its rows."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+
+def leaderboard(entries: Sequence[Entry]) -> Table:
+    """Return the paper's columns and S_joint, one row per evaluation; the best of a split and rule is marked."""
+    names = (*columns_for([entry.results for entry in entries]), "S_joint")
+    return _metric_table("One row per evaluation, 95 % intervals under the values.", entries, names)
+
+
+def other_metrics(entries: Sequence[Entry]) -> Table:
+    """Return every other registered metric, one row per evaluation."""
+    shown = (*columns_for([entry.results for entry in entries]), "S_joint")
+    names = [name for name in METRICS.names() if name not in shown]
+    return _metric_table("Metrics beside the paper's, one row per evaluation.", entries, names)
+
+
+def stratum_tables(entries: Sequence[Entry], stratum: str) -> list[Table]:
+    """Return one table per evaluation with a row for each label of ``stratum``."""
+    return [_stratum_table(entry, stratum) for entry in entries]
+
+
+def glossary() -> Table:
+    """Return every registered metric: unit, direction, kind and definition."""
+    arrows = {"higher": "↑ higher", "lower": "↓ lower"}
+    rows = tuple(
+        (
+            Cell(name),
+            Cell(metric.unit),
+            Cell(arrows[metric.direction]),
+            Cell(metric.condition or "all"),
+            Cell(metric.doc),
+        )
+        for name, metric in METRICS.items()
+    )
+    return Table("What every number means.", ("metric", "unit", "better", "episodes", "definition"), rows)
+
+
+def comparison_tables(entries: Sequence[Entry]) -> list[Table]:
+    """Return a matrix for each compared metric: row minus column on the episodes both played; none without pairs."""
+    tables = [_matrix(entries, name) for name in COMPARED]
+    return [table for table in tables if table is not None]
+
+
+def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str]) -> Table:
+    best = _best(entries, names)
+    rows = tuple(
+        (
+            Cell(entry.label), Cell(entry.results.info.split), Cell(entry.results.info.capture),
+            _count(len(entry.results.rows)),
+            *(_cell(entry.summary[name], "best" if (place, name) in best else "") for name in names),
+        )
+        for place, entry in enumerate(entries)
+    )  # fmt: skip
+    return Table(caption, ("policy", "split", "capture", "n", *map(heading, names)), rows)
+
+
+def _best(entries: Sequence[Entry], names: Sequence[str]) -> set[tuple[int, str]]:
+    """Return (row, metric) of the best values among the rows of one split and rule, if there are two at least."""
+    groups: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for place, entry in enumerate(entries):
+        groups[entry.results.info.split, entry.results.info.capture].append(place)
+    return {
+        (place, name)
+        for places in groups.values()
+        for name in names
+        for place in _winners({place: entries[place].summary[name].value for place in places}, name)
+    }
+
+
+def _winners(values: dict[int, float | None], name: str) -> list[int]:
+    known = {place: value for place, value in values.items() if value is not None}
+    if len(known) < 2:
+        return []
+    top = max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
+    return [place for place, value in known.items() if value == top]
+
+
+def _stratum_table(entry: Entry, stratum: str) -> Table:
+    names = columns_for([entry.results])
+    rows = tuple(
+        (Cell(label), _count(sum(row[stratum] == label for row in entry.results.rows)), *_cells(summary, names))
+        for label, summary in entry.by(stratum).items()
+    )
+    return Table(entry.label, (stratum, "n", *map(heading, names)), rows)
+
+
+def _matrix(entries: Sequence[Entry], name: str) -> Table | None:
+    cells = [[_compared(row, column, name) for column in entries] for row in entries]
+    if not any(cell.key is not None for line in cells for cell in line):
+        return None
+    rows = tuple((Cell(entry.label), *line) for entry, line in zip(entries, cells, strict=True))
+    caption = f"{heading(name)}: row minus column."
+    return Table(caption, ("row − column", *(entry.label for entry in entries)), rows)
+
+
+def _compared(row: Entry, column: Entry, name: str) -> Cell:
+    if row is column or row.results.info.capture != column.results.info.capture:
+        return Cell("–")
+    if len(paired_values(row.results.rows, column.results.rows, name)) == 0:
+        return Cell("–")
+    result = compare(row.results.rows, column.results.rows, name)
+    estimate = Estimate(result.difference, result.low, result.high, METRICS[name].unit, result.n)
+    difference, ends = printed_parts(estimate)
+    p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"
+    return Cell(difference, f"{ends} {p_value}, n = {result.n}", result.difference, _verdict(result))
+
+
+def _verdict(result: Comparison) -> str:
+    if result.p_value >= SIGNIFICANT or result.difference == 0:
+        return ""
+    return "better" if (result.difference > 0) == (METRICS[result.metric].direction == "higher") else "worse"
+
+
+def _cells(summary: Summary, names: Sequence[str]) -> list[Cell]:
+    return [_cell(summary[name]) for name in names]
+
+
+def _cell(estimate: Estimate, mark: str = "") -> Cell:
+    return Cell(*printed_parts(estimate), estimate.value, mark)
+
+
+def _count(number: int) -> Cell:
+    return Cell(str(number), key=number)

@@ -1,0 +1,60 @@
+"""Result folders of made-up policies that play the same synthetic episodes with different skill."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate.results import Results, write_results
+from tests.synthetic import synthetic_episode
+
+KINDS = {
+    "straight_line": ("constant", "accelerating", "decelerating"),
+    "simple_harmonic": ("lateral", "vertical", "depth"),
+    "circular_arc": ("horizontal_circle", "vertical_circle", "swinging_arc"),
+    "projectile": ("lob", "cross_throw", "bounce"),
+    "pendulum": ("planar", "conical", "damped"),
+    "inclined_rolling": ("ramp", "ramp_and_runout"),
+    "impact_response": ("struck", "wall_rebound"),
+    "hybrid": ("line_then_arc", "harmonic_drift", "random_spline"),
+}
+PAIRS = [(category, kind) for category, kinds in KINDS.items() for kind in kinds]
+LENGTHS = (32, 48, 52, 70, 96, 130)
+
+
+def play(count: int, skill: float, capture: str = "attach", image_size: int | None = None) -> Iterator[Episode]:
+    """Yield ``count`` episodes; a share of about ``skill`` of them is caught."""
+    for seed in range(count):
+        rng = np.random.default_rng([seed, round(100 * skill)])
+        miss = 0.0 if rng.random() < skill else float(rng.uniform(0.03, 0.3))
+        episode = synthetic_episode(seed, LENGTHS[seed % len(LENGTHS)], image_size, miss)
+        category, kind = PAIRS[seed % len(PAIRS)]
+        meta = replace(episode.meta, category=category, motion=kind, capture=capture, split="test_small")
+        travel = np.array([0.3, 0.1, 0.05], np.float32) * (0.1 + 0.4 * (seed % 5)) ** 1.5
+        action = episode.action + rng.normal(0, 0.004 * (1.2 - skill), episode.action.shape).astype(np.float32)
+        stage = episode.stage
+        if capture == "contact":
+            stage = str(rng.choice(["missed", "touched", "enclosed", "slipped"])) if miss else "held"
+        start = episode.palm_pos_w[episode.meta.window_frames]
+        yield replace(
+            episode, meta=meta, action=action, stage=stage, success=not miss, intercept_position=start + travel
+        )
+
+
+def example_run(folder: Path, policy: str, skill: float, count: int = 44, **options: object) -> Results:
+    """Write the result folder of a made-up policy."""
+    capture = str(options.pop("capture", "attach"))
+    return write_results(
+        folder,
+        play(count, skill, capture),
+        policy=policy,
+        split="test_small",
+        capture=capture,
+        command=str(options.pop("command", f"dynahoi evaluate --policy {policy} --split test_small")),
+        fingerprint="f00dcafe",
+        extra=options,
+    )

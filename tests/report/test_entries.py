@@ -1,0 +1,69 @@
+"""Labels are short, telling and unique, whatever policies are called."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
+from dynahoi_lerobot.report.entries import LABEL_LENGTH, distinct_episodes, read_entries, short_name, unique_labels
+from tests.report.example_runs import example_run
+
+
+def named(policy: str, folder: str = "run") -> Results:
+    return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f"), (), ())
+
+
+@pytest.mark.parametrize(
+    ("policy", "label"),
+    [
+        ("expert", "expert"),
+        ("outputs/train/obact/checkpoints/last/pretrained_model", "obact"),
+        (r"outputs\obact\checkpoints\030000\pretrained_model", "obact"),
+        ("someone/obact_dynahoi", "obact_dynahoi"),
+        ("last", "last"),
+        ("", "?"),
+        ("two\nlines\x00", "two?lines?"),
+    ],
+)
+def test_the_telling_part_of_a_name(policy: str, label: str):
+    assert short_name(policy) == label
+
+
+def test_long_names_keep_both_ends():
+    label = short_name("a" + "x" * 99 + "z")
+    assert len(label) <= LABEL_LENGTH
+    assert (label[0], label[-1]) == ("a", "z")
+
+
+def test_equal_names_are_told_apart_by_folder_and_then_by_number():
+    assert unique_labels([named("obact", "s1"), named("obact", "s5"), named("hold")]) == [
+        "obact (s1)",
+        "obact (s5)",
+        "hold",
+    ]
+    assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
+
+
+def test_entries_come_best_first_and_once(tmp_path: Path):
+    example_run(tmp_path / "weak", "weak", 0.2, 6)
+    example_run(tmp_path / "strong", "strong", 1.0, 8)
+    entries = read_entries([tmp_path / "weak", tmp_path / "strong", tmp_path / "weak" / ".." / "weak"])
+    assert [entry.label for entry in entries] == ["strong", "weak"]
+    assert len({entry.colour for entry in entries}) == 2
+    assert len(distinct_episodes(entries)) == 8
+
+
+def test_a_stratum_is_computed_once(tmp_path: Path):
+    example_run(tmp_path / "run", "run", 0.5, 4)
+    (entry,) = read_entries([tmp_path / "run"])
+    assert entry.by("kind") is entry.by("kind")
+    other = replace(entry, label="other")
+    assert other.by("kind") == entry.by("kind")
+
+
+def test_a_missing_folder_is_named(tmp_path: Path):
+    with pytest.raises(ResultsError, match="nowhere"):
+        read_entries([tmp_path / "nowhere"])

@@ -1,0 +1,104 @@
+"""Every registered figure draws real and odd data, or says that there is nothing to draw."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from dynahoi_lerobot.conventions import HAND_DOF
+from dynahoi_lerobot.report.entries import Entry, read_entries
+from dynahoi_lerobot.report.figures.base import FIGURES, in_order
+from dynahoi_lerobot.report.figures.histograms import command_deltas
+from dynahoi_lerobot.report.figures.panels import scaled
+from tests.report.example_runs import example_run
+
+HOSTILE = '<script>$x^{"&'
+ALWAYS = {"main", "stages", "per-frame-grasp", "data", "joint-deltas", "palm-displacements"}
+
+
+def runs(root: Path) -> list[Entry]:
+    example_run(root / "a", HOSTILE, 0.9, 24, n_obs_frames=5, data_fraction=1.0)
+    example_run(root / "b", "contact", 0.4, 12, capture="contact", n_obs_frames=1, data_fraction=0.5)
+    return read_entries([root / "a", root / "b"])
+
+
+@pytest.fixture(scope="module")
+def entries(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
+    return runs(tmp_path_factory.mktemp("runs"))
+
+
+@pytest.fixture(scope="module")
+def lone(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
+    """One evaluation of one episode: the least there can be."""
+    root = tmp_path_factory.mktemp("lone")
+    example_run(root, "lone", 0.0, 1)
+    return read_entries([root])
+
+
+def svg(address: str) -> str:
+    head, _, data = address.partition(",")
+    assert head == "data:image/svg+xml;base64"
+    return base64.b64decode(data).decode()
+
+
+@pytest.mark.parametrize("name", FIGURES.names())
+def test_a_figure_is_a_well_formed_inert_drawing(name: str, entries: list[Entry]):
+    address = FIGURES[name].render(entries)
+    assert address is not None
+    text = svg(address)
+    root = ElementTree.fromstring(text)
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+    tags = {element.tag.partition("}")[2] for element in root.iter()}
+    assert {"path", "text"} <= tags
+    assert not tags & {"script", "foreignObject"}
+    links = [value for element in root.iter() for key, value in element.attrib.items() if key.endswith("href")]
+    assert all(link.startswith(("#", "data:")) for link in links)
+    assert "mathdefault" not in text
+    assert "nan" not in "".join(element.get("d", "") for element in root.iter())
+    assert "prefers-color-scheme" in text
+    assert "var(--ink)" in text
+
+
+@pytest.mark.parametrize("name", FIGURES.names())
+def test_a_figure_of_one_episode_is_drawn_or_left_out(name: str, lone: list[Entry]):
+    address = FIGURES[name].render(lone)
+    assert (address is not None) == (name in ALWAYS)
+
+
+def test_the_same_results_give_the_same_drawing(entries: list[Entry]):
+    assert FIGURES["main"].render(entries) == FIGURES["main"].render(entries)
+
+
+def test_labels_are_shown_literally(entries: list[Entry]):
+    texts = [element.text for element in ElementTree.fromstring(svg(FIGURES["stages"].render(entries))).iter()]
+    assert any(text and text.strip() == entries[0].label for text in texts)
+
+
+def test_figures_have_an_order_and_say_what_they_show():
+    places = [figure.place for figure in in_order()]
+    assert places == sorted(places)
+    assert len(set(places)) == len(places)
+    for figure in in_order():
+        assert figure.caption.endswith(".")
+        assert len(figure.caption) > 40
+
+
+def test_intervals_are_scaled_as_they_are_printed(entries: list[Entry]):
+    estimate = entries[0].summary["S_loc"]
+    values, reach = scaled([estimate])
+    assert values[0] == pytest.approx(100 * estimate.value)
+    assert reach[:, 0] == pytest.approx([100 * (estimate.value - estimate.low), 100 * (estimate.high - estimate.value)])
+
+
+def test_deltas_are_those_of_the_control_phase(entries: list[Entry]):
+    results = entries[0].results
+    deltas = command_deltas(results)
+    expected = sum(
+        len(actions) - row["window_frames"] - 1 for row, actions in zip(results.rows, results.actions, strict=True)
+    )
+    assert deltas.shape == (expected, HAND_DOF)
+    first = results.actions[0][results.rows[0]["window_frames"] :]
+    assert deltas[0].tolist() == (first[1] - first[0]).tolist()
