@@ -65,19 +65,18 @@ class Attention(nn.Module):
 
         Args:
             x: Queries, shape ``(B, Q, D)``.
-            memory: Keys and values, shape ``(B, K, D)``.
-            keep: True where the memory may be read, shape ``(B, K)``; None reads all of it.
+            memory: Keys and values, shape ``(B * R, K, D)``: each row of queries reads ``R`` memories in a row,
+                each on its own.
+            keep: True where the memory may be read, shape ``(B * R, K)``; None reads all of it.
 
         Returns:
-            Shape ``(B, Q, D)``.
+            Shape ``(B * R, Q, D)``.
         """
-        q, k, v = (self._split(project(t)) for project, t in self._projections(x, memory))
-        mask = None if keep is None else keep[:, None, None, :]  # (B, 1, 1, K)
+        q = self._split(self.q_proj(x)).repeat_interleave(len(memory) // len(x), dim=0)  # (B * R, heads, Q, d)
+        k, v = self._split(self.k_proj(memory)), self._split(self.v_proj(memory))  # (B * R, heads, K, d)
+        mask = None if keep is None else keep[:, None, None, :]  # (B * R, 1, 1, K)
         out = F.scaled_dot_product_attention(q, k, v, mask, dropout_p=self.dropout if self.training else 0.0)
-        return self.o_proj(out.transpose(1, 2).flatten(2))  # (B, heads, Q, d) -> (B, Q, D)
-
-    def _projections(self, x: Tensor, memory: Tensor) -> list[tuple[nn.Module, Tensor]]:
-        return [(self.q_proj, x), (self.k_proj, memory), (self.v_proj, memory)]
+        return self.o_proj(out.transpose(1, 2).flatten(2))  # (B * R, heads, Q, d) -> (B * R, Q, D)
 
     def _split(self, x: Tensor) -> Tensor:
         return x.unflatten(-1, (self.n_heads, -1)).transpose(1, 2)  # (B, N, D) -> (B, heads, N, d)
@@ -149,7 +148,7 @@ class SpatioTemporalBlock(nn.Module):
         """Return what queries ``(B, M, D)`` gather over space and then time, shape ``(B, M, D)``."""
         n_batch, n_frames = frames.shape[:2]
         per_frame = self.norm_frames(frames).flatten(0, 1)  # (B, T, N, D) -> (B*T, N, D)
-        seen = self.space(q.repeat_interleave(n_frames, dim=0), per_frame)  # (B*T, M, D)
+        seen = self.space(q, per_frame)  # (B*T, M, D)
         seen = self.norm_read(seen.unflatten(0, (n_batch, n_frames)))  # (B, T, M, D)
         seen = seen + self.age(age_s)[:, :, None]  # (B, T, M, D)
 
@@ -186,9 +185,7 @@ class SpatioTemporalAttention(nn.Module):
         Returns:
             Tokens of the current frame, aware of the others, shape ``(B, N, D)``.
         """
-        keep = torch.cat(
-            [keep[:, :-1], torch.ones_like(keep[:, -1:])], dim=1
-        )  # a query always sees its own frame
+        keep = torch.cat([keep[:, :-1], torch.ones_like(keep[:, -1:])], dim=1)  # a query always sees its own frame
         x = frames[:, -1]
         for block in self.blocks:
             x = block(x, frames, age_s, keep)

@@ -19,9 +19,7 @@ def shift_images(images: Tensor, max_shift_px: int) -> Tensor:
     height, width = images.shape[-2:]
     padded = F.pad(images.flatten(0, 1), [max_shift_px] * 4, mode="replicate").unflatten(0, images.shape[:2])
     corners = torch.randint(0, 2 * max_shift_px + 1, (len(images), 2)).tolist()
-    crops = [
-        sample[..., y : y + height, x : x + width] for sample, (y, x) in zip(padded, corners, strict=True)
-    ]
+    crops = [sample[..., y : y + height, x : x + width] for sample, (y, x) in zip(padded, corners, strict=True)]
     return torch.stack(crops)
 
 

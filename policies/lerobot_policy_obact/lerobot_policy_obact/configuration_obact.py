@@ -105,16 +105,10 @@ class ObActConfig(PreTrainedConfig):
         super().__post_init__()
         self._require(self.n_obs_frames >= 0, "n_obs_frames", "0 (single-frame control) or more")
         self._require(self.fps > 0, "fps", "above 0 Hz")
-        self._require(
-            1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)"
-        )
-        self._require(
-            self.action_frame in ACTION_FRAMES, "action_frame", f"one of {', '.join(ACTION_FRAMES)}"
-        )
+        self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
+        self._require(self.action_frame in ACTION_FRAMES, "action_frame", f"one of {', '.join(ACTION_FRAMES)}")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 (off) or more and below 1")
-        self._require(
-            self.width % (2 * self.n_attention_heads) == 0, "width", "a multiple of 2 x n_attention_heads"
-        )
+        self._require(self.width % (2 * self.n_attention_heads) == 0, "width", "a multiple of 2 x n_attention_heads")
         for name in ("obs_stride", "horizon", "n_decisions", "decision_stride", "relative_dims"):
             self._require(getattr(self, name) >= 1, name, "1 or more")
 
@@ -125,9 +119,7 @@ class ObActConfig(PreTrainedConfig):
     @property
     def windows(self) -> DecisionWindows:
         """The frame offsets of a training sample."""
-        return DecisionWindows(
-            self.n_obs_frames, self.obs_stride, self.horizon, self.n_decisions, self.decision_stride
-        )
+        return DecisionWindows(self.n_obs_frames, self.obs_stride, self.horizon, self.n_decisions, self.decision_stride)
 
     @property
     def observation_delta_indices(self) -> list[int]:
@@ -158,9 +150,7 @@ class ObActConfig(PreTrainedConfig):
             to.
         """
         if not self.image_features:
-            raise ValueError(
-                f"ObAct needs at least one image, but the inputs are {sorted(self.input_features or {})}."
-            )
+            raise ValueError(f"ObAct needs at least one image, but the inputs are {sorted(self.input_features or {})}.")
         for key, feature in self.image_features.items():
             if len(feature.shape) != 3 or feature.shape[0] != 3:
                 raise ValueError(f"{key} has shape {feature.shape}, but must be RGB, (3, height, width).")

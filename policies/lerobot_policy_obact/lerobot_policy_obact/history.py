@@ -38,9 +38,7 @@ class History:
     def window(self) -> Observation:
         """Return the frames of a decision now; those before the first one are padding, as in a dataset."""
         oldest = 1 - len(self._frames)
-        frames = [
-            self._frames[-1 + back] if back >= oldest else self._frames[0].padding() for back in self.lookback
-        ]
+        frames = [self._frames[-1 + back] if back >= oldest else self._frames[0].padding() for back in self.lookback]
         return Observation.concatenate(frames)
 
     def clear(self) -> None:

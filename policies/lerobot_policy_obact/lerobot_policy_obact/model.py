@@ -29,9 +29,7 @@ class ObActModel(nn.Module):
         self.proprioception = nn.Sequential(nn.Linear(state_dim, width), nn.SiLU(), nn.Linear(width, width))
         self.text = None if self.backbone.reads_text else ByteTextEncoder(width)
         self.attention = SpatioTemporalAttention(width, config.n_attention_layers, n_heads, config.dropout)
-        spec = ActionSpec(
-            config.horizon, config.action_feature.shape[0], state_dim, width, n_heads, config.dropout
-        )
+        spec = ActionSpec(config.horizon, config.action_feature.shape[0], state_dim, width, n_heads, config.dropout)
         self.head = heads.build(config.head, spec, options=config.head_options)
 
     def conditions(self, observation: Observation, frame_index: Tensor, age_s: Tensor) -> Condition:
@@ -60,11 +58,7 @@ class ObActModel(nn.Module):
         """Turn each frame into image tokens and one proprioceptive token, shape ``(B, T, N, D)``."""
         images = observation.images
         n_batch, n_frames, n_cameras = images.shape[:3]
-        texts = (
-            [text for text in observation.texts for _ in range(n_frames * n_cameras)]
-            if self.text is None
-            else None
-        )
+        texts = [text for text in observation.texts for _ in range(n_frames * n_cameras)] if self.text is None else None
         seen = self.backbone(images.flatten(0, 2), texts)  # (B*T*C, n, D)
         seen = seen.unflatten(0, (n_batch, n_frames, n_cameras)) + self.camera  # (B, T, C, n, D)
         felt = self.proprioception(observation.proprioception)[:, :, None]  # (B, T, 1, D)

@@ -33,6 +33,7 @@ class ObActPolicy(PreTrainedPolicy):
         config: The policy's config, with its features filled in.
         dataset_stats: LeRobot statistics of the training data; absent when a checkpoint is opened for acting.
         dataset_meta: LeRobot metadata of the training data, for its frame rate.
+        load_pretrained: Whether backbone and head start from published weights, where they name any.
         **kwargs: What else LeRobot may pass, unused.
     """
 
@@ -44,6 +45,7 @@ class ObActPolicy(PreTrainedPolicy):
         config: ObActConfig,
         dataset_stats: dict[str, dict[str, Any]] | None = None,
         dataset_meta: Any | None = None,
+        load_pretrained: bool = True,
         **kwargs: Any,
     ) -> None:
         super().__init__(config)
@@ -55,6 +57,9 @@ class ObActPolicy(PreTrainedPolicy):
         self.frame = ActionFrame(config.relative_dims if config.action_frame == "relative" else 0)
         self._set_stats(dataset_stats)
         self.model = ObActModel(config)
+        if load_pretrained:
+            self.model.backbone.load_pretrained()
+            self.model.head.load_pretrained()
         self.ema = _averaged(self.model, config.ema_decay) if config.ema_decay else None
         self.register_load_state_dict_pre_hook(_match_averages)
         self.history, self.queue = History(config.windows), ChunkQueue()
@@ -96,9 +101,7 @@ class ObActPolicy(PreTrainedPolicy):
 
     def _augmented(self, observation: Observation) -> Observation:
         shape = observation.images.shape
-        images = observation.images.flatten(
-            1, 2
-        )  # (B, T, C, 3, H, W) -> (B, T*C, 3, H, W): one draw per sample
+        images = observation.images.flatten(1, 2)  # (B, T, C, 3, H, W) -> (B, T*C, 3, H, W): one draw per sample
         images = jitter_colors(shift_images(images, self.config.random_shift_px), self.config.color_jitter)
         return replace(observation, images=images.reshape(shape))
 
@@ -170,9 +173,7 @@ class ObActPolicy(PreTrainedPolicy):
         start = self._noise([0] * len(window.keep)) if noise is None else noise
         guide = None
         if self.rtc_processor is not None and prev_chunk_left_over is not None:
-            leftover = prev_chunk_left_over.reshape(len(window.keep), -1, start.shape[-1])[
-                :, : self.config.horizon
-            ]
+            leftover = prev_chunk_left_over.reshape(len(window.keep), -1, start.shape[-1])[:, : self.config.horizon]
             leftover = self.frame.to_model(leftover, window.position[:, -1])
             guide = rtc_guide(self.rtc_processor, leftover, inference_delay or 0, execution_horizon)
         return self._plan(window, start, guide)
@@ -201,7 +202,7 @@ class ObActPolicy(PreTrainedPolicy):
         """Draw the start of one chunk per row; with a seed it depends on the chunk's number in its episode
         alone.
         """
-        shape = (self.config.horizon, self.config.action_feature.shape[0])
+        shape = (self.config.horizon, self.model.head.noise_dim)
         device = next(self.model.parameters()).device
         if self.config.noise_seed is None:
             return torch.randn(len(chunk_numbers), *shape, device=device)
@@ -239,7 +240,7 @@ class ObActPolicy(PreTrainedPolicy):
         """Open a checkpoint. With ``dataset_stats`` (fine-tuning) actions are relative in the new data's
         units.
         """
-        policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
+        policy = super().from_pretrained(pretrained_name_or_path, load_pretrained=False, **kwargs)
         policy._set_stats(kwargs.get("dataset_stats"))
         return policy
 

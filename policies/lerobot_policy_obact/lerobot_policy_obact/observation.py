@@ -94,9 +94,7 @@ def _resize(images: Tensor, size: int) -> Tensor:
 
 
 def _frame_mask(batch: dict[str, Tensor], shape: torch.Size, device: torch.device) -> Tensor:
-    pads = [
-        value for key, value in batch.items() if key.startswith("observation.") and key.endswith("_is_pad")
-    ]
+    pads = [value for key, value in batch.items() if key.startswith("observation.") and key.endswith("_is_pad")]
     return ~_with_time(pads[0].bool(), 2) if pads else torch.ones(*shape, dtype=torch.bool, device=device)
 
 

@@ -30,9 +30,7 @@ class Registry[T: type]:
 
         def decorate(cls: T) -> T:
             if name in self._classes:
-                raise ValueError(
-                    f"{self.kind} '{name}' is registered twice: {self._classes[name]} and {cls}."
-                )
+                raise ValueError(f"{self.kind} '{name}' is registered twice: {self._classes[name]} and {cls}.")
             self._classes[name] = cls
             return cls
 
@@ -53,9 +51,7 @@ class Registry[T: type]:
         cls, options = self._classes[name], options or {}
         allowed = list(inspect.signature(cls).parameters)[len(args) :]
         if unknown := sorted(set(options) - set(allowed)):
-            raise ValueError(
-                f"{self.kind} '{name}' has no option {unknown[0]!r}: it takes {', '.join(allowed)}."
-            )
+            raise ValueError(f"{self.kind} '{name}' has no option {unknown[0]!r}: it takes {', '.join(allowed)}.")
         return cls(*args, **options)
 
 

@@ -103,9 +103,7 @@ def make_batch(policy: ObActPolicy, n: int = 3, seed: int = 0) -> dict[str, obje
     return batch
 
 
-def make_step(
-    policy: ObActPolicy, n: int = 3, seed: int = 0, phase: float | list[float] = 0.0
-) -> dict[str, object]:
+def make_step(policy: ObActPolicy, n: int = 3, seed: int = 0, phase: float | list[float] = 0.0) -> dict[str, object]:
     """Draw one environment step as `lerobot-eval` would deliver it after preprocessing."""
     generator = torch.Generator().manual_seed(seed)
     step: dict[str, object] = {"task": ["catch the ball"] * n}
@@ -120,6 +118,9 @@ def make_step(
 def randomise(policy: ObActPolicy, seed: int = 1) -> ObActPolicy:
     """Give every weight a random value, so that nothing is hidden behind a zero."""
     generator = torch.Generator().manual_seed(seed)
-    for parameter in policy.parameters():
-        parameter.data = 0.2 * torch.randn(parameter.shape, generator=generator)
+    for name, parameter in policy.named_parameters():
+        fan_in = parameter[0].numel() if parameter.dim() > 1 else 4
+        parameter.data = 2 * torch.randn(parameter.shape, generator=generator) / fan_in**0.5
+        if "norm" in name:
+            parameter.data += 1
     return policy

@@ -7,18 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
-from obact_helpers import TINY, make_step
-from lerobot.configs import PreTrainedConfig
-from lerobot.datasets import LeRobotDataset
-from lerobot.policies import make_policy, make_pre_post_processors
 from lerobot.scripts.lerobot_train import main
+from obact_helpers import TINY
 
 
 def arguments(root: Path, out: Path, **changes: object) -> list[str]:
-    tiny = [
-        f"--policy.{key}={json.dumps(value)}" for key, value in TINY.items() if not isinstance(value, str)
-    ]
+    tiny = [f"--policy.{key}={json.dumps(value)}" for key, value in TINY.items() if not isinstance(value, str)]
     values = {
         "dataset.repo_id": "local/tiny",
         "dataset.root": root,
@@ -42,9 +36,7 @@ def lerobot_train(monkeypatch: pytest.MonkeyPatch, args: list[str]) -> None:
     main()
 
 
-def test_train_checkpoint_opens_and_acts(
-    hand_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_train_checkpoint_opens_and_acts(hand_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lerobot_train(monkeypatch, arguments(hand_root, tmp_path / "run"))
     checkpoint = tmp_path / "run/checkpoints/last/pretrained_model"
     assert checkpoint.is_dir()

@@ -41,6 +41,11 @@ class Backbone(nn.Module, ABC):
         """Map images in [0, 1], shape ``(F, 3, H, W)``, to the range the weights expect."""
         return (images - self.pixel_mean) / self.pixel_std
 
+    def load_pretrained(self) -> None:
+        """Start from published weights, for encoders that have any. Called when training starts, not when it
+        resumes.
+        """
+
     @abstractmethod
     def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
         """Encode frames.

@@ -75,13 +75,21 @@ class ActionHead(nn.Module, ABC):
         super().__init__()
         self.spec = spec
 
+    @property
+    def noise_dim(self) -> int:
+        """Last size of the noise that `sample` takes; more than an action where the head pads actions."""
+        return self.spec.action_dim
+
+    def load_pretrained(self) -> None:
+        """Start from published weights, for heads that have any. Called when training starts, not when it resumes."""
+
     @abstractmethod
     def loss(self, actions: Tensor, condition: Condition) -> Tensor:
         """Return the training loss of each entry, ``(B, H, A) -> (B, H, A)``."""
 
     @abstractmethod
     def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
-        """Turn standard normal noise ``(B, H, A)`` into a chunk ``(B, H, A)``.
+        """Turn standard normal noise ``(B, H, noise_dim)`` into a chunk ``(B, H, A)``.
 
         Args:
             condition: What the chunk is conditioned on.

@@ -40,9 +40,7 @@ class DiTBlock(nn.Module):
         """Refine action tokens ``(B, H, D)``, given the time vector ``(B, D)`` and condition tokens ``(B, N,
         D)``.
         """
-        scale1, shift1, gate1, scale2, shift2, gate2 = self.modulation(c)[:, None].chunk(
-            6, dim=-1
-        )  # (B, 1, D) each
+        scale1, shift1, gate1, scale2, shift2, gate2 = self.modulation(c)[:, None].chunk(6, dim=-1)  # (B, 1, D) each
         h = self.norm_self(x) * (1 + scale1) + shift1
         x = x + gate1 * self.self_attention(h, h)
         x = x + self.cross_attention(self.norm_cross(x), memory)

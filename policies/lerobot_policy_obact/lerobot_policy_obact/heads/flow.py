@@ -12,6 +12,8 @@ Beta(1.5, 1)``, as in GR00T-N1.5. Acting integrates the velocity from 0 to 1 wit
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -26,7 +28,9 @@ def sample_flow_times(n: int, device: torch.device, skew: float = 1.5) -> Tensor
     return MAX_TIME * (1 - torch.rand(n, device=device) ** (1 / skew))
 
 
-def integrate(velocity: DiT | object, noise: Tensor, n_steps: int, guide: Guide | None = None) -> Tensor:
+def integrate(
+    velocity: Callable[[Tensor, Tensor], Tensor], noise: Tensor, n_steps: int, guide: Guide | None = None
+) -> Tensor:
     """Follow a velocity from t = 0 to t = 1 with Euler steps.
 
     Args:
@@ -54,13 +58,12 @@ class FlowHead(ActionHead):
         spec: What the head is built for.
         n_layers: Transformer blocks.
         n_steps: Euler steps of a chunk.
-        n_draws: Noise draws per chunk in training. The head is cheap beside the image encoder, so several
-            draws make better use of every encoded frame.
+        n_draws: Noise draws per chunk in training; where encoding images costs most, several use each frame better.
     """
 
     accepts_guide = True
 
-    def __init__(self, spec: ActionSpec, n_layers: int = 4, n_steps: int = 4, n_draws: int = 2) -> None:
+    def __init__(self, spec: ActionSpec, *, n_layers: int = 4, n_steps: int = 4, n_draws: int = 1) -> None:
         super().__init__(spec)
         self.n_steps, self.n_draws = n_steps, n_draws
         self.net = DiT(spec, n_layers)

@@ -1,0 +1,94 @@
+"""How fast the default policy trains and acts on this machine.
+
+    python benchmarks/speed.py [--json FILE] [--threads 2] [--set n_decisions=4 --set image_size=96 ...]
+
+Synthetic batches in the layout of the catching task; the loader and the simulator are not part of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot_policy_obact import ObActConfig, ObActPolicy
+
+VECTORS = {"observation.state": 18, "observation.fingertips": 30, "observation.phase": 1}
+IMAGE = "observation.images.ego"
+
+
+def make_policy(image_px: int, **settings: Any) -> ObActPolicy:
+    """Return an untrained policy for the catching task with images of ``image_px`` [px]."""
+    inputs = {key: PolicyFeature(FeatureType.STATE, (size,)) for key, size in VECTORS.items()}
+    inputs[IMAGE] = PolicyFeature(FeatureType.VISUAL, (3, image_px, image_px))
+    outputs = {"action": PolicyFeature(FeatureType.ACTION, (18,))}
+    return ObActPolicy(ObActConfig(input_features=inputs, output_features=outputs, device="cpu", **settings))
+
+
+def make_batch(policy: ObActPolicy, n: int, image_px: int) -> dict[str, Any]:
+    """Return a random training batch of ``n`` samples."""
+    n_frames, n_actions = len(policy.config.observation_delta_indices), len(policy.config.action_delta_indices)
+    batch = {key: torch.randn(n, n_frames, size) for key, size in VECTORS.items()}
+    batch[IMAGE] = torch.rand(n, n_frames, 3, image_px, image_px)
+    return batch | {"action": torch.randn(n, n_actions, 18), "task": ["catch the ball"] * n}
+
+
+def seconds_per_call(call: Callable[[], Any], min_calls: int = 5, min_seconds: float = 5.0) -> float:
+    """Return the median time of a call [s], after one that warms up."""
+    call()
+    times: list[float] = []
+    while len(times) < min_calls or sum(times) < min_seconds:
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return sorted(times)[len(times) // 2]
+
+
+def measure(batch_size: int, image_px: int, settings: dict[str, Any]) -> dict[str, float]:
+    """Return parameters [M], training steps and decisions per second, and chunk latency [ms]."""
+    policy = make_policy(image_px, **settings)
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=1e-4)
+    batch = make_batch(policy, batch_size, image_px)
+
+    def step() -> None:
+        policy.train()
+        policy(batch)[0].backward()
+        optimizer.step()
+        optimizer.zero_grad()
+        policy.update()
+
+    steps_per_s = 1 / seconds_per_call(step)
+    window = {key: value[:1] for key, value in batch.items()}
+    return {
+        "parameters_m": sum(p.numel() for p in policy.model.parameters()) / 1e6,
+        "train_steps_per_s": steps_per_s,
+        "train_decisions_per_s": steps_per_s * batch_size * policy.config.n_decisions,
+        "chunk_latency_ms": 1e3 * seconds_per_call(lambda: policy.predict_action_chunk(window)),
+    }
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, help="also write the numbers to this file")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--batch-size", type=int, default=32)
+    parser.add_argument("--image-px", type=int, default=96, help="size of the images in the data")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of ObActConfig")
+    args = parser.parse_args()
+    torch.set_num_threads(args.threads)
+    settings = {name: json.loads(value) for name, value in (item.split("=", 1) for item in args.set)}
+    numbers = measure(args.batch_size, args.image_px, settings)
+    for name, value in numbers.items():
+        print(f"{name:24s} {value:8.2f}")
+    if args.json:
+        args.json.write_text(json.dumps(numbers | {"threads": args.threads, "settings": settings}, indent=2))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""SmolVLM2 (Marafioti et al., 2025): image and instruction are read together by a small language model."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from .base import Backbone, backbones
+from .transformers_vision import pool_patches
+
+
+@backbones.register("smolvlm2")
+class SmolVLM2Backbone(Backbone):
+    """Tokens of the image after the language model has read ``[image, instruction]``, and one of the instruction.
+
+    Args:
+        width: Token size.
+        name: Hub name or folder; its config and tokenizer are needed whenever the policy is opened, its weights only
+            when training starts.
+        pretrained: Whether training starts from its weights.
+        freeze: Whether its weights stay as they are.
+        n_layers: Layers of the language model that are kept; early layers serve control best (SmolVLA).
+        grid: Side of the grid to which image tokens are pooled at the end.
+        max_text_tokens: Where long instructions are cut.
+    """
+
+    reads_text = True
+
+    def __init__(
+        self,
+        width: int,
+        *,
+        name: str = "HuggingFaceTB/SmolVLM2-500M-Video-Instruct",
+        pretrained: bool = True,
+        freeze: bool = True,
+        n_layers: int = 16,
+        grid: int = 4,
+        max_text_tokens: int = 48,
+    ) -> None:
+        from transformers import AutoConfig, AutoTokenizer, SmolVLMModel
+
+        super().__init__(width, mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
+        self.name, self.pretrained, self.freeze = name, pretrained, freeze
+        self.grid, self.max_text_tokens = grid, max_text_tokens
+        config = AutoConfig.from_pretrained(name)
+        config.text_config.num_hidden_layers = min(n_layers, config.text_config.num_hidden_layers)
+        self.input_px = config.vision_config.image_size
+        self.vlm = SmolVLMModel(config)
+        self.tokenizer = AutoTokenizer.from_pretrained(name)
+        self.project = nn.Linear(config.text_config.hidden_size, width)
+        self.vlm.requires_grad_(not freeze)
+
+    def load_pretrained(self) -> None:
+        """Fetch the weights of the layers that are kept."""
+        from transformers import SmolVLMModel
+
+        if self.pretrained:
+            full = SmolVLMModel.from_pretrained(self.name, dtype=torch.float32).state_dict()
+            own = self.vlm.state_dict().keys()
+            self.vlm.load_state_dict({key: value for key, value in full.items() if key in own})
+
+    def train(self, mode: bool = True) -> SmolVLM2Backbone:
+        """Keep a frozen model in evaluation mode."""
+        super().train(mode)
+        if self.freeze:
+            self.vlm.eval()
+        return self
+
+    def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
+        """See `Backbone.forward`; ``N = grid ** 2 + 1``."""
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not self.freeze):
+            seen, said = self._read(images, texts or [""] * len(images))
+        return self.project(torch.cat([pool_patches(seen, self.grid), said], dim=1))
+
+    def _read(self, images: Tensor, texts: list[str]) -> tuple[Tensor, Tensor]:
+        """Return image tokens ``(F, P, C)`` and the instruction's token ``(F, 1, C)`` as the language model
+        left them.
+        """
+        images = F.interpolate(images, (self.input_px,) * 2, mode="bilinear", align_corners=False)
+        features = self.vlm.vision_model(pixel_values=self.standardise(images)).last_hidden_state
+        image_tokens = self.vlm.connector(features)  # (F, P, C)
+
+        ids, keep = self._tokenize(texts, images.device)  # (F, L) each
+        embeddings = torch.cat([image_tokens, self.vlm.text_model.embed_tokens(ids)], dim=1)
+        mask = torch.cat([keep.new_ones(image_tokens.shape[:2]), keep], dim=1)  # (F, P + L)
+        hidden = self.vlm.text_model(inputs_embeds=embeddings, attention_mask=mask, use_cache=False).last_hidden_state
+        # The model is causal: image tokens come first and know no text, the last word has read everything.
+        last_word = image_tokens.shape[1] + keep.sum(1) - 1
+        return hidden[:, : image_tokens.shape[1]], hidden[torch.arange(len(ids)), last_word][:, None]
+
+    def _tokenize(self, texts: list[str], device: torch.device) -> tuple[Tensor, Tensor]:
+        limits = {"truncation": True, "max_length": self.max_text_tokens}
+        known = {text: self.tokenizer(text or " ", **limits).input_ids for text in set(texts)}
+        rows = [known[text] for text in texts]
+        ids = nn.utils.rnn.pad_sequence([torch.tensor(row) for row in rows], batch_first=True)
+        keep = nn.utils.rnn.pad_sequence([torch.ones(len(row), dtype=torch.long) for row in rows], batch_first=True)
+        return ids.to(device), keep.to(device)

@@ -1,0 +1,112 @@
+"""Relative actions are displacements in physical units, whatever the normalisation."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from lerobot.configs import NormalizationMode
+from lerobot_policy_obact.action_frame import N_SPREAD_BATCHES, ActionFrame, affine_of, looks_absolute
+from obact_helpers import HAND_FEATURES, PUSH_FEATURES, make_batch, make_policy, make_step
+
+MODES = [NormalizationMode.MEAN_STD, NormalizationMode.MIN_MAX, NormalizationMode.QUANTILES, NormalizationMode.IDENTITY]
+
+
+def stats_of(x: torch.Tensor) -> dict[str, torch.Tensor]:
+    quantiles = {f"q{q:02d}": torch.quantile(x, q / 100, dim=0) for q in (1, 10, 90, 99)}
+    return {"mean": x.mean(0), "std": x.std(0), "min": x.amin(0), "max": x.amax(0)} | quantiles
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_displacements_are_physical(mode: NormalizationMode) -> None:
+    generator = torch.Generator().manual_seed(0)
+    state = 3 + 0.5 * torch.randn(200, 5, generator=generator)
+    action = torch.cat([state[:, :3] + 0.04, torch.randn(200, 4, generator=generator)], 1)
+    frame = ActionFrame(3)
+    normalised = {}
+    for name, x in (("state", state), ("action", action)):
+        affine = affine_of(stats_of(x), mode)
+        frame.set_stats(name, affine)
+        scale, shift = affine or (torch.ones(x.shape[1]), torch.zeros(x.shape[1]))
+        normalised[name] = (x - shift) / scale
+    chunk = frame.to_model(normalised["action"][:, None], normalised["state"])
+    torch.testing.assert_close(chunk[:, 0, :3], torch.full((200, 3), 0.04), rtol=0, atol=1e-5)  # spread is still 1
+    torch.testing.assert_close(chunk[..., 3:], normalised["action"][:, None, 3:])
+
+
+def test_the_map_is_invertible_and_its_spread_is_one() -> None:
+    frame = ActionFrame(2)
+    frame.set_stats("action", (torch.tensor([0.5, 2.0]), torch.tensor([1.0, -1.0])))
+    frame.set_stats("state", (torch.tensor([0.4, 1.0]), torch.tensor([0.9, -1.2])))
+    actions, state = torch.randn(64, 8, 4), torch.randn(64, 6)
+    frame.observe(actions, state, torch.ones(64, 8, dtype=torch.bool))
+    chunk = frame.to_model(actions, state)
+    torch.testing.assert_close(chunk[..., :2].square().mean((0, 1)), torch.ones(2), rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(frame.to_actions(chunk, state), actions, rtol=1e-4, atol=1e-5)
+
+
+def test_the_spread_ignores_padding_and_freezes() -> None:
+    frame, keep = ActionFrame(1), torch.tensor([[True, False]])
+    frame.observe(torch.tensor([[[2.0], [1e6]]]), torch.zeros(1, 1), keep)
+    assert frame.mean_square.item() == 4.0
+    for _ in range(N_SPREAD_BATCHES):
+        frame.observe(torch.tensor([[[2.0], [1e6]]]), torch.zeros(1, 1), keep)
+    frozen = frame.mean_square.clone()
+    frame.observe(torch.full((1, 2, 1), 9.0), torch.zeros(1, 1), keep)
+    assert frame.mean_square == frozen
+
+
+def test_no_relative_dimension_is_the_identity() -> None:
+    frame, actions = ActionFrame(0), torch.randn(2, 3, 4)
+    assert torch.equal(frame.to_model(actions, torch.randn(2, 5)), actions)
+    assert torch.equal(frame.to_actions(actions, torch.randn(2, 0)), actions)
+
+
+def test_a_constant_feature_gives_finite_actions() -> None:
+    frame = ActionFrame(1)
+    frame.set_stats("action", (torch.zeros(1), torch.ones(1)))
+    assert frame.to_actions(torch.randn(1, 2, 1), torch.randn(1, 1)).isfinite().all()
+
+
+@pytest.mark.parametrize("action", ["target", "increment"])
+def test_statistics_tell_targets_from_increments(action: str) -> None:
+    state = torch.randn(500, 3, generator=torch.Generator().manual_seed(0)).cumsum(0)
+    actions = state.roll(-1, 0) if action == "target" else state.diff(dim=0)
+    assert looks_absolute(stats_of(actions), stats_of(state), 3) == (action == "target")
+
+
+def test_auto_chooses_and_the_choice_is_stored() -> None:
+    state = torch.randn(500, 18, generator=torch.Generator().manual_seed(0)).cumsum(0)
+    target = {"observation.state": stats_of(state), "action": stats_of(state.roll(-1, 0))}
+    increment = {"observation.state": stats_of(state), "action": stats_of(state.diff(dim=0))}
+    assert make_policy(stats=target).config.action_frame == "relative"
+    assert make_policy(stats=increment).config.action_frame == "absolute"
+    assert make_policy(stats=None).config.action_frame == "absolute"
+    assert make_policy(PUSH_FEATURES, stats=target).config.action_frame == "absolute"  # fewer than three dimensions
+
+
+def test_relative_without_a_state_is_refused() -> None:
+    features = {key: value for key, value in HAND_FEATURES.items() if key != "observation.state"}
+    with pytest.raises(ValueError, match="action_frame is 'relative' for 3 dimensions"):
+        make_policy(features, action_frame="relative")
+
+
+def test_a_relative_chunk_moves_with_the_hand() -> None:
+    policy = make_policy(action_frame="relative")
+    step = make_step(policy)
+    moved = step | {"observation.state": step["observation.state"].clone()}
+    moved["observation.state"][:, :3] += 0.7
+    chunks = []
+    for observation in (step, moved):
+        policy.reset()
+        chunks.append(policy.predict_action_chunk(observation, noise=torch.zeros(3, 8, 18)))
+    torch.testing.assert_close((chunks[1] - chunks[0])[..., :3], torch.full((3, 8, 3), 0.7))  # an untrained head says 0
+    torch.testing.assert_close(chunks[1][..., 3:], chunks[0][..., 3:])
+
+
+def test_training_measures_the_spread_and_evaluation_does_not() -> None:
+    policy = make_policy(action_frame="relative")
+    batch = make_batch(policy)
+    policy.eval()(batch)
+    assert policy.frame.n_batches == 0
+    policy.train()(batch)
+    assert policy.frame.n_batches == 1
