@@ -51,9 +51,7 @@ def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Compar
     kind = METRICS[metric].kind
     pairs = paired_values(rows_a, rows_b, metric)
     if len(pairs) == 0:
-        raise ValueError(
-            f"the result sets share no episode with a value of {metric}; evaluate both on the same split"
-        )
+        raise ValueError(f"the result sets share no episode with a value of {metric}; evaluate both on the same split")
     differences = pairs[:, 0] - pairs[:, 1]
     means = bootstrap_means(differences)
     low, high = np.percentile(means, [2.5, 97.5])

@@ -11,28 +11,20 @@ import numpy as np
 
 from dynahoi_lerobot.conventions import UNIT_M
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.motions.base import CATEGORIES
 
 Label = Callable[[Episode], str]
 
-TIERS = {
-    "kinematic": ("straight_line", "simple_harmonic", "circular_arc"),
-    "physical": ("projectile", "pendulum", "inclined_rolling", "impact_response"),
-    "stochastic": ("hybrid",),
-}
-"""The first two levels of the paper's hierarchy of motions (Section "Dataset Statistics")."""
-
-PERIODICITIES = {
-    "circular": ("circular_arc",),
-    "periodic": ("simple_harmonic", "pendulum"),
-    "linear": ("straight_line", "projectile", "inclined_rolling", "impact_response"),
-    "hybrid": ("hybrid",),
-}
-"""Appendix "Stratified Performance Analysis", "Periodicity-stratified evaluation".
+PERIODICITIES = ("circular", "periodic", "linear", "hybrid")
+"""From the clearest periodic signature to none (Appendix "Stratified Performance Analysis").
 
 The paper names straight lines and projectiles as linear, harmonic motion and pendulums as periodic; rolling
 and impacts revisit nothing, hence linear. A hybrid changes between these within one episode, so it keeps its
 own label.
 """
+
+ELSEWHERE = ("other", "other")
+"""Tier and periodicity of a category outside the paper's eight."""
 
 DURATION_EDGES = (20, 40, 60, 80, 120)
 """Upper edges [frames] of the duration bins (Figure "Data statistics", c), each part of the lower bin."""
@@ -80,13 +72,13 @@ def travel_u(episode: Episode) -> float:
     return float(np.linalg.norm(episode.intercept_position.astype(np.float64) - start)) / UNIT_M
 
 
-@stratum("tier", tuple(TIERS))
+@stratum("tier", tuple(dict.fromkeys(tier for tier, _ in CATEGORIES.values())))
 def tier(episode: Episode) -> str:
     """Return the tier of the episode's category, ``other`` for a category outside the paper's eight."""
-    return _group_of(episode.meta.category, TIERS)
+    return CATEGORIES.get(episode.meta.category, ELSEWHERE)[0]
 
 
-@stratum("category", tuple(category for group in TIERS.values() for category in group))
+@stratum("category", tuple(CATEGORIES))
 def category(episode: Episode) -> str:
     """Return the episode's category, one of the paper's eight."""
     return episode.meta.category
@@ -104,10 +96,10 @@ def object_name(episode: Episode) -> str:
     return episode.meta.object
 
 
-@stratum("periodicity", tuple(PERIODICITIES))
+@stratum("periodicity", PERIODICITIES)
 def periodicity(episode: Episode) -> str:
     """Return ``circular``, ``periodic``, ``linear`` or ``hybrid``."""
-    return _group_of(episode.meta.category, PERIODICITIES)
+    return CATEGORIES.get(episode.meta.category, ELSEWHERE)[1]
 
 
 def _bin_names(edges: tuple[float, ...], lowest: str) -> tuple[str, ...]:
@@ -130,7 +122,3 @@ def duration(episode: Episode) -> str:
 def travel(episode: Episode) -> str:
     """Return the bin of the hand's straight way to the intercept [u]."""
     return TRAVELS[bisect_left(TRAVEL_EDGES, travel_u(episode))]
-
-
-def _group_of(member: str, groups: dict[str, tuple[str, ...]]) -> str:
-    return next((name for name, members in groups.items() if member in members), "other")

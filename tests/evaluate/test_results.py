@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -176,3 +178,13 @@ def test_files_of_two_runs_are_told_apart(folder: Path):
     (folder.parent / "short" / "actions.npz").replace(folder / "actions.npz")
     with pytest.raises(ResultsError, match=r"disagree on the episodes: .* 6, .* 6, actions.npz 2"):
         read_results(folder)
+
+
+def test_importing_pulls_in_nothing_heavy():
+    code = (
+        "import sys, dynahoi_lerobot.metrics, dynahoi_lerobot.evaluate.results, dynahoi_lerobot.evaluate.gif, "
+        "dynahoi_lerobot.report as r; print({'torch', 'lerobot', 'pandas', 'pyarrow', 'matplotlib', 'PIL', 'jinja2'}"
+        " & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "set()"

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.evaluate.strata import PERIODICITIES, STRATA, TIERS
+from dynahoi_lerobot.evaluate.strata import STRATA
+from dynahoi_lerobot.motions.base import CATEGORIES
 from tests.synthetic import synthetic_episode
 
 EPISODE = synthetic_episode(image_size=None)
@@ -39,10 +40,19 @@ def test_periodicity_by_category(category: str, expected: str):
     assert label("periodicity", category=category) == expected
 
 
-def test_each_category_has_one_tier_and_one_periodicity():
-    categories = [category for group in TIERS.values() for category in group]
-    assert sorted(categories) == sorted(category for group in PERIODICITIES.values() for category in group)
-    assert len(set(categories)) == len(categories) == 8
+def test_every_label_of_a_known_category_has_its_place_in_the_order():
+    assert len(CATEGORIES) == 8
+    for category in CATEGORIES:
+        for name in ("tier", "category", "periodicity"):
+            assert label(name, category=category) in STRATA[name].order
+
+
+@pytest.mark.parametrize(
+    ("category", "expected"),
+    [("pendulum", "physical"), ("circular_arc", "kinematic"), ("hybrid", "stochastic"), ("somebody_elses", "other")],
+)
+def test_tier_by_category(category: str, expected: str):
+    assert label("tier", category=category) == expected
 
 
 @pytest.mark.parametrize(
