@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 
-def write_atomically(writers: dict[Path, Callable[[Path], None]]) -> None:
+def write_atomically(writers: dict[Path, Callable[[Path], object]]) -> None:
     """Write every file beside its goal, and rename only when all are complete.
 
     Args:

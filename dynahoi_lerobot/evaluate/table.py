@@ -50,12 +50,11 @@ def printed(estimate: Estimate) -> str:
 
 def printed_parts(estimate: Estimate) -> tuple[str, str]:
     """Return the value and its interval as ``printed`` joins them."""
-    if estimate.value is None:
+    if estimate.value is None or estimate.low is None or estimate.high is None:
         return "-", ""
     scale, digits = (100, 1) if estimate.unit == "fraction" else (1, 2)
-    numbers = (estimate.value, estimate.low, estimate.high)
-    value, low, high = (f"{scale * number:.{digits}f}" for number in numbers)
-    return value, f"[{low}, {high}]"
+    value, *ends = (f"{scale * end:.{digits}f}" for end in (estimate.value, estimate.low, estimate.high))
+    return value, f"[{', '.join(ends)}]"
 
 
 def _labels(result: Results) -> list[str]:

@@ -17,6 +17,7 @@ from dynahoi_lerobot.report.style import INK, new_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.patches import Wedge
 
 PAPER_DURATION = {"20-40": 20.2, "40-60": 36.1, "60-80": 19.5, "80-120": 13.9, ">120": 10.1}
 PAPER_TRAVEL = {"0-0.5": 20.1, "0.5-2": 47.7, "2-4": 16.4, ">4": 5.8}
@@ -73,12 +74,12 @@ def _place(name: str, order: Sequence[str]) -> int:
 def _shade(name: tuple[str, ...], leaves: Sequence[tuple[str, str, str]], depth: int) -> tuple:
     import matplotlib as mpl
 
-    siblings = list(dict.fromkeys(leaf[:2] for leaf in leaves if leaf[0] == name[0]))
+    siblings: list[tuple[str, ...]] = list(dict.fromkeys(leaf[:2] for leaf in leaves if leaf[0] == name[0]))
     step = siblings.index(name[:2]) / max(1, len(siblings) - 1) if depth > 1 else 0.5
     return mpl.colormaps[TIER_MAPS[name[0]]](0.75 - 0.12 * (depth - 1) - 0.2 * step)
 
 
-def _write(panel: Axes, wedge: object, text: str, radius: float, *, outside: bool) -> None:
+def _write(panel: Axes, wedge: Wedge, text: str, radius: float, *, outside: bool) -> None:
     middle = np.deg2rad((wedge.theta1 + wedge.theta2) / 2)
     distance = radius + 0.05 if outside else radius - 0.33
     x, y = distance * np.cos(middle), distance * np.sin(middle)
