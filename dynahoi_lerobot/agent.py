@@ -37,21 +37,21 @@ class WorldState:
 
     Attributes:
         observation: what a policy would see.
-        specs: the N episodes being played.
+        specs: the N episodes being played, None where no world is in use; each knows its untouched target's path.
         frame: (N,) int, frame index within the episode.
+        attempt: (N,) int, 1 for the first try at an episode.
         target_pose: (N, 7) position [m] and quaternion wxyz, world.
         target_velocity: (N, 6) linear [m/s] and angular [rad/s], world.
         target_contacts: (N, 5) 1 where the finger touches the target.
-        oracle_path: (N, F, 3) position [m] of each untouched target at every frame of its episode, world.
     """
 
     observation: Observation
-    specs: tuple[EpisodeSpec, ...]
+    specs: tuple[EpisodeSpec | None, ...]
     frame: np.ndarray
+    attempt: np.ndarray
     target_pose: np.ndarray
     target_velocity: np.ndarray
     target_contacts: np.ndarray
-    oracle_path: np.ndarray
 
 
 class Agent(ABC):
@@ -69,12 +69,9 @@ class Agent(ABC):
 
 
 class Expert(ABC):
-    """Maps the full simulator state of N worlds to N commands: deterministic and privileged."""
+    """Maps the full simulator state of N worlds to N commands: privileged, deterministic and without memory."""
 
     name: str = "expert"
-
-    def reset(self, count: int) -> None:  # noqa: B027 - an expert without memory has nothing to forget
-        """Forget everything; ``count`` new episodes begin."""
 
     @abstractmethod
     def act(self, world: WorldState) -> np.ndarray:

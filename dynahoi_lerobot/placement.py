@@ -30,15 +30,13 @@ def find_home(path_w: np.ndarray, timing: Timing, rng: np.random.Generator) -> n
     at no earlier frame; so a watcher who knows that speed can infer the intercept from the motion.
 
     Args:
-        path_w: (F, 3) path of the untouched target at every frame [m], world.
+        path_w: (F, 3) path of the untouched target at every frame [m], world, at least to the intercept.
         timing: frames and travel of the episode.
         rng: source of the candidate directions.
 
     Returns:
         (3,) position [m], world, or None.
     """
-    if not _in_arena(path_w):
-        return None
     control, meeting = timing.window_frames, timing.window_frames + timing.approach_frames
     homes = path_w[meeting] - timing.travel_m * _directions(rng)  # (K, 3)
     seen = path_w[: control + 1] - homes[:, None]  # (K, W + 1, 3) relative to the palm centre
@@ -58,7 +56,8 @@ def _directions(rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
 
 
-def _in_arena(path_w: np.ndarray) -> bool:
+def in_arena(path_w: np.ndarray) -> bool:
+    """Tell whether a path (F, 3) [m] stays between walls and above the floor."""
     inside = (np.abs(path_w[:, :2]) < ARENA_HALF_M).all() and (path_w[:, 2] > 0.0).all()
     return bool(inside and np.isfinite(path_w).all())
 

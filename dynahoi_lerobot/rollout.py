@@ -1,0 +1,237 @@
+"""The one loop. Generation and evaluation both run it, so they cannot drift apart."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dynahoi_lerobot.agent import Agent, Expert
+from dynahoi_lerobot.captures import CaptureRule, Track
+from dynahoi_lerobot.conventions import PALM_DOF
+from dynahoi_lerobot.episode import Episode, EpisodeMeta
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.experts.base import open_hand, reference_grasp
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.world_batch import WorldBatch
+
+MAX_ATTEMPTS = 4
+"""A first try and up to three retries (Appendix "Data collection")."""
+DEFAULT_BATCH = 32
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode to play.
+
+    Attributes:
+        index: position in the caller's order.
+        spec: the episode.
+        frames: longest recording [frames].
+        attempt: from 1.
+        stop_settled: whether to end once the capture rule's verdict has fallen.
+    """
+
+    index: int
+    spec: EpisodeSpec
+    frames: int
+    attempt: int = 1
+    stop_settled: bool = False
+
+
+@dataclass
+class Recorder:
+    """Collects one world's frames, copying what the batch will overwrite."""
+
+    job: Job
+    frames: list[tuple[np.ndarray, ...]] = field(default_factory=list)
+    images: list[np.ndarray] = field(default_factory=list)
+    actions: list[np.ndarray] = field(default_factory=list)
+    settled: int = 0
+
+    def over(self, settle_frames: int) -> bool:
+        """Tell whether the episode ends here."""
+        full = len(self.actions) >= self.job.frames
+        return full or (self.job.stop_settled and self.settled > settle_frames)
+
+
+def play(
+    batch: WorldBatch, actor: Agent | Expert, jobs: Iterable[Job], *, images: bool = False
+) -> Iterator[tuple[Job, Episode]]:
+    """Play jobs in the worlds of ``batch`` and yield each with its episode, as they end.
+
+    An expert has no memory, so a world that finishes begins the next job at once. An agent may have some, so it gets the
+    next jobs together, after ``reset``.
+
+    Args:
+        batch: the worlds.
+        actor: who moves the hands.
+        jobs: consumed lazily.
+        images: whether to record images even if the actor asks for none.
+    """
+    waiting, running = iter(jobs), dict[int, Recorder]()
+    look = images or getattr(actor, "sees_images", False)
+    while True:
+        if isinstance(actor, Expert) or not running:
+            _begin(batch, actor, waiting, running)
+        if not running:
+            return
+        ids = np.array(sorted(running))
+        _step(batch, actor, ids, running, look=look)
+        for i in ids:
+            if running[i].over(batch.rule.settle_frames):
+                recorder = running.pop(int(i))
+                yield recorder.job, _episode(recorder, batch.rule, actor.name)
+
+
+def record(
+    recipe: Recipe, seeds: Sequence[int], *, batch_size: int = DEFAULT_BATCH, threads: int = 0, images: bool = True
+) -> Iterator[Episode]:
+    """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are left out.
+
+    Each is a function of (recipe, seed): batch size and threads do not matter.
+    """
+    batch = make_batch(recipe, min(batch_size, max(1, len(seeds))), threads)
+    finished: dict[int, Episode | None] = {}
+    next_index, retries = 0, deque[Job]()
+    for job, episode in play(batch, EXPERTS[recipe.expert](), _jobs(recipe, seeds, retries, threads), images=images):
+        if episode.success or job.attempt == MAX_ATTEMPTS:
+            finished[job.index] = episode if episode.success else None
+        else:
+            retries.append(Job(job.index, job.spec, job.frames, job.attempt + 1))
+        while next_index in finished:
+            ready = finished.pop(next_index)
+            next_index += 1
+            if ready is not None:
+                yield ready
+
+
+def evaluate(
+    batch: WorldBatch, actor: Agent | Expert, specs: Sequence[EpisodeSpec], *, images: bool = False
+) -> Iterator[Episode]:
+    """Yield one evaluated episode per spec, as they end: the window, then up to L control steps."""
+    jobs = (Job(i, s, s.window_frames + s.length_frames, stop_settled=True) for i, s in enumerate(specs))
+    for _, episode in play(batch, actor, jobs, images=images):
+        yield episode
+
+
+def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
+    """Return a batch that plays ``recipe``."""
+    return WorldBatch(
+        size,
+        capture=recipe.capture,
+        hand=recipe.hand,
+        image_size=recipe.image_size,
+        renderer=recipe.renderer,
+        threads=threads,
+    )
+
+
+def _jobs(recipe: Recipe, seeds: Sequence[int], retries: deque[Job], threads: int) -> Iterator[Job]:
+    """Yield retries as they come up, then fresh episodes, sampled a block at a time."""
+    for block in range(0, len(seeds), DEFAULT_BATCH):
+        specs = sample_specs(recipe, seeds[block : block + DEFAULT_BATCH], threads=threads)
+        for offset, spec in enumerate(specs):
+            while retries:
+                yield retries.popleft()
+            yield Job(block + offset, spec, spec.length_frames)
+    while retries:
+        yield retries.popleft()
+
+
+def _begin(batch: WorldBatch, actor: Agent | Expert, waiting: Iterator[Job], running: dict[int, Recorder]) -> None:
+    """Give every idle world a job, as long as there are any."""
+    idle = [i for i in range(batch.size) if i not in running]
+    begun = list(zip(idle, waiting, strict=False))
+    if not begun:
+        return
+    batch.reset([i for i, _ in begun], [job.spec for _, job in begun], [job.attempt for _, job in begun])
+    running.update((i, Recorder(job)) for i, job in begun)
+    if isinstance(actor, Agent):
+        actor.reset(batch.size)
+
+
+def _step(
+    batch: WorldBatch, actor: Agent | Expert, ids: np.ndarray, running: dict[int, Recorder], *, look: bool
+) -> None:
+    """Observe, act and advance the worlds ``ids`` by one frame, recording each."""
+    observation = batch.observe(images=look)
+    commands = actor.act(batch.world_state(observation)) if isinstance(actor, Expert) else actor.act(observation)
+    tips = batch.tip_distance()
+    columns = (
+        observation.state, observation.fingertips, observation.phase, batch.target_pose, batch.target_velocity,
+        batch.contacts(), batch.palm_distance.copy(), np.maximum(tips.min(axis=1), 0.0), batch.localized.copy(),
+    )  # fmt: skip
+    for i in ids:
+        running[i].frames.append(tuple(column[i] for column in columns))
+        running[i].settled += bool(batch.localized[i])
+        if observation.images is not None:
+            running[i].images.append(observation.images[i])
+    batch.step(commands[ids], ids)
+    for i in ids:
+        running[i].actions.append(batch.executed[i].copy())
+
+
+def _episode(recorder: Recorder, rule: CaptureRule, agent: str) -> Episode:
+    """Freeze a recording."""
+    spec = recorder.job.spec
+    columns = [np.stack(values) for values in zip(*recorder.frames, strict=True)]
+    state, tips, phase, pose, velocity, contacts, palm_distance, tip_distance, localized = columns
+    control = slice(spec.window_frames, None)
+    track = Track(
+        joints=state[control, PALM_DOF:],
+        open_joints=open_hand(),
+        reference_joints=reference_grasp(spec),
+        localized=localized[control],
+        contacts=contacts[control],
+        palm_distance=palm_distance[control],
+        target_supported=np.zeros(len(state) - spec.window_frames, bool),
+    )
+    captured = np.zeros(len(state), bool)
+    captured[control] = rule.captured(track)
+    return Episode(
+        meta=_meta(recorder.job, rule.name, agent),
+        images=np.stack(recorder.images) if recorder.images else None,
+        state=state,
+        fingertips=tips,
+        phase=phase,
+        action=np.stack(recorder.actions).astype(np.float32),
+        target_pose=pose.astype(np.float32),
+        target_velocity=velocity.astype(np.float32),
+        target_contacts=contacts.astype(np.float32),
+        palm_distance=palm_distance.astype(np.float32),
+        fingertip_distance=tip_distance.astype(np.float32),
+        localized=localized,
+        captured=captured,
+        intercept_position=spec.intercept_pos_w.astype(np.float32),
+        intercept_time=spec.intercept_time_s,
+        open_joints=track.open_joints.astype(np.float32),
+        reference_joints=track.reference_joints.astype(np.float32),
+        success=rule.success(track),
+        stage=rule.stage(track),
+    )
+
+
+def _meta(job: Job, capture: str, agent: str) -> EpisodeMeta:
+    spec = job.spec
+    return EpisodeMeta(
+        seed=spec.seed,
+        split=spec.split,
+        motion=spec.motion.name,
+        category=spec.motion.category,
+        object=spec.target.name,
+        parameters=spec.motion.parameters(),
+        task=spec.task,
+        agent=agent,
+        capture=capture,
+        protocol=spec.protocol,
+        window_frames=spec.window_frames,
+        length_frames=spec.length_frames,
+        intercept_frame=spec.intercept_frame,
+        attempts=job.attempt,
+        fingerprint=spec.fingerprint,
+    )

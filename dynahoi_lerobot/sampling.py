@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from dynahoi_lerobot.looks import Look
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PhysicalMotion
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.oracle import roll_ahead
-from dynahoi_lerobot.placement import find_home
+from dynahoi_lerobot.placement import find_home, in_arena
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.timing import Timing, draw_timing
 
@@ -83,14 +83,23 @@ def _round(
 ) -> list[int]:
     """Draw a motion for every pending draft, roll them ahead together, keep those that fit; return the rest."""
     drawn = [i for i in pending if _draw_motion(recipe, drafts[i])]
-    frames = [_horizon(drafts[i].timing) for i in drawn]
-    motions, targets = [drafts[i].motion for i in drawn], [drafts[i].target for i in drawn]
-    paths = roll_ahead(motions, targets, frames, threads=threads)  # type: ignore[arg-type]
-    for i, path in zip(drawn, paths, strict=True):
-        home = find_home(path, drafts[i].timing, drafts[i].rng)
-        if home is not None:
+    paths = _roll([drafts[i] for i in drawn], _until_intercept, threads)
+    homes = {i: find_home(p, drafts[i].timing, drafts[i].rng) for i, p in zip(drawn, paths, strict=True)}
+    found = [i for i in drawn if homes[i] is not None]
+    for i, path in zip(found, _roll([drafts[i] for i in found], _horizon, threads), strict=True):
+        home = homes[i]
+        if in_arena(path) and home is not None:
             done[i] = _finish(recipe, drafts[i], path, home)
     return [i for i in pending if i not in done]
+
+
+def _roll(drafts: list[_Draft], frames: Callable[[Timing], int], threads: int) -> list[np.ndarray]:
+    motions, targets = [d.motion for d in drafts], [d.target for d in drafts]
+    return roll_ahead(motions, targets, [frames(d.timing) for d in drafts], threads=threads)  # type: ignore[arg-type]
+
+
+def _until_intercept(timing: Timing) -> int:
+    return timing.window_frames + timing.approach_frames + 1
 
 
 def _horizon(timing: Timing) -> int:

@@ -150,7 +150,7 @@ def _add_materials(spec: mujoco.MjSpec) -> None:
             nchannel=3,
         )
         texture.data = pixels.tobytes()
-        for scale, repeat in (("fine", 2.0), ("coarse", 10.0)):
+        for scale, repeat in (("fine", 1.0), ("coarse", 5.0)):
             material = spec.add_material(
                 name=f"{pattern}_{scale}", texrepeat=(repeat, repeat), specular=0.15, shininess=0.3
             )

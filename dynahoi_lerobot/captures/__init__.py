@@ -1,1 +1,5 @@
-""""""
+"""Capture rules: what happens when the hand reaches the target, and what counts as a catch. One file each."""
+
+from dynahoi_lerobot.captures.base import CAPTURES, CaptureRule, Track
+
+__all__ = ["CAPTURES", "CaptureRule", "Track"]

@@ -27,9 +27,9 @@ MAX_FLEXION_RAD = 1.6
 GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
 """Reach of the palm centre, world."""
 
-CAMERA_POS = (-0.19, -0.02, 0.17)
-CAMERA_PITCH_RAD = 0.42
-CAMERA_FOVY_DEG = 80.0
+CAMERA_POS = (-0.15, 0.03, 0.21)
+CAMERA_PITCH_RAD = 0.45
+CAMERA_FOVY_DEG = 84.0
 """The camera looks over the back of the hand, along +x and down, and sees past the thumb into the grasp volume."""
 
 
@@ -61,12 +61,7 @@ def _row_finger(z: float, scale: float) -> Finger:
 
 HAND = {
     "thumb": Finger(
-        (-0.044, -0.022, 0.038),
-        (0.10, 0.05, 0.9937),
-        (-0.05, 0.9987, 0.0),
-        (0.044, 0.034, 0.026),
-        0.0095,
-        (0.8, 1.0, 1.0),
+        (-0.042, -0.022, 0.032), (0.0, -0.5, 0.8660), (0.0, 0.8660, 0.5), (0.044, 0.034, 0.026), 0.0095, (1.0, 1.4, 0.8)
     ),
     "index": _row_finger(0.034, 0.98),
     "middle": _row_finger(0.013, 1.05),

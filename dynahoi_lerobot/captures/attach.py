@@ -1,0 +1,54 @@
+"""The paper's rule: a target within the localisation radius is welded to the hand; the grasp is a matter of pose.
+
+Hand and target do not collide. Within the 25 physics steps of a frame the weld happens at the closest approach, so a fast
+target cannot slip between two frames (Appendix "Evaluation Criteria").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Substeps, Track
+from dynahoi_lerobot.conventions import LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.episode import joints_reached
+from dynahoi_lerobot.motions import Motion, PhysicalMotion
+from dynahoi_lerobot.scene import ENVIRONMENT
+from dynahoi_lerobot.world_batch import WorldBatch
+
+
+@CAPTURES.register("attach")
+class Attach(CaptureRule):
+    """Localised means within 3 cm; captured means localised with all 15 joints at 0.9 of the reference grasp."""
+
+    name = "attach"
+
+    def collisions(self, motion: Motion) -> int:
+        """Return the environment's bit for real dynamics, none for a prescribed path."""
+        return ENVIRONMENT if isinstance(motion, PhysicalMotion) else 0
+
+    def events(self, substeps: Substeps) -> np.ndarray:
+        """Return the closest physics step where it is within the localisation radius."""
+        closest = substeps.palm_distance.argmin(axis=1)
+        inside = substeps.palm_distance.min(axis=1) < LOCALIZATION_RADIUS_M
+        return np.where(inside, closest, NO_EVENT)
+
+    def apply(self, world: WorldBatch, i: int) -> None:
+        """Weld the target to the palm as it is, and let it pass through everything else."""
+        world.weld_target(i)
+
+    def captured(self, track: Track) -> np.ndarray:
+        """Return (T,) bool: localised, and the pose matched at the first localised frame."""
+        return track.localized & self.success(track)
+
+    def stage(self, track: Track) -> str:
+        """Return ``missed``, ``localized`` or ``captured``."""
+        if not track.localized.any():
+            return "missed"
+        return "captured" if self.success(track) else "localized"
+
+    def success(self, track: Track) -> bool:
+        """Return whether the pose matched at the first localised frame."""
+        if not track.localized.any():
+            return False
+        joints = track.joints[track.localized.argmax()]
+        return bool(joints_reached(joints, track.open_joints, track.reference_joints).all())

@@ -1,0 +1,73 @@
+"""What experts share: the registry, and how a hand goes somewhere in a straight line and closes on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.agent import Expert
+from dynahoi_lerobot.conventions import FINGER_DOF, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.registry import Registry
+
+EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
+
+CLOSING_FRAMES = 8
+"""Fingers close within at most this many frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """A straight constant-speed approach that ends with closed fingers.
+
+    Attributes:
+        start_pos_w: (3,) palm centre when it sets out [m], world.
+        goal_pos_w: (3,) palm centre when it arrives [m], world.
+        start_frame, arrival_frame: when.
+        closed_frame: first frame with closed fingers.
+        closed_joints: (15,) joint angles [rad].
+    """
+
+    start_pos_w: np.ndarray
+    goal_pos_w: np.ndarray
+    start_frame: int
+    arrival_frame: int
+    closed_frame: int
+    closed_joints: np.ndarray
+
+    def command(self, frame: int) -> np.ndarray:
+        """Return (18,) the command of ``frame``, which is where the hand should be one frame later."""
+        ahead = frame + 1
+        progress = _ramp(ahead, self.start_frame, self.arrival_frame)
+        begin = max(self.start_frame, self.closed_frame - CLOSING_FRAMES)
+        joints = _ramp(ahead, begin, self.closed_frame) * self.closed_joints
+        return np.concatenate([self.start_pos_w + progress * (self.goal_pos_w - self.start_pos_w), joints])
+
+
+def reference_grasp(spec: EpisodeSpec, hand: str = "capsule") -> np.ndarray:
+    """Return (15,) the joint angles [rad] that close the hand around the episode's object."""
+    return HANDS[hand]().reference_joints(spec.target.grasp_radius_m)
+
+
+def first_contact_frame(reach_path: np.ndarray, target_path: np.ndarray, start_frame: int) -> int:
+    """Return the first frame at which two paths (K, 3) come within the localisation radius, or the last frame.
+
+    Paths are followed at five points a frame, so that a fast target is not missed.
+    """
+    fine = np.arange(0, len(reach_path) - 1 + 1e-9, 0.2)
+    frames = np.arange(len(reach_path))
+    gap = [np.interp(fine, frames, (reach_path - target_path)[:, axis]) for axis in range(3)]
+    inside = np.flatnonzero(np.linalg.norm(gap, axis=0) < LOCALIZATION_RADIUS_M)
+    steps = int(np.ceil(fine[inside[0]])) if inside.size else len(reach_path) - 1
+    return start_frame + max(steps, 1)
+
+
+def open_hand() -> np.ndarray:
+    """Return (15,) zeros [rad]: the open hand."""
+    return np.zeros(FINGER_DOF)
+
+
+def _ramp(value: int, low: int, high: int) -> float:
+    return float(np.clip((value - low) / max(high - low, 1), 0.0, 1.0))

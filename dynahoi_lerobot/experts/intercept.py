@@ -1,0 +1,56 @@
+"""The paper's expert: go straight to where the target will be, at constant speed, and close in time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynahoi_lerobot.agent import Expert, WorldState
+from dynahoi_lerobot.conventions import HAND_DOF
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts.base import EXPERTS, Reach, first_contact_frame, reference_grasp
+
+RETRY_DELAY_FRAMES = 3
+"""Each further attempt aims at a point of the path this much later."""
+
+
+@EXPERTS.register("intercept")
+class Intercept(Expert):
+    """Observe, then a constant-speed straight approach to the oracle intercept (Appendix "Data collection").
+
+    The default intercept is the earliest one that a hand of fixed speed can reach; retries aim later. The hand arrives
+    together with the target, so the wait for a planar tolerance that the paper describes is never needed.
+    """
+
+    name = "intercept"
+
+    def __init__(self) -> None:
+        """Start with no plans."""
+        self._plans: dict[tuple[int, int], Reach] = {}
+
+    def act(self, world: WorldState) -> np.ndarray:
+        """Return (N, 18) commands; worlds without an episode get zeros."""
+        commands = np.zeros((len(world.specs), HAND_DOF))
+        for i, spec in enumerate(world.specs):
+            if spec is not None:
+                commands[i] = self._plan(spec, int(world.attempt[i])).command(int(world.frame[i]))
+        return commands
+
+    def _plan(self, spec: EpisodeSpec, attempt: int) -> Reach:
+        key = (id(spec), attempt)
+        if key not in self._plans:
+            if len(self._plans) > 4096:
+                self._plans.clear()
+            self._plans[key] = plan_intercept(spec, attempt)
+        return self._plans[key]
+
+
+def plan_intercept(spec: EpisodeSpec, attempt: int = 1) -> Reach:
+    """Return the approach of the ``attempt``-th try (from 1)."""
+    start = spec.window_frames
+    last = start + spec.length_frames - 1
+    arrival = min(spec.intercept_frame + (attempt - 1) * RETRY_DELAY_FRAMES, last)
+    goal = spec.oracle_path[arrival]
+    progress = np.linspace(0.0, 1.0, arrival - start + 1)[:, None]
+    reach_path = spec.home_pos_w + progress * (goal - spec.home_pos_w)
+    closed = first_contact_frame(reach_path, spec.oracle_path[start : arrival + 1], start)
+    return Reach(spec.home_pos_w, goal, start, arrival, closed, reference_grasp(spec))

@@ -1,0 +1,32 @@
+"""What a renderer is: N worlds in, N images out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from mujoco.batch import Batch
+
+from dynahoi_lerobot.registry import Registry
+from dynahoi_lerobot.scene import Scene
+
+RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")
+
+
+class Renderer(ABC):
+    """Draws the ego camera of every world of a batch whose kinematics are up to date."""
+
+    def __init__(self, scene: Scene, batch: Batch, image_size: int) -> None:
+        """Prepare to draw ``batch``, which runs ``scene.model``, in square images of ``image_size`` pixels."""
+        self.scene, self.batch, self.image_size = scene, batch, image_size
+
+    def refresh(self, ids: np.ndarray) -> None:  # noqa: B027 - not every renderer copies appearances
+        """Notice that geometry or appearance of worlds ``ids`` has been rewritten."""
+
+    @abstractmethod
+    def rgb(self) -> np.ndarray:
+        """Return (N, H, W, 3) uint8 RGB."""
+
+    @abstractmethod
+    def segmentation(self) -> np.ndarray:
+        """Return (N, H, W) int32 geom ids, -1 where nothing is."""
