@@ -124,6 +124,7 @@ def slot_counts() -> Counter[str]:
 
 
 def _set_options(spec: mujoco.MjSpec) -> None:
+    spec.compiler.degree = False
     spec.option.timestep = PHYSICS_DT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC

@@ -15,8 +15,8 @@ MAX_JOINT_SPEED_RAD_S = 20.0
 class Servo:
     """Ramps each command linearly over its frame, with velocity feed-forward.
 
-    A position servo kp (u - q) - kv q' lags behind a moving set-point by kv / kp times its speed; adding that to u makes
-    the joint arrive at the command exactly at the end of the frame.
+    A position servo kp (u - q) - kv q' lags behind a moving set-point by kv / kp times its speed; adding that to u
+    makes the joint arrive at the command exactly at the end of the frame.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -36,7 +36,7 @@ class Servo:
     def set_points(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
         """Return (n, 25, 18) set-points that lead from ``previous`` to ``command``, (n, 18) each."""
         change = (command - previous)[:, None]
-        progress = (np.arange(1, SUBSTEPS + 1) / SUBSTEPS)[:, None]
+        progress = (np.arange(SUBSTEPS) / SUBSTEPS)[:, None]  # where each joint should be when the step begins
         return previous[:, None] + progress * change + self._lead_s * change / CONTROL_DT
 
 

@@ -12,14 +12,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import CONTROL_DT, MIN_WINDOW_FRAMES, UNIT_M, WINDOW_FRACTION
+from dynahoi_lerobot.conventions import (
+    CONTROL_DT,
+    LOCALIZATION_RADIUS_M,
+    MIN_WINDOW_FRAMES,
+    UNIT_M,
+    WINDOW_FRACTION,
+)
 from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
 
 DURATION_EDGES = (20, 40, 60, 80, 120, 160)
 """Bins of L [frames] (Figure 3c); the last is open in the paper and ends at 160 here."""
 DURATION_SHARES = (0.202, 0.361, 0.195, 0.139, 0.101)
-TRAVEL_EDGES_M = (0.1 * UNIT_M, 0.5 * UNIT_M, 2.0 * UNIT_M, 4.0 * UNIT_M, 6.0 * UNIT_M)
-"""Bins of the hand's travel (Figure 3d); no hand travels less than 0.1 u or more than 6 u here."""
+TRAVEL_EDGES_M = (LOCALIZATION_RADIUS_M, 0.5 * UNIT_M, 2.0 * UNIT_M, 4.0 * UNIT_M, 6.0 * UNIT_M)
+"""Bins of the hand's travel (Figure 3d); below 3 cm standing still would do, above 6 u nobody goes here."""
 TRAVEL_SHARES = (0.2260, 0.5020, 0.1890, 0.0830)
 """The paper's 20.1, 47.7, 16.4 and 5.8 % leave 10 % unassigned; each bin gets a quarter of it."""
 

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.conventions import FINGERS
+from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS
 from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, HANDS, PALM_BODY, PALM_SITE, Hand
 from dynahoi_lerobot.spec import PALM_AXES
 
 PALM_MASS_KG = 0.8
+LINK_MASS_KG = 0.012
+MOVING_MASS_KG = PALM_MASS_KG + FINGER_DOF * LINK_MASS_KG
 PALM_FORCE_N = 120.0
 PALM_BANDWIDTH_RAD_S = 150.0
 FINGER_TORQUE_NM = 1.2
@@ -89,7 +91,7 @@ class CapsuleHand(Hand):
                 range=GANTRY_RANGE_M[axis],
                 limited=True,
             )
-            _add_servo(spec, name, PALM_MASS_KG, PALM_BANDWIDTH_RAD_S, PALM_FORCE_N)
+            _add_servo(spec, name, MOVING_MASS_KG, PALM_BANDWIDTH_RAD_S, PALM_FORCE_N)
         palm.add_geom(
             name=f"{HAND_GEOM_PREFIX}palm", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(-0.0475, -0.03, 0.003),
             size=(0.0115, 0.045, 0.041), rgba=SKIN, mass=0.0,
@@ -133,7 +135,7 @@ class CapsuleHand(Hand):
             )
             _add_servo(spec, joint, FINGER_ARMATURE, FINGER_BANDWIDTH_RAD_S, FINGER_TORQUE_NM)
             link.add_geom(
-                name=f"{HAND_GEOM_PREFIX}{joint}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=0.012, rgba=SKIN,
+                name=f"{HAND_GEOM_PREFIX}{joint}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=LINK_MASS_KG, rgba=SKIN,
                 fromto=np.concatenate([np.zeros(3), along * length]), size=(finger.radius, 0, 0),
             )  # fmt: skip
             parent, pos = link, along * length

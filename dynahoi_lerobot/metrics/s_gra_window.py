@@ -18,6 +18,4 @@ def s_gra_window(episode: Episode) -> bool | None:
     Ours: S_gra judges one instant, which a hand that closes 50 ms late fails.
     """
     first = episode.first_localized
-    return (
-        None if first is None else grasps_at(episode, slice(first, first + round(WINDOW_S * CONTROL_HZ) + 1))
-    )
+    return None if first is None else grasps_at(episode, slice(first, first + round(WINDOW_S * CONTROL_HZ) + 1))

@@ -15,9 +15,7 @@ class Cone(ObjectKind):
     def shape(cls, rng: np.random.Generator) -> TargetShape:
         """Draw the geometry [m]."""
         radius, slice_half = rng.uniform(0.028, 0.038), rng.uniform(0.005, 0.0075)
-        heights = (
-            np.arange(6) * 2 * slice_half - 3 * slice_half
-        )  # the centre of mass lies a quarter of the height up
+        heights = np.arange(6) * 2 * slice_half - 3 * slice_half  # the centre of mass lies a quarter of the height up
         widths = radius * (1 - np.arange(6) / 6)
         slices = tuple(
             Primitive("cylinder", (float(width), slice_half), (0.0, 0.0, float(height)))
