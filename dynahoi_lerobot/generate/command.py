@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,9 @@ BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi generate``."""
     parser.add_argument("--root", type=Path, required=True, help="the dataset's folder; must not exist")
-    parser.add_argument("--recipe", type=Path, help="YAML file; the options below override it")
-    parser.add_argument("--episodes", type=int, help="number of successful episodes")
-    parser.add_argument("--seed", type=int, help="seed of the first episode; episode i has seed + i")
+    parser.add_argument("--recipe", type=Path, help="YAML file; --image-size and --motions override it")
+    parser.add_argument("--episodes", type=int, required=True, help="number of successful episodes")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
     parser.add_argument("--image-size", type=int, help="side of the square frames [pixels]; 0 for no camera")
     parser.add_argument("--motions", help="comma-separated kinds of motion")
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
@@ -49,7 +50,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     """
     try:
         plan = _plan(args, recipe if recipe is not None else _load_recipe(args.recipe))
-        manifest = _generate(plan, args, record or _record())
+        manifest = _generate(plan, args, record or _record(plan, args.workers))
     except (ValueError, FileExistsError, FileNotFoundError) as error:
         return _say(error, BAD_INPUT)
     except (OSError, GenerationError) as error:
@@ -65,35 +66,35 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
 
 def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
     changes: dict[str, Any] = {}
-    if args.episodes is not None:
-        changes["episodes"] = args.episodes
-    if args.seed is not None:
-        changes["seed"] = args.seed
-    if args.image_size is not None:
-        changes["image_size"] = args.image_size or None
-    if args.motions is not None:
+    if args.image_size:
+        changes["image_size"] = args.image_size
+    if args.motions:
         changes["motions"] = tuple(args.motions.split(","))
-    known = {field.name for field in fields(recipe)}
-    if unknown := sorted(set(changes) - known):
-        raise ValueError(f"the recipe has no {unknown[0]!r}; it has {', '.join(sorted(known))}")
-    encoding = Encoding(args.codec, args.crf, args.preset, args.gop)
-    return Plan(replace(recipe, **changes), encoding, args.shard_episodes)
+    return Plan(
+        replace(recipe, **changes),
+        args.episodes,
+        args.seed,
+        args.image_size != 0,
+        Encoding(args.codec, args.crf, args.preset, args.gop),
+        args.shard_episodes,
+    )
 
 
 def _load_recipe(path: Path | None) -> Any:
-    from dynahoi_lerobot.recipe import load_recipe
+    from dynahoi_lerobot.recipe import Recipe, load_recipe
 
-    return load_recipe(path)
+    return Recipe() if path is None else load_recipe(path)
 
 
-def _record() -> Record:
+def _record(plan: Plan, workers: int) -> Record:
     from dynahoi_lerobot.rollout import record
 
-    return record
+    # Threads share a machine among the worlds of one process; processes already share it among shards.
+    return partial(record, threads=0 if workers == 1 else 1, images=plan.camera)
 
 
 def _generate(plan: Plan, args: argparse.Namespace, record: Record) -> Manifest:
-    with tqdm(total=plan.recipe.episodes, unit="episode", smoothing=0.05, disable=None) as bar:
+    with tqdm(total=plan.episodes, unit="episode", smoothing=0.05, disable=None) as bar:
 
         def show(done: int) -> None:
             bar.update(done - bar.n)

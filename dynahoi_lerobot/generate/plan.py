@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
@@ -12,8 +13,12 @@ from dynahoi_lerobot.generate.codecs.base import Encoding
 from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.generate.layout import Layout
 
-REDRAW_STRIDE = 1 << 32
-"""A slot whose seed fails is drawn again with ``seed + k * REDRAW_STRIDE``, k = 1, 2, ..."""
+REDRAW_STRIDE = math.lcm(*range(1, 25))
+"""A slot whose seed fails is drawn again with ``seed + k * REDRAW_STRIDE``, k = 1, 2, ...
+
+Recipes choose the kind of motion by the seed modulo the number of kinds; a multiple of every number up to 24 keeps the
+slot's kind, so failures do not unbalance the dataset.
+"""
 
 MAX_DRAWS = 16
 """Draws per slot before the recipe is called impossible."""
@@ -22,15 +27,13 @@ MAX_DRAWS = 16
 class Recipe(Protocol):
     """What generation needs to know of a recipe, a frozen dataclass."""
 
-    seed: int
-    episodes: int
-    image_size: int | None
+    image_size: int
 
 
 class Record(Protocol):
     """Plays the expert: yields the successful episodes among ``seeds``, in their order."""
 
-    def __call__(self, recipe: Any, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+    def __call__(self, recipe: Any, seeds: Sequence[int], /) -> Iterator[Episode]:
         """Yield at most one episode per seed, a deterministic function of (recipe, seed)."""
         ...
 
@@ -47,17 +50,23 @@ class GenerationError(RuntimeError):
 class Plan:
     """A dataset to be made.
 
-    Episode slot i of the dataset has the seed ``recipe.seed + i``, or a redraw of it. So a dataset that starts
-    where another ends shares no seed with it, and the seeds do not depend on the shards.
+    Episode slot i of the dataset has the seed ``seed + i``, or a redraw of it. So a dataset that starts where
+    another ends shares no seed with it, and the seeds do not depend on the shards.
 
     Attributes:
         recipe: what to play.
-        encoding: how to store pictures.
+        episodes: how many successful episodes.
+        seed: the first episode's seed.
+        camera: whether to store pictures, of the recipe's size.
+        encoding: how to store them.
         shard_episodes: episodes per shard, the unit of work that is made whole or not at all.
         layout: file size limits.
     """
 
     recipe: Recipe
+    episodes: int
+    seed: int = 0
+    camera: bool = True
     encoding: Encoding = field(default_factory=Encoding)
     shard_episodes: int = 256
     layout: Layout = field(default_factory=Layout)
@@ -66,33 +75,41 @@ class Plan:
         """Refuse plans that cannot be carried out.
 
         Raises:
-            ValueError: if the number of episodes or of shard episodes is not positive, or the seed out of range.
+            ValueError: if a number is out of its range.
         """
-        if self.recipe.episodes < 1:
-            raise ValueError(f"the number of episodes is {self.recipe.episodes}; it must be 1 or more")
+        if self.episodes < 1:
+            raise ValueError(f"the number of episodes is {self.episodes}; it must be 1 or more")
         if self.shard_episodes < 1:
             raise ValueError(f"the number of episodes per shard is {self.shard_episodes}; it must be 1 or more")
-        if not 0 <= self.recipe.seed <= REDRAW_STRIDE - self.recipe.episodes:
-            raise ValueError(f"the seed is {self.recipe.seed}; it must be 0 or more and leave room below 2^32")
-        size = self.recipe.image_size
+        if not 0 <= self.seed <= REDRAW_STRIDE - self.episodes:
+            raise ValueError(f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes}")
+        size = self.image_size
         if size is not None and (size < 16 or (size % 2 and self.encoding.kind.is_video)):
             raise ValueError(f"the image size is {size} pixels; it must be an even number from 16")
 
     @property
+    def image_size(self) -> int | None:
+        """Side of the pictures [pixels], None without a camera."""
+        return self.recipe.image_size if self.camera else None
+
+    @property
     def shards(self) -> int:
         """Number of shards."""
-        return -(-self.recipe.episodes // self.shard_episodes)
+        return -(-self.episodes // self.shard_episodes)
 
     def slots(self, shard: int) -> range:
         """Return the first draws of a shard's seeds."""
         first = shard * self.shard_episodes
-        last = min(first + self.shard_episodes, self.recipe.episodes)
-        return range(self.recipe.seed + first, self.recipe.seed + last)
+        last = min(first + self.shard_episodes, self.episodes)
+        return range(self.seed + first, self.seed + last)
 
     def identity(self) -> dict[str, Any]:
         """Return everything that decides the dataset's bytes, as JSON values."""
         content = {
             "recipe": asdict(self.recipe),  # type: ignore[call-overload]
+            "episodes": self.episodes,
+            "seed": self.seed,
+            "camera": self.camera,
             "encoding": asdict(self.encoding),
             "layout": asdict(self.layout),
             "shard_episodes": self.shard_episodes,

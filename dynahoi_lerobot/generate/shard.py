@@ -46,7 +46,7 @@ class ShardMaker:
     def done_episodes(self) -> int:
         """Return the number of episodes in finished shards."""
         missing = sum(len(self.plan.slots(shard)) for shard in self.missing())
-        return self.plan.recipe.episodes - missing
+        return self.plan.episodes - missing
 
     def make(self, shard: int, tick: Tick = lambda: None) -> Path:
         """Make one shard, or do nothing if it is already whole.
@@ -63,7 +63,7 @@ class ShardMaker:
             return target
         shutil.rmtree(target, ignore_errors=True)
         with temporary_sibling(target) as temporary:
-            writer = DatasetWriter(temporary, self.plan.recipe.image_size, self.plan.encoding, self.plan.layout)
+            writer = DatasetWriter(temporary, self.plan.image_size, self.plan.encoding, self.plan.layout)
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
                 writer.finish(yields=tally)

@@ -19,7 +19,7 @@ from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
 from tests.generate.recorder import FakeRecipe, record_slowly
 
-PLAN = Plan(FakeRecipe(episodes=5), shard_episodes=2)
+PLAN = Plan(FakeRecipe(), 5, shard_episodes=2)
 
 
 def start(root: Path) -> int:

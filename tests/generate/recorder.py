@@ -17,9 +17,7 @@ from tests.generate.episodes import varied_episode
 
 @dataclass(frozen=True)
 class FakeRecipe:
-    seed: int = 0
-    episodes: int = 10
-    image_size: int | None = 16
+    image_size: int = 16
     name: str = "fake"
     miss_every: int = 0
     """Every first draw that this divides is missed by the expert; 0 for none."""
@@ -27,20 +25,20 @@ class FakeRecipe:
     """The expert misses everything."""
 
 
-def record(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+def record(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     for seed in seeds:
         first_draw = seed < REDRAW_STRIDE
         if not (recipe.hopeless or (recipe.miss_every and first_draw and seed % recipe.miss_every == 0)):
             yield varied_episode(seed, recipe.image_size)
 
 
-def record_slowly(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+def record_slowly(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     for episode in record(recipe, seeds):
         time.sleep(0.01)
         yield episode
 
 
-def record_with_nan(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+def record_with_nan(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     """Seeds below 100 that end in 3 give a corrupt recording."""
     for episode in record(recipe, seeds):
         if episode.meta.seed % 10 == 3 and episode.meta.seed < 100:
@@ -51,7 +49,7 @@ def record_with_nan(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 
             yield episode
 
 
-def record_and_die_once(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+def record_and_die_once(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     """The first process that comes here dies in the middle of its shard."""
     marker = Path(recipe.name)
     for number, episode in enumerate(record(recipe, seeds)):
@@ -61,6 +59,6 @@ def record_and_die_once(recipe: FakeRecipe, seeds: Sequence[int], *, workers: in
         yield episode
 
 
-def record_and_die(recipe: FakeRecipe, seeds: Sequence[int], *, workers: int = 1) -> Iterator[Episode]:
+def record_and_die(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     yield from record(recipe, seeds[:1])
     os._exit(9)

@@ -13,6 +13,8 @@ from tests.generate.recorder import FakeRecipe
 
 def run(*words, record=recorder.record) -> int:
     parser = argparse.ArgumentParser()
+    if "--episodes" not in words:
+        words = (*words, "--episodes", 4)
     command.add_arguments(parser)
     return command.run(parser.parse_args([str(word) for word in words]), record=record, recipe=FakeRecipe())
 
@@ -41,7 +43,7 @@ def test_no_camera(tmp_path):
         (["--workers", 0], "number of workers is 0"),
         (["--shard-episodes", 0], "episodes per shard is 0"),
         (["--image-size", 31], "image size is 31"),
-        (["--motions", "lob"], "the recipe has no 'motions'"),
+        (["--seed", -1], "seed is -1"),
     ],
 )
 def test_bad_input_is_one_sentence(tmp_path, capsys, words, sentence):
@@ -60,11 +62,11 @@ def test_existing_folder_is_refused(tmp_path, capsys):
 
 
 def test_failure_and_interruption(tmp_path, capsys):
-    def interrupted(recipe, seeds, *, workers=1):
+    def interrupted(recipe, seeds):
         yield from recorder.record(recipe, seeds[:1])
         raise KeyboardInterrupt
 
-    def full(recipe, seeds, *, workers=1):
+    def full(recipe, seeds):
         raise OSError(28, "No space left on device")
 
     assert run("--root", tmp_path / "a", record=interrupted) == 130

@@ -20,7 +20,7 @@ from tests.generate.recorder import FakeRecipe, record
 from tests.generate.test_command import run
 
 REPOSITORY = Path(__file__).parents[2]
-PLAN = Plan(FakeRecipe(episodes=5), shard_episodes=2)
+PLAN = Plan(FakeRecipe(), 5, shard_episodes=2)
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +46,8 @@ def test_workers_leave_when_their_parent_is_killed(undisturbed, tmp_path):
         "from tests.generate.test_interruption import *\n"
         "from tests.generate.recorder import record_slowly\n"
         "if __name__ == '__main__':\n"
-        "    recipe = FakeRecipe(episodes=400)\n"
-        f"    generate(Plan(recipe, shard_episodes=2), Path({str(tmp_path / 'd')!r}), record=record_slowly, workers=2)"
+        "    plan = Plan(FakeRecipe(), 400, shard_episodes=2)\n"
+        f"    generate(plan, Path({str(tmp_path / 'd')!r}), record=record_slowly, workers=2)"
     )
     script = tmp_path / "script.py"
     script.write_text(code)

@@ -18,8 +18,8 @@ from tests.generate.conftest import write
 from tests.generate.recorder import FakeRecipe
 
 
-def plan(shard_episodes: int = 3, **recipe) -> Plan:
-    return Plan(FakeRecipe(**recipe), shard_episodes=shard_episodes)
+def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -> Plan:
+    return Plan(FakeRecipe(**recipe), episodes, seed, shard_episodes=shard_episodes)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_an_impossible_recipe_ends_with_a_sentence(tmp_path):
 
 
 def test_a_recorder_that_gives_other_seeds_is_caught(tmp_path):
-    def wrong(recipe, seeds, *, workers=1):
+    def wrong(recipe, seeds):
         yield from recorder.record(recipe, [seed + 1 for seed in seeds])
 
     with pytest.raises(GenerationError, match="seed 3, which was not asked for"):
@@ -136,7 +136,7 @@ def test_done_already(reference):
 
 def test_another_dataset_is_left_alone(reference, tmp_path):
     before = hash_files(reference)
-    with pytest.raises(FileExistsError, match=r"another dataset .other shard_episodes, episodes, name"):
+    with pytest.raises(FileExistsError, match=r"another dataset .other episodes, shard_episodes, name"):
         generate(plan(shard_episodes=2, episodes=3, name="x"), reference, record=recorder.record)
     assert hash_files(reference) == before
     (tmp_path / "precious").mkdir()
