@@ -1,0 +1,1 @@
+"""Catching moving things with a dexterous hand: generator, environment and metrics, native to LeRobot."""

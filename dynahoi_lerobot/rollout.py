@@ -4,59 +4,21 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Expert
-from dynahoi_lerobot.captures import CaptureRule, Track
-from dynahoi_lerobot.conventions import PALM_DOF
-from dynahoi_lerobot.episode import Episode, EpisodeMeta
+from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.experts.base import open_hand, reference_grasp
 from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.recorder import Job, Recorder, frame_columns
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.world_batch import WorldBatch
 
 MAX_ATTEMPTS = 4
 """A first try and up to three retries (Appendix "Data collection")."""
 DEFAULT_BATCH = 32
-
-
-@dataclass(frozen=True)
-class Job:
-    """One episode to play.
-
-    Attributes:
-        index: position in the caller's order.
-        spec: the episode.
-        frames: longest recording [frames].
-        attempt: from 1.
-        stop_settled: whether to end once the capture rule's verdict has fallen.
-    """
-
-    index: int
-    spec: EpisodeSpec
-    frames: int
-    attempt: int = 1
-    stop_settled: bool = False
-
-
-@dataclass
-class Recorder:
-    """Collects one world's frames, copying what the batch will overwrite."""
-
-    job: Job
-    frames: list[tuple[np.ndarray, ...]] = field(default_factory=list)
-    images: list[np.ndarray] = field(default_factory=list)
-    actions: list[np.ndarray] = field(default_factory=list)
-    settled: int = 0
-
-    def over(self, settle_frames: int) -> bool:
-        """Tell whether the episode ends here."""
-        full = len(self.actions) >= self.job.frames
-        return full or (self.job.stop_settled and self.settled > settle_frames)
 
 
 def play(
@@ -83,9 +45,9 @@ def play(
         ids = np.array(sorted(running))
         _step(batch, actor, ids, running, look=look)
         for i in ids:
-            if running[i].over(batch.rule.settle_frames):
+            if running[i].full() or running[i].settled_at(batch.rule.settle_frames):
                 recorder = running.pop(int(i))
-                yield recorder.job, _episode(recorder, batch.rule, actor.name)
+                yield recorder.job, recorder.freeze(batch.rule, actor.name)
 
 
 def record(
@@ -114,7 +76,7 @@ def evaluate(
     batch: WorldBatch, actor: Agent | Expert, specs: Sequence[EpisodeSpec], *, images: bool = False
 ) -> Iterator[Episode]:
     """Yield one evaluated episode per spec, as they end: the window, then up to L control steps."""
-    jobs = (Job(i, s, s.window_frames + s.length_frames, stop_settled=True) for i, s in enumerate(specs))
+    jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
     for _, episode in play(batch, actor, jobs, images=images):
         yield episode
 
@@ -161,77 +123,9 @@ def _step(
     """Observe, act and advance the worlds ``ids`` by one frame, recording each."""
     observation = batch.observe(images=look)
     commands = actor.act(batch.world_state(observation)) if isinstance(actor, Expert) else actor.act(observation)
-    tips = batch.tip_distance()
-    columns = (
-        observation.state, observation.fingertips, observation.phase, batch.target_pose, batch.target_velocity,
-        batch.contacts(), batch.palm_distance.copy(), np.maximum(tips.min(axis=1), 0.0), batch.localized.copy(),
-    )  # fmt: skip
+    columns = frame_columns(batch, observation)
     for i in ids:
-        running[i].frames.append(tuple(column[i] for column in columns))
-        running[i].settled += bool(batch.localized[i])
-        if observation.images is not None:
-            running[i].images.append(observation.images[i])
+        running[i].see(columns, i, observation.images)
     batch.step(commands[ids], ids)
     for i in ids:
-        running[i].actions.append(batch.executed[i].copy())
-
-
-def _episode(recorder: Recorder, rule: CaptureRule, agent: str) -> Episode:
-    """Freeze a recording."""
-    spec = recorder.job.spec
-    columns = [np.stack(values) for values in zip(*recorder.frames, strict=True)]
-    state, tips, phase, pose, velocity, contacts, palm_distance, tip_distance, localized = columns
-    control = slice(spec.window_frames, None)
-    track = Track(
-        joints=state[control, PALM_DOF:],
-        open_joints=open_hand(),
-        reference_joints=reference_grasp(spec),
-        localized=localized[control],
-        contacts=contacts[control],
-        palm_distance=palm_distance[control],
-        target_supported=np.zeros(len(state) - spec.window_frames, bool),
-    )
-    captured = np.zeros(len(state), bool)
-    captured[control] = rule.captured(track)
-    return Episode(
-        meta=_meta(recorder.job, rule.name, agent),
-        images=np.stack(recorder.images) if recorder.images else None,
-        state=state,
-        fingertips=tips,
-        phase=phase,
-        action=np.stack(recorder.actions).astype(np.float32),
-        target_pose=pose.astype(np.float32),
-        target_velocity=velocity.astype(np.float32),
-        target_contacts=contacts.astype(np.float32),
-        palm_distance=palm_distance.astype(np.float32),
-        fingertip_distance=tip_distance.astype(np.float32),
-        localized=localized,
-        captured=captured,
-        intercept_position=spec.intercept_pos_w.astype(np.float32),
-        intercept_time=spec.intercept_time_s,
-        open_joints=track.open_joints.astype(np.float32),
-        reference_joints=track.reference_joints.astype(np.float32),
-        success=rule.success(track),
-        stage=rule.stage(track),
-    )
-
-
-def _meta(job: Job, capture: str, agent: str) -> EpisodeMeta:
-    spec = job.spec
-    return EpisodeMeta(
-        seed=spec.seed,
-        split=spec.split,
-        motion=spec.motion.name,
-        category=spec.motion.category,
-        object=spec.target.name,
-        parameters=spec.motion.parameters(),
-        task=spec.task,
-        agent=agent,
-        capture=capture,
-        protocol=spec.protocol,
-        window_frames=spec.window_frames,
-        length_frames=spec.length_frames,
-        intercept_frame=spec.intercept_frame,
-        attempts=job.attempt,
-        fingerprint=spec.fingerprint,
-    )
+        running[i].act(batch.executed[i])

@@ -124,6 +124,14 @@ class WorldBatch:
         self.frame[chosen] += 1
         self._batch.forward(chosen, stage=KINEMATICS)
 
+    def check(self, commands: np.ndarray) -> np.ndarray:
+        """Return (N, 18) float64 commands for all worlds; raise ValueError as ``step`` would."""
+        return check_command(commands, self.size)
+
+    def command_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the (18,) least and greatest commands, float32: reach of the palm [m] and joint ranges [rad]."""
+        return self._servo.low.astype(np.float32), self._servo.high.astype(np.float32)
+
     @property
     def acting(self) -> np.ndarray:
         """(N,) bool, the control phase has begun: the command of this frame moves the hand."""

@@ -43,7 +43,6 @@ class Track:
         localized: (T,) bool.
         contacts: (T, 5) bool, fingers that touch the target.
         palm_distance: (T,) [m].
-        target_supported: (T,) bool, the target touches anything but the hand.
     """
 
     joints: np.ndarray
@@ -52,7 +51,6 @@ class Track:
     localized: np.ndarray
     contacts: np.ndarray
     palm_distance: np.ndarray
-    target_supported: np.ndarray
 
 
 class CaptureRule(ABC):

@@ -1,0 +1,113 @@
+"""The config behind ``--env.type=dynahoi``: what LeRobot may set, and the vector envs it gets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+
+from dynahoi_lerobot.conventions import CONTROL_HZ
+from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.spec import ACTION, CAMERA_KEY, FINGERTIPS, PHASE, STATE, camera_feature
+from dynahoi_lerobot.splits import seed_stream
+from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
+
+RAW_KEYS = {
+    "pixels/ego": CAMERA_KEY,
+    "agent_pos": STATE.key,
+    "fingertips": FINGERTIPS.key,
+    "phase": PHASE.key,
+    "action": ACTION.key,
+}
+"""Keys of the gymnasium observations and actions, and what policies call them."""
+
+
+@EnvConfig.register_subclass("dynahoi")
+@dataclass
+class DynahoiEnvConfig(EnvConfig):
+    """Dynamic capture: one suite per category of motion, one task per kind.
+
+    Attributes:
+        task: one kind of motion, one category, several of either separated by commas, or None for all 22 kinds.
+        split: ``test``, ``test_small``, ``val``, ``ood_speed``, ``ood_object``, ``ood_motion`` or ``train``. A seed is
+            the number of an episode within split and kind; fixed splits wrap around.
+        image_size: side of the square images [px]; use the dataset's.
+        protocol: ``observe_before_act`` or ``direct_act``.
+        capture: capture rule, ``attach`` or ``contact``.
+        renderer: ``warp`` or ``opengl``.
+        instructions: ``reveal``, ``neutral`` or ``mixed``.
+        results_dir: where the metrics go; a new folder under ``outputs/dynahoi`` if None.
+    """
+
+    task: str | None = None
+    fps: int = CONTROL_HZ
+    split: str = "test"
+    image_size: int = 128
+    protocol: str = "observe_before_act"
+    capture: str = "attach"
+    hand: str = "capsule"
+    renderer: str = "warp"
+    instructions: str = "mixed"
+    results_dir: str | None = None
+    features: dict[str, PolicyFeature] = field(default_factory=dict)
+    features_map: dict[str, str] = field(default_factory=lambda: dict(RAW_KEYS))
+
+    def __post_init__(self) -> None:
+        """Fill in the features for the image size, and check the names at once.
+
+        Raises:
+            ValueError: for an unknown name, naming the ones there are.
+        """
+        kinds_of(self.task, Recipe(split=seed_stream(self.split)).motion_names)
+        camera = camera_feature(self.image_size)
+        shapes = {feature.key: feature.shape for feature in (camera, STATE, FINGERTIPS, PHASE, ACTION)}
+        types = {CAMERA_KEY: FeatureType.VISUAL, ACTION.key: FeatureType.ACTION}
+        self.features = {
+            raw: PolicyFeature(type=types.get(key, FeatureType.STATE), shape=shapes[key])
+            for raw, key in RAW_KEYS.items()
+        }
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """Keyword arguments of the env."""
+        names = ("split", "image_size", "protocol", "capture", "hand", "renderer", "instructions")
+        return {name: getattr(self, name) for name in names}
+
+    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
+        """Return ``{category: {task number: env}}``; every env is one native batch, so there is nothing to make async."""
+        del use_async_envs
+        kinds = kinds_of(self.task, Recipe(split=seed_stream(self.split)).motion_names)
+        log = ResultsLog(self._results_folder(), self.split, self.capture)
+        suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
+        for kind in kinds:
+            tasks = suites.setdefault(MOTIONS[kind].category, {})
+            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **self.gym_kwargs)
+        return suites
+
+    def _results_folder(self) -> Path:
+        if self.results_dir is not None:
+            return Path(self.results_dir)
+        return Path("outputs") / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
+
+
+def kinds_of(task: str | None, known: list[str]) -> list[str]:
+    """Return the kinds that ``task`` names, in the order of ``known``.
+
+    Raises:
+        ValueError: if a name is neither a kind nor a category.
+    """
+    if task is None:
+        return known
+    wanted = [name.strip() for name in task.split(",")]
+    categories = sorted({MOTIONS[kind].category for kind in known})
+    for name in wanted:
+        if name not in known and name not in categories:
+            allowed = ", ".join([*known, *categories])
+            raise ValueError(f"unknown task {name!r}; known kinds and categories: {allowed}")
+    return [kind for kind in known if kind in wanted or MOTIONS[kind].category in wanted]

@@ -1,0 +1,60 @@
+"""One task of the benchmark for LeRobot's evaluation loop, and the results it leaves behind.
+
+LeRobot's loop keeps rewards and successes only, so the envs themselves write the benchmark's result folder: the same
+files that ``dynahoi evaluate`` writes.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from dynahoi_lerobot.env import DynahoiVectorEnv
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
+from dynahoi_lerobot.evaluate.table import results_table
+
+
+class ResultsLog:
+    """Collects the finished episodes of all tasks of one evaluation and writes them as one result folder."""
+
+    def __init__(self, folder: Path, split: str, capture: str) -> None:
+        """Write into ``folder`` whenever a task ends."""
+        self.folder, self._split, self._capture = folder, split, capture
+        self._recorder = Recorder()
+        self._known: set[tuple[str, int]] = set()
+        self._unwritten = 0
+        self._fingerprint = ""
+
+    def add(self, episode: Episode) -> None:
+        """Keep an episode, once: LeRobot fills its last batch with episodes it has played before."""
+        key = (episode.meta.motion, episode.meta.seed)
+        if key in self._known:
+            return
+        self._known.add(key)
+        self._recorder.extend([episode])
+        self._fingerprint = episode.meta.fingerprint
+        self._unwritten += 1
+
+    def write(self) -> None:
+        """Write the folder if there is anything new, and print the table."""
+        if not self._unwritten:
+            return
+        info = RunInfo("lerobot", self._split, self._capture, " ".join(sys.argv), self._fingerprint)
+        results = self._recorder.write(self.folder, info)
+        self._unwritten = 0
+        print(f"{results_table([results])}\nmetrics so far: {self.folder}", flush=True)
+
+
+class TaskEnv(DynahoiVectorEnv):
+    """A vector env of one kind of motion that reports its episodes to a log."""
+
+    def __init__(self, log: ResultsLog, num_envs: int, **options: Any) -> None:
+        """Take the log and the arguments of ``DynahoiVectorEnv``."""
+        super().__init__(num_envs, on_episode=log.add, **options)
+        self._log = log
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Write what has been played so far."""
+        self._log.write()
