@@ -6,16 +6,18 @@ import base64
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from dynahoi_lerobot.conventions import HAND_DOF
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.figures.base import FIGURES, in_order
-from dynahoi_lerobot.report.figures.histograms import command_deltas
+from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay
 from dynahoi_lerobot.report.figures.panels import scaled
+from dynahoi_lerobot.report.style import new_figure
 from tests.report.example_runs import example_run
 
-HOSTILE = '<script>$x^{"&'
+HOSTILE = '<script>$x^{"&$'
 ALWAYS = {"main", "stages", "per-frame-grasp", "data", "joint-deltas", "palm-displacements"}
 
 
@@ -66,6 +68,22 @@ def test_a_figure_is_a_well_formed_inert_drawing(name: str, entries: list[Entry]
 def test_a_figure_of_one_episode_is_drawn_or_left_out(name: str, lone: list[Entry]):
     address = FIGURES[name].render(lone)
     assert (address is not None) == (name in ALWAYS)
+
+
+def test_a_curve_needs_two_numbers(tmp_path: Path):
+    example_run(tmp_path / "a", "a", 0.9, 2, n_obs_frames=5)
+    example_run(tmp_path / "b", "b", 0.4, 2, n_obs_frames=5, data_fraction="half")
+    entries = read_entries([tmp_path / "a", tmp_path / "b"])
+    assert FIGURES["obs-frames"].render(entries) is None
+    assert FIGURES["data-scaling"].render(entries) is None
+
+
+def test_commands_that_never_change_still_have_a_histogram(lone: list[Entry]):
+    _, (panel,) = new_figure(1, 1, 2.0)
+    overlay(panel, [np.zeros(5)], lone)
+    values, edges, _ = panel.patches[0].get_data()
+    assert edges[0] < 0 < edges[-1]
+    assert values.max() == 100
 
 
 def test_the_same_results_give_the_same_drawing(entries: list[Entry]):

@@ -42,6 +42,8 @@ def test_the_best_is_marked_within_its_split_and_rule_only(entries: list[Entry])
         marks = {label: cell.mark for label, cell in column(table, name).items()}
         assert marks == {"strong": "best", "weak": "", "holder": ""}
     assert not any(cell.mark for cell in column(table, "S_hold").values())
+    across_rules = [entry for entry in entries if entry.label != "strong"]
+    assert not any(cell.mark for row in leaderboard(across_rules).rows for cell in row)
 
 
 def test_both_tables_together_hold_every_metric(entries: list[Entry]):
