@@ -44,5 +44,6 @@ def histograms(
 def _counts(batch: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return (D, BINS) counts; a dimension that never changes falls into its first bin."""
     width = np.where(high > low, high - low, 1.0)
-    bins = np.minimum(((batch - low) / width * BINS).astype(int), BINS - 1)  # (n, D)
+    position = np.nan_to_num((batch - low) / width)
+    bins = np.clip(position * BINS, 0, BINS - 1).astype(int)  # (n, D)
     return np.stack([np.bincount(column, minlength=BINS) for column in bins.T])

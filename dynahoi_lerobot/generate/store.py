@@ -16,7 +16,7 @@ from PIL import Image
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.generate.catalog import column_array
+from dynahoi_lerobot.generate.dataset_stats import column_array
 from dynahoi_lerobot.generate.features import Features
 from dynahoi_lerobot.generate.layout import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.generate.rows import META_COLUMNS, TRACES, Row

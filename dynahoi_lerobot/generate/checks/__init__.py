@@ -1,0 +1,1 @@
+"""What is verified about a dataset on disk: one file per promise."""

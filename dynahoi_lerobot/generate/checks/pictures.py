@@ -1,0 +1,43 @@
+"""The pictures can be decoded and are those that the episode's statistics were taken from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import av
+import numpy as np
+
+from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Columns, Evidence
+from dynahoi_lerobot.generate.rows import Row, row_stats
+from dynahoi_lerobot.generate.statistics import picture_histogram, picture_stats, sampled_frames
+from dynahoi_lerobot.spec import CAMERA_KEY
+
+LOSSY_LEVELS = 3.0
+"""Mean levels of a channel may shift by so much of 255 through lossy compression."""
+
+
+@CHECKS.register("pictures")
+class Pictures(Check):
+    """Decodes a stratified sample of episodes and compares the mean level of each channel."""
+
+    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+        """Yield pictures that cannot be decoded or do not belong to the episode."""
+        number = row["episode_index"]
+        if CAMERA_KEY not in evidence.features or number not in evidence.sample:
+            return
+        try:
+            images = evidence.images(row, evidence.frames(row))
+        except (OSError, av.FFmpegError, ValueError) as error:
+            yield f"the pictures of episode {number} cannot be decoded: {error}"
+            return
+        if images is None or len(images) != row["length"]:
+            yield f"episode {number} has {0 if images is None else len(images)} pictures for {row['length']} frames"
+            return
+        sample = images[sampled_frames(len(images))]
+        found = picture_stats(picture_histogram(sample), len(sample))["mean"]
+        promised = row_stats(row, CAMERA_KEY)["mean"]
+        if (shift := float(np.abs(found - promised).max()) * 255) > LOSSY_LEVELS:
+            yield (
+                f"the pictures of episode {number} are not those of its statistics: mean levels differ by {shift:.0f} "
+                "of 255"
+            )

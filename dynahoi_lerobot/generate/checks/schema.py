@@ -1,0 +1,44 @@
+"""The columns are those of the specification, with their types, names and shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pyarrow.parquet as pq
+
+from dynahoi_lerobot.conventions import CONTROL_HZ
+from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Evidence
+from dynahoi_lerobot.generate.codecs.base import Encoding
+from dynahoi_lerobot.generate.features import arrow_schema, info_features
+from dynahoi_lerobot.generate.layout import CODEBASE_VERSION, ROBOT_TYPE
+from dynahoi_lerobot.generate.rows import OWN_COLUMNS
+from dynahoi_lerobot.spec import CAMERA_KEY
+
+
+@CHECKS.register("schema")
+class Schema(Check):
+    """Compares ``info.json`` and the parquet files with the specification."""
+
+    def dataset(self, evidence: Evidence) -> Iterator[str]:
+        """Yield constants and columns that differ."""
+        constants = {"fps": CONTROL_HZ, "codebase_version": CODEBASE_VERSION, "robot_type": ROBOT_TYPE}
+        for key, wanted in constants.items():
+            if (found := evidence.info[key]) != wanted:
+                yield f"info.json says {key} is {found!r}; it is {wanted!r}"
+        yield from self._features(evidence)
+        schema = arrow_schema(evidence.features)
+        for path in evidence.data_files():
+            if not pq.read_schema(path).equals(schema):
+                yield f"{path.relative_to(evidence.root)} has columns or types that info.json does not describe"
+        for path in evidence.row_files():
+            if missing := sorted(set(OWN_COLUMNS) - set(pq.read_schema(path).names)):
+                yield f"{path.relative_to(evidence.root)} lacks the columns {', '.join(missing)}"
+
+    def _features(self, evidence: Evidence) -> Iterator[str]:
+        camera = evidence.features.get(CAMERA_KEY)
+        size = None if camera is None else camera["shape"][0]
+        wanted = info_features(size, Encoding(codec="h264" if evidence.has_video else "images"))
+        for key in sorted(wanted.keys() | evidence.features.keys()):
+            found = {name: value for name, value in evidence.features.get(key, {}).items() if name != "info"}
+            if found != {name: value for name, value in wanted.get(key, {}).items() if name != "info"}:
+                yield f"feature {key} is {found or 'missing'}; the specification has {wanted.get(key, 'no such one')}"
