@@ -17,7 +17,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
 from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.recorder import Job, Recorder, frame_columns
+from dynahoi_lerobot.recorder import Job, WorldRecorder, frame_columns
 from dynahoi_lerobot.rollout import make_batch
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.spec import FINGERTIPS, PHASE, STATE
@@ -96,7 +96,7 @@ class DynahoiVectorEnv(VectorEnv):
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._recorders: list[Recorder | None] = [None] * num_envs
+        self._recorders: list[WorldRecorder | None] = [None] * num_envs
         self._ended = np.zeros(num_envs, bool)
         self._numbers = np.zeros(num_envs, int)
         self._one_episode = False
@@ -192,7 +192,7 @@ class DynahoiVectorEnv(VectorEnv):
         specs = sample_specs(self.recipe, seeds, threads=max(1, self._threads))
         self._batch.reset(ids, specs)
         for i, spec in zip(ids, specs, strict=True):
-            self._recorders[i] = Recorder(Job.evaluation(int(i), spec))
+            self._recorders[i] = WorldRecorder(Job.evaluation(int(i), spec))
 
     def _endings(self, playing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N,) terminated and truncated."""
@@ -221,7 +221,7 @@ class DynahoiVectorEnv(VectorEnv):
         self._seen = self._batch.observe(images=self._images)
         return as_gym(self._seen)
 
-    def _recorder(self, i: int) -> Recorder:
+    def _recorder(self, i: int) -> WorldRecorder:
         recorder = self._recorders[i]
         assert recorder is not None
         return recorder

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 
 from dynahoi_lerobot.conventions import CONTROL_DT
-from dynahoi_lerobot.scene import ARENA_HALF_M, compile_scene
+from dynahoi_lerobot.scene import ARENA_HALF_M
+from dynahoi_lerobot.sight import in_sight
 from dynahoi_lerobot.timing import HAND_SPEED_M_S, MIN_APPROACH_FRAMES, Timing
 
 CANDIDATES = 192
@@ -16,9 +16,8 @@ CLEARANCE_M = 0.075
 """The target keeps this far from the palm centre until control starts."""
 FRONT_M = 0.015
 """The target stays this far in front of the palm centre's plane during the window."""
-VIEW_MARGIN = 0.92
-"""Share of the half view that the target's centre may use."""
 VISIBLE_SHARE = 0.9
+"""Share of the window in which the camera sees the target's centre."""
 MIN_HOME_HEIGHT_M, MAX_HOME_HEIGHT_M = 0.15, 2.2
 MAX_HOME_ASIDE_M = 1.7
 
@@ -43,7 +42,7 @@ def find_home(path_w: np.ndarray, timing: Timing, rng: np.random.Generator) -> n
     fits = _reachable(homes)
     fits &= (np.linalg.norm(seen, axis=-1) > CLEARANCE_M).all(axis=1)
     fits &= (seen[..., 0] > FRONT_M).all(axis=1)
-    fits &= _visible(seen).mean(axis=1) >= VISIBLE_SHARE
+    fits &= in_sight(seen).mean(axis=1) >= VISIBLE_SHARE
     fits &= ~_reachable_earlier(path_w[control:meeting], homes)
     chosen = np.flatnonzero(fits)
     return homes[chosen[0]] if chosen.size else None
@@ -69,18 +68,6 @@ def _reachable(homes: np.ndarray) -> np.ndarray:
         & (height < MAX_HOME_HEIGHT_M)
         & (np.abs(homes[:, :2]) < MAX_HOME_ASIDE_M).all(axis=1)
     )
-
-
-def _visible(seen: np.ndarray) -> np.ndarray:
-    """(K, W + 1) whether the target's centre is in the view of the camera of the waiting hand."""
-    scene = compile_scene()
-    model, camera = scene.model, scene.camera
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.cam_quat[camera])
-    local = (seen - model.cam_pos[camera]) @ rotation.reshape(3, 3)  # x right, y up, z backwards
-    half = VIEW_MARGIN * np.tan(np.radians(model.cam_fovy[camera]) / 2)
-    depth = -local[..., 2]
-    return (depth > 0.05) & (np.abs(local[..., :2]) < half * depth[..., None]).all(axis=-1)
 
 
 def _reachable_earlier(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import hashlib
 import json
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import draccus
 
+from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
 from dynahoi_lerobot.objects import OBJECTS
 
@@ -111,37 +111,3 @@ def load_recipe(path: Path) -> Recipe:
             return draccus.load(Recipe, stream)
     except (draccus.utils.DecodingError, TypeError) as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-@functools.cache
-def code_fingerprint() -> str:
-    """Return 16 hex digits over the source of everything that decides an episode's content."""
-    root = Path(__file__).parent
-    folders = ("motions", "objects", "hands", "captures", "experts", "renderers")
-    files = [p for folder in folders for p in (root / folder).glob("*.py")]
-    files += [root / f"{name}.py" for name in CONTENT_MODULES]
-    digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-CONTENT_MODULES = (
-    "conventions",
-    "drive",
-    "episode_spec",
-    "looks",
-    "oracle",
-    "placement",
-    "recorder",
-    "rollout",
-    "rotations",
-    "rows",
-    "sampling",
-    "scene",
-    "servo",
-    "surface",
-    "timing",
-    "world_batch",
-)
-"""Modules beside the registries that decide what an episode contains."""

@@ -71,7 +71,7 @@ def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.n
 
 
 @dataclass
-class Recorder:
+class WorldRecorder:
     """Collects one world's frames: ``see`` before each step, ``act`` after it."""
 
     job: Job

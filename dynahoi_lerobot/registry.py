@@ -6,16 +6,13 @@ import difflib
 import importlib
 import pkgutil
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
-
-T = TypeVar("T")
 
 
 class UnknownNameError(ValueError):
     """A name that no file registers; the message lists the registered ones."""
 
 
-class Registry(Generic[T]):
+class Registry[T]:
     """Names to things, filled by decorators in the sibling modules of one package.
 
     The package is imported on first look-up, so a new kind is one new file and no other line. Code outside the

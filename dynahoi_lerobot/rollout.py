@@ -12,7 +12,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.recorder import Job, Recorder, frame_columns
+from dynahoi_lerobot.recorder import Job, WorldRecorder, frame_columns
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.world_batch import WorldBatch
 
@@ -35,7 +35,7 @@ def play(
         jobs: consumed lazily.
         images: whether to record images even if the actor asks for none.
     """
-    waiting, running = iter(jobs), dict[int, Recorder]()
+    waiting, running = iter(jobs), dict[int, WorldRecorder]()
     look = images or getattr(actor, "sees_images", False)
     while True:
         if isinstance(actor, Expert) or not running:
@@ -105,20 +105,20 @@ def _jobs(recipe: Recipe, seeds: Sequence[int], retries: deque[Job], threads: in
         yield retries.popleft()
 
 
-def _begin(batch: WorldBatch, actor: Agent | Expert, waiting: Iterator[Job], running: dict[int, Recorder]) -> None:
+def _begin(batch: WorldBatch, actor: Agent | Expert, waiting: Iterator[Job], running: dict[int, WorldRecorder]) -> None:
     """Give every idle world a job, as long as there are any."""
     idle = [i for i in range(batch.size) if i not in running]
     begun = list(zip(idle, waiting, strict=False))
     if not begun:
         return
     batch.reset([i for i, _ in begun], [job.spec for _, job in begun], [job.attempt for _, job in begun])
-    running.update((i, Recorder(job)) for i, job in begun)
+    running.update((i, WorldRecorder(job)) for i, job in begun)
     if isinstance(actor, Agent):
         actor.reset(batch.size)
 
 
 def _step(
-    batch: WorldBatch, actor: Agent | Expert, ids: np.ndarray, running: dict[int, Recorder], *, look: bool
+    batch: WorldBatch, actor: Agent | Expert, ids: np.ndarray, running: dict[int, WorldRecorder], *, look: bool
 ) -> None:
     """Observe, act and advance the worlds ``ids`` by one frame, recording each."""
     observation = batch.observe(images=look)

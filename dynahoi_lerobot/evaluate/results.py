@@ -116,10 +116,18 @@ class Recorder:
         Raises:
             ValueError: if nothing was recorded, or an episode was played under another capture rule.
         """
-        self._check(info)
-        results = Results(Path(folder), info, tuple(self._rows), tuple(self._actions))
+        results = self.results(info, Path(folder))
         files.write(results.folder, results.as_json(), results.rows, results.actions)
         return results
+
+    def results(self, info: RunInfo, folder: Path = Path()) -> Results:
+        """Return what has been recorded, without writing it.
+
+        Raises:
+            ValueError: as ``write``.
+        """
+        self._check(info)
+        return Results(folder, info, tuple(self._rows), tuple(self._actions))
 
     def _check(self, info: RunInfo) -> None:
         if not self._rows:

@@ -1,0 +1,117 @@
+"""``dynahoi evaluate``: play a split with a policy or an expert and write the result folder."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+from tqdm import tqdm
+
+from dynahoi_lerobot.agent import Agent, Expert
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.evaluate.gif import episode_gif
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
+from dynahoi_lerobot.evaluate.table import results_table, stratum_table
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.rollout import evaluate, make_batch
+from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.splits import SMALL_TEST, seed_stream, split_seeds
+
+EXPERT_ALIAS = {"expert": "intercept"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi evaluate``."""
+    parser.add_argument("--policy", required=True, help=f"a checkpoint folder, expert, or {', '.join(EXPERTS.names())}")
+    parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val or one of the ood_ splits")
+    parser.add_argument("--out", type=Path, help="result folder; goes on where an earlier run stopped")
+    parser.add_argument("--episodes", type=int, help="only the first so many episodes of the split")
+    parser.add_argument("--motions", help="comma-separated kinds of motion; all of the split by default")
+    parser.add_argument("--capture", default="attach", help="capture rule")
+    parser.add_argument("--protocol", default="observe_before_act", help="or direct_act")
+    parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
+    parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
+    parser.add_argument("--device", help="torch device of the policy")
+    parser.add_argument("--gifs", type=int, default=0, help="how many episodes to keep as GIFs in --out")
+    parser.add_argument("--per-kind", action="store_true", help="print a row per kind of motion, too")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play, write and print; return the exit code."""
+    actor = make_actor(args.policy, args.device)
+    recipe = _recipe(args, actor)
+    recorder = Recorder.resume(args.out) if args.out else Recorder()
+    specs = _specs(args, recipe, recorder)
+    info = RunInfo(args.policy, args.split, args.capture, " ".join(sys.argv), recipe.fingerprint())
+    for episodes in _played(args, recipe, actor, specs):
+        recorder.extend(episodes)
+        if args.out:
+            recorder.write(args.out, info)
+    results = recorder.write(args.out, info) if args.out else recorder.results(info)
+    print(results_table([results]))
+    if args.per_kind:
+        print("\n" + stratum_table(results))
+    return 0
+
+
+def make_actor(name: str, device: str | None = None) -> Agent | Expert:
+    """Return the expert called ``name``, or else load it as a policy."""
+    key = EXPERT_ALIAS.get(name, name)
+    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device)
+
+
+def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
+    size = args.image_size or getattr(actor, "image_size", None) or 128
+    motions = tuple(args.motions.split(",")) if args.motions else ()
+    return Recipe(
+        split=seed_stream(args.split),
+        motions=motions,
+        capture=args.capture,
+        protocol=args.protocol,
+        image_size=size,
+    )
+
+
+def _specs(args: argparse.Namespace, recipe: Recipe, recorder: Recorder) -> list[EpisodeSpec]:
+    """Sample the episodes that are still to be played."""
+    seeds = split_seeds(args.split)
+    if args.episodes is not None:
+        if args.episodes < 1:
+            raise ValueError(f"--episodes must be at least 1, got {args.episodes}")
+        seeds = seeds[: args.episodes]
+    return sample_specs(recipe, [seed for seed in seeds if seed not in recorder.seeds], threads=0)
+
+
+def _played(
+    args: argparse.Namespace, recipe: Recipe, actor: Agent | Expert, specs: list[EpisodeSpec]
+) -> Iterator[list[Episode]]:
+    """Play ``specs`` and yield them a batch at a time, without images."""
+    if not specs:
+        return
+    batch = make_batch(recipe, min(args.batch_size, len(specs)))
+    gifs = args.gifs if args.out else 0
+    with tqdm(total=len(specs), desc=f"{args.policy} on {args.split}", unit="episode") as progress:
+        for start in range(0, len(specs), args.batch_size):
+            wanted = max(0, gifs - start)
+            episodes = evaluate(batch, actor, specs[start : start + args.batch_size], images=wanted > 0)
+            yield list(_watched(episodes, progress, args.out, wanted))
+
+
+def _watched(episodes: Iterator[Episode], progress: tqdm, out: Path | None, gifs: int) -> Iterator[Episode]:
+    """Pass episodes on, counting them and keeping the first ``gifs`` as GIFs."""
+    for episode in islice(episodes, gifs):
+        progress.update()
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            episode_gif(out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
+        yield replace(episode, images=None)
+    for episode in episodes:
+        progress.update()
+        yield replace(episode, images=None)

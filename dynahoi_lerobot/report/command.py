@@ -1,0 +1,24 @@
+"""``dynahoi report``: result folders as one HTML page."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.report.page import render_report
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi report``."""
+    parser.add_argument("folders", type=Path, nargs="+", help="result folders, as `dynahoi evaluate` writes them")
+    parser.add_argument("--out", type=Path, default=Path("report.html"), help="the page to write")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page and print the table; return the exit code."""
+    page = render_report(args.folders, args.out)
+    print(results_table([read_results(folder) for folder in args.folders]))
+    print(f"report: {page}")
+    return 0

@@ -1,0 +1,114 @@
+"""``dynahoi view``: watch one episode, played anew or read from a dataset, as GIF, MP4 or a page with both."""
+
+from __future__ import annotations
+
+import argparse
+import base64
+from pathlib import Path
+
+import numpy as np
+
+from dynahoi_lerobot.conventions import CONTROL_HZ
+from dynahoi_lerobot.evaluate.command import make_actor
+from dynahoi_lerobot.evaluate.gif import phases_of, write_gif
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.rollout import evaluate, make_batch
+from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.splits import kind_seed, seed_stream
+
+MIN_WIDTH_PX = 384
+PAGE = """<!doctype html><meta charset="utf-8"><title>{caption}</title>
+<style>body{{font:16px system-ui;background:#111;color:#ddd;text-align:center}}img{{image-rendering:pixelated}}</style>
+<p>{caption}</p><img alt="{caption}" src="data:image/gif;base64,{data}">"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi view``."""
+    parser.add_argument("--motion", help="kind of motion to play")
+    parser.add_argument("--seed", type=int, default=0, help="number of the episode within split and kind")
+    parser.add_argument("--split", default="test", help="seed stream")
+    parser.add_argument("--policy", default="expert", help="who moves the hand: a checkpoint folder or an expert")
+    parser.add_argument("--capture", default="attach", help="capture rule")
+    parser.add_argument("--dataset", type=Path, help="show an episode of this dataset instead")
+    parser.add_argument("--episode", type=int, default=0, help="its index in the dataset")
+    parser.add_argument("--image-size", type=int, help="side of the images [px]")
+    parser.add_argument("--out", type=Path, default=Path("episode.gif"), help="a .gif, .mp4 or .html file")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the file; return the exit code.
+
+    Raises:
+        ValueError: for an unknown suffix, motion or episode.
+    """
+    if args.out.suffix not in WRITERS:
+        raise ValueError(f"cannot write {args.out.suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
+    frames, caption, phases = _from_dataset(args) if args.dataset else _played(args)
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    WRITERS[args.out.suffix](args.out, frames, caption, phases)
+    print(f"{caption}: {args.out}")
+    return 0
+
+
+Shown = tuple[np.ndarray, str, list[str]]
+
+
+def _played(args: argparse.Namespace) -> Shown:
+    """Play an episode; frames (T, H, W, 3), a caption, and the phase of every frame."""
+    if args.motion is None:
+        raise ValueError("say what to watch: --motion KIND, or --dataset DIR --episode I")
+    actor = make_actor(args.policy)
+    size = args.image_size or getattr(actor, "image_size", None) or 256
+    recipe = Recipe(split=seed_stream(args.split), image_size=size, capture=args.capture)
+    spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]
+    episode = next(evaluate(make_batch(recipe, 1), actor, [spec], images=True))
+    assert episode.images is not None
+    meta = episode.meta
+    return episode.images, f"{meta.agent}: {meta.task} {episode.stage}", phases_of(episode)
+
+
+def _from_dataset(args: argparse.Namespace) -> Shown:
+    """Read an episode of a dataset with LeRobot."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    from dynahoi_lerobot.spec import CAMERA_KEY, PHASE
+
+    dataset = LeRobotDataset(args.dataset.name, root=args.dataset)
+    if not 0 <= args.episode < dataset.num_episodes:
+        raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
+    first = int(dataset.meta.episodes[args.episode]["dataset_from_index"])
+    last = int(dataset.meta.episodes[args.episode]["dataset_to_index"])
+    items = [dataset[i] for i in range(first, last)]
+    frames = np.stack([(item[CAMERA_KEY].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
+    phases = [_phase(bool(item["localized"].item()), float(item[PHASE.key].item())) for item in items]
+    return frames, str(items[0]["task"]), phases
+
+
+def _phase(localized: bool, acting: float) -> str:
+    return "localized" if localized else "acting" if acting else "observing"
+
+
+def _gif(path: Path, frames: np.ndarray, caption: str, phases: list[str]) -> None:
+    write_gif(path, frames, caption=caption, phases=phases, scale=-(-MIN_WIDTH_PX // frames.shape[2]))
+
+
+def _html(path: Path, frames: np.ndarray, caption: str, phases: list[str]) -> None:
+    gif = path.with_suffix(".gif")
+    _gif(gif, frames, caption, phases)
+    path.write_text(PAGE.format(caption=caption, data=base64.b64encode(gif.read_bytes()).decode()))
+    gif.unlink()
+
+
+def _mp4(path: Path, frames: np.ndarray, caption: str, phases: list[str]) -> None:
+    import av
+
+    del caption, phases  # a film has no room for them
+    with av.open(str(path), "w") as film:
+        stream = film.add_stream("h264", rate=CONTROL_HZ)
+        stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
+        for frame in frames:
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        film.mux(stream.encode())
+
+
+WRITERS = {".gif": _gif, ".mp4": _mp4, ".html": _html}
