@@ -200,26 +200,3 @@ def test_the_model_card_says_what_the_policy_is(
     for fact in ("Observed frames (s) | 2, 0.1 s apart", "`flow`, 8 actions (0.4 s)", "relative to the current state"):
         assert fact in card.text
     assert "{" not in card.text.split("## ObAct")[1]
-
-
-def test_the_policy_server_serves_obact(trained: Path, hand_root: Path) -> None:
-    import pickle
-    from types import SimpleNamespace
-
-    from lerobot.async_inference.configs import PolicyServerConfig
-    from lerobot.async_inference.helpers import RemotePolicyConfig
-    from lerobot.async_inference.policy_server import PolicyServer
-    from lerobot_policy_obact.launch_policy_server import allow_obact
-
-    allow_obact()
-    names = [f"joint_{i}" for i in range(18)]
-    features = {
-        "observation.state": {"dtype": "float32", "shape": (18,), "names": names},
-        "observation.images.ego": {"dtype": "image", "shape": (SIZE, SIZE, 3), "names": None},
-    }
-    server = PolicyServer(PolicyServerConfig())
-    client = SimpleNamespace(peer=lambda: "test")
-    server.Ready(None, client)
-    specs = RemotePolicyConfig("obact", str(trained / STEP_4), features, actions_per_chunk=5, device="cpu")
-    server.SendPolicyInstructions(SimpleNamespace(data=pickle.dumps(specs)), client)
-    assert server.policy.name == "obact"
