@@ -25,8 +25,8 @@ MAX_HOME_ASIDE_M = 1.7
 def find_home(path_w: np.ndarray, timing: Timing, rng: np.random.Generator) -> np.ndarray | None:
     """Return a home for the palm centre, or None if this motion offers none.
 
-    The home lies ``travel_m`` away from the intercept, so that a hand of fixed speed arrives together with the target and
-    at no earlier frame; so a watcher who knows that speed can infer the intercept from the motion.
+    The home lies ``travel_m`` away from the intercept, so that a hand of fixed speed arrives together with the target
+    and at no earlier frame; so a watcher who knows that speed can infer the intercept from the motion.
 
     Args:
         path_w: (F, 3) path of the untouched target at every frame [m], world, at least to the intercept.
