@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,8 +27,8 @@ def play(
 ) -> Iterator[tuple[Job, Episode]]:
     """Play jobs in the worlds of ``batch`` and yield each with its episode, as they end.
 
-    An expert has no memory, so a world that finishes begins the next job at once. An agent may have some, so it gets the
-    next jobs together, after ``reset``.
+    An expert has no memory, so a world that finishes begins the next job at once. An agent may have some, so it gets
+    the next jobs together, after ``reset``.
 
     Args:
         batch: the worlds.
@@ -59,12 +60,12 @@ def record(
     """
     batch = make_batch(recipe, min(batch_size, max(1, len(seeds))), threads)
     finished: dict[int, Episode | None] = {}
-    next_index, retries = 0, deque[Job]()
-    for job, episode in play(batch, EXPERTS[recipe.expert](), _jobs(recipe, seeds, retries, threads), images=images):
+    next_index, jobs = 0, _Jobs(recipe, seeds, threads)
+    for job, episode in play(batch, EXPERTS[recipe.expert](), jobs, images=images):
         if episode.success or job.attempt == MAX_ATTEMPTS:
             finished[job.index] = episode if episode.success else None
         else:
-            retries.append(Job(job.index, job.spec, job.frames, job.attempt + 1))
+            jobs.retries.append(replace(job, attempt=job.attempt + 1))
         while next_index in finished:
             ready = finished.pop(next_index)
             next_index += 1
@@ -93,16 +94,25 @@ def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
     )
 
 
-def _jobs(recipe: Recipe, seeds: Sequence[int], retries: deque[Job], threads: int) -> Iterator[Job]:
-    """Yield retries as they come up, then fresh episodes, sampled a block at a time."""
+class _Jobs(Iterator[Job]):
+    """Retries as they come up, then fresh episodes, sampled a block at a time.
+
+    Unlike a generator it can be asked again after it had nothing: the last episodes to end may still ask for retries.
+    """
+
+    def __init__(self, recipe: Recipe, seeds: Sequence[int], threads: int) -> None:
+        self.retries = deque[Job]()
+        self._fresh = _fresh_jobs(recipe, seeds, threads)
+
+    def __next__(self) -> Job:
+        return self.retries.popleft() if self.retries else next(self._fresh)
+
+
+def _fresh_jobs(recipe: Recipe, seeds: Sequence[int], threads: int) -> Iterator[Job]:
     for block in range(0, len(seeds), DEFAULT_BATCH):
         specs = sample_specs(recipe, seeds[block : block + DEFAULT_BATCH], threads=threads)
         for offset, spec in enumerate(specs):
-            while retries:
-                yield retries.popleft()
             yield Job(block + offset, spec, spec.length_frames)
-    while retries:
-        yield retries.popleft()
 
 
 def _begin(batch: WorldBatch, actor: Agent | Expert, waiting: Iterator[Job], running: dict[int, WorldRecorder]) -> None:
