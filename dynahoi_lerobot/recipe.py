@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import draccus
+import yaml
 
 from dynahoi_lerobot.generate.fingerprint import code_fingerprint
-from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
+from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 
 SPLITS = ("train", "val", "test", "ood_speed", "ood_object", "ood_motion")
@@ -64,20 +65,19 @@ class Recipe:
             if value not in allowed:
                 raise ValueError(f"unknown {noun} {value!r}; known: {', '.join(allowed)}")
         for name in self.motions:
-            MOTIONS[name]
+            self._check_held_out("motion", name, MOTIONS[name].held_out)
         for name in self.objects:
-            OBJECTS[name]
+            self._check_held_out("object", name, OBJECTS[name].held_out)
         if not 16 <= self.image_size <= 1024:
             raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")
 
     @property
     def motion_names(self) -> list[str]:
-        """The kinds the recipe cycles through, sorted unless it lists them."""
+        """The kinds the recipe cycles through: those it lists, or, sorted, all that some object of it can perform."""
         if self.motions:
             return list(self.motions)
-        if self.split == "ood_motion":
-            return [name for name, kind in MOTIONS.items() if kind.held_out]
-        return benchmark_motions()
+        held_out, objects = self.split == "ood_motion", set(self.object_names)
+        return [name for name, kind in MOTIONS.items() if kind.held_out == held_out and objects & set(kind.objects())]
 
     @property
     def object_names(self) -> list[str]:
@@ -91,6 +91,14 @@ class Recipe:
     def tempo(self) -> float:
         """Factor on speeds."""
         return OOD_TEMPO if self.split == "ood_speed" else 1.0
+
+    def _check_held_out(self, noun: str, name: str, held_out: bool) -> None:
+        """Refuse what belongs to ``ood_motion`` or ``ood_object`` anywhere else, and everything else there."""
+        split = f"ood_{noun}"
+        if held_out and self.split != split:
+            raise ValueError(f"{noun} {name!r} is held out for split {split!r}, got split {self.split!r}")
+        if not held_out and self.split == split:
+            raise ValueError(f"split {split!r} holds only held-out {noun}s, got {noun} {name!r}")
 
     def fingerprint(self) -> str:
         """Return 16 hex digits that identify this recipe together with the code that plays it."""
@@ -107,7 +115,13 @@ def load_recipe(path: Path) -> Recipe:
     if not path.is_file():
         raise ValueError(f"there is no recipe at {path}")
     try:
-        with path.open() as stream:
-            return draccus.load(Recipe, stream)
-    except (draccus.utils.DecodingError, TypeError) as error:
-        raise ValueError(f"{path}: {error}") from error
+        values = yaml.safe_load(path.read_text()) or {}
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
+    try:
+        return draccus.decode(Recipe, values)
+    except draccus.utils.DraccusException as error:
+        told = error if isinstance(error, draccus.utils.DecodingError) else error.__cause__ or error
+        raise ValueError(f"{path}: {told}") from error
