@@ -218,7 +218,8 @@ class DynahoiVectorEnv(VectorEnv):
         return infos
 
     def _look(self) -> dict[str, Any]:
-        self._seen = self._batch.observe(images=self._images)
+        idle = self._ended & self._one_episode
+        self._seen = self._batch.observe(images=self._images, ids=np.flatnonzero(~idle))
         return as_gym(self._seen)
 
     def _recorder(self, i: int) -> WorldRecorder:

@@ -20,7 +20,7 @@ SPLITS = ("train", "val", "test", "ood_speed", "ood_object", "ood_motion")
 PROTOCOLS = ("observe_before_act", "direct_act")
 INSTRUCTIONS = ("reveal", "neutral", "mixed")
 OOD_TEMPO = 1.6
-"""Factor on every speed in ``ood_speed``; training never exceeds 1."""
+"""In ``ood_speed``, speeds begin where training's end and reach this many times as far."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Recipe:
 
     @property
     def tempo(self) -> float:
-        """Factor on speeds."""
+        """How far speeds reach beyond training's; 1 where they do not."""
         return OOD_TEMPO if self.split == "ood_speed" else 1.0
 
     def _check_held_out(self, noun: str, name: str, held_out: bool) -> None:

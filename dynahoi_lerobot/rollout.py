@@ -131,7 +131,7 @@ def _step(
     batch: WorldBatch, actor: Agent | Expert, ids: np.ndarray, running: dict[int, WorldRecorder], *, look: bool
 ) -> None:
     """Observe, act and advance the worlds ``ids`` by one frame, recording each."""
-    observation = batch.observe(images=look)
+    observation = batch.observe(images=look, ids=ids)
     commands = actor.act(batch.world_state(observation)) if isinstance(actor, Expert) else actor.act(observation)
     columns = frame_columns(batch, observation)
     for i in ids:

@@ -93,7 +93,7 @@ class Rows:
         painted = (
             (scene.target_geoms, look.target_pattern + "_fine", look.target_rgb),
             ([scene.floor_geom], look.floor_pattern + "_coarse", look.floor_rgb),
-            (scene.wall_geoms, look.wall_pattern + "_coarse", look.wall_rgb),
+            ([scene.backdrop_geom], look.wall_pattern + "_coarse", look.wall_rgb),
             (scene.box_geoms, look.box_pattern + "_fine", look.box_rgb),
         )
         for geoms, material, rgb in painted:

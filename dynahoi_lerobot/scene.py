@@ -38,12 +38,15 @@ OFF_FRAME_POS, OFF_FRAME_QUAT = (0.01, 0.01, 0.01), (0.8, 0.6, 0.0, 0.0)
 HIDDEN_POS = (0.0, 0.0, -5.0)
 ARENA_HALF_M = 6.0
 WALLS = {
-    "wall_front": ((1, 0, 0), (0, -1, 0)),
-    "wall_left": ((0, 1, 0), (1, 0, 0)),
-    "wall_right": ((0, -1, 0), (-1, 0, 0)),
-    "wall_back": ((-1, 0, 0), (0, 1, 0)),
+    "wall_front": ((1, 0, 0), (0, 1, 1)),
+    "wall_left": ((0, 1, 0), (1, 0, 1)),
+    "wall_right": ((0, -1, 0), (1, 0, 1)),
+    "wall_back": ((-1, 0, 0), (0, 1, 1)),
 }
-"""Position, in half arenas, and horizontal direction of each wall; normals point inwards."""
+"""Direction of each wall from the centre, and the axes along it. They keep targets in; only the first is drawn."""
+BACKDROP = "wall_front"
+WALL_HALF_THICKNESS_M = 0.1
+SHOWN_GROUP, HIDDEN_GROUP = 0, 4
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Scene:
     striker_qpos: int
     striker_dof: int
     floor_geom: int
-    wall_geoms: tuple[int, ...]
+    backdrop_geom: int
     box_geoms: tuple[int, ...]
     box_mocap: tuple[int, ...]
     tether_eq: int
@@ -165,13 +168,12 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
         name="floor", type=plane, size=(half, half, 0.1), contype=0, conaffinity=ENVIRONMENT, material="plain_coarse",
         condim=6, friction=(1.0, 0.002, 0.0002),
     )  # fmt: skip
-    for name, (pos, along) in WALLS.items():
-        quat = np.zeros(4)
-        up = np.array([0.0, 0.0, 1.0])
-        mujoco.mju_mat2Quat(quat, np.column_stack([along, up, np.cross(along, up)]).ravel())
+    for name, (side, aside) in WALLS.items():
         spec.worldbody.add_geom(
-            name=name, type=plane, size=(half, half, 0.1), pos=np.multiply(pos, half), quat=quat, contype=0,
-            conaffinity=ENVIRONMENT, material="plain_coarse",
+            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=np.multiply(side, half + WALL_HALF_THICKNESS_M),
+            size=np.add(np.multiply(np.abs(side), WALL_HALF_THICKNESS_M), np.multiply(aside, 2 * half)),
+            contype=0, conaffinity=ENVIRONMENT, material="plain_coarse",
+            group=SHOWN_GROUP if name == BACKDROP else HIDDEN_GROUP,
         )  # fmt: skip
 
 
@@ -256,7 +258,7 @@ def _index(model: mujoco.MjModel, hand: Hand | None) -> Scene:
         striker_qpos=int(striker.qposadr[0]),
         striker_dof=int(striker.dofadr[0]),
         floor_geom=geoms["floor"],
-        wall_geoms=tuple(geoms[n] for n in WALLS),
+        backdrop_geom=geoms[BACKDROP],
         box_geoms=tuple(geoms[n] for n in FIXTURE_BOXES),
         box_mocap=tuple(int(model.body(n).mocapid[0]) for n in FIXTURE_BOXES),
         tether_eq=model.equality("tether").id,

@@ -95,8 +95,6 @@ class WorldBatch:
         self.frame[chosen], self.attempt[chosen] = 0, attempt
         self.localized[chosen], self._welded[chosen] = False, False
         self.palm_distance[chosen] = self._center_distance()[chosen]
-        if "_renderer" in self.__dict__:
-            self._renderer.refresh(chosen)
 
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> None:
         """Advance worlds ``ids`` (default: all) by one control step of 0.05 s.
@@ -178,10 +176,15 @@ class WorldBatch:
         vectors = matrix_to_rotvec(rotation)
         return np.concatenate([position, vectors], axis=-1).reshape(self.size, -1)
 
-    def observe(self, *, images: bool) -> Observation:
-        """Return what a policy may see; the camera is rendered only if ``images``."""
+    def observe(self, *, images: bool, ids: np.ndarray | None = None) -> Observation:
+        """Return what a policy may see.
+
+        Args:
+            images: whether to render the camera; without, it costs nothing.
+            ids: the worlds to render (default: all); the images of the others are black.
+        """
         return Observation(
-            images=self.render() if images else None,
+            images=self.render(ids) if images else None,
             state=self.state.astype(np.float32),
             fingertips=self.fingertips().astype(np.float32),
             phase=self.acting[:, None].astype(np.float32),
@@ -204,13 +207,17 @@ class WorldBatch:
         """Return (N, 5) bool, the fingers that touch the target."""
         return self.tip_distance() <= TOUCH_M
 
-    def render(self) -> np.ndarray:
-        """Return (N, H, W, 3) uint8 RGB of the hand's camera."""
-        return self._renderer.rgb()
+    def render(self, ids: np.ndarray | None = None) -> np.ndarray:
+        """Return (N, H, W, 3) uint8 RGB of the hand's camera; only worlds ``ids`` (default: all) are drawn."""
+        if ids is None or len(ids) == self.size:
+            return self._renderer.rgb(np.arange(self.size))
+        images = np.zeros((self.size, self._image_size, self._image_size, 3), np.uint8)
+        images[ids] = self._renderer.rgb(np.asarray(ids))
+        return images
 
     def segmentation(self) -> np.ndarray:
         """Return (N, H, W) int32 geom ids seen by the hand's camera, -1 where nothing is."""
-        return self._renderer.segmentation()
+        return self._renderer.segmentation(np.arange(self.size))
 
     def weld_target(self, i: int) -> None:
         """Fix the target of world ``i`` to the palm as it lies, at the palm's velocity, free of everything else."""
@@ -235,7 +242,6 @@ class WorldBatch:
     @functools.cached_property
     def _renderer(self) -> Renderer:
         renderer = self._renderer_class(self.scene, self._batch, self._image_size)
-        renderer.refresh(np.arange(self.size))
         self._batch.forward(stage=KINEMATICS)  # fills the poses that the renderer has just asked for
         return renderer
 

@@ -1,7 +1,7 @@
 """The paper's rule: a target within the localisation radius is welded to the hand; the grasp is a matter of pose.
 
-Hand and target do not collide. Within the 25 physics steps of a frame the weld happens at the closest approach, so a fast
-target cannot slip between two frames (Appendix "Evaluation Criteria").
+Hand and target do not collide. Within the 25 physics steps of a frame the weld happens at the closest approach, so a
+fast target cannot slip between two frames (Appendix "Evaluation Criteria").
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ from dynahoi_lerobot.agent import Agent, Observation
 from dynahoi_lerobot.env import as_gym
 from dynahoi_lerobot.spec import CAMERA_KEY
 
-
 REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
 
 

@@ -15,7 +15,7 @@ HORIZON_FRAMES = 60
 
 @EXPERTS.register("constant_velocity")
 class ConstantVelocity(Expert):
-    """Perfect perception, no model of the motion: replans every frame to the earliest point of a straight extrapolation."""
+    """Perfect perception, no model of the motion: replans every frame to the earliest point of a straight line."""
 
     name = "constant_velocity"
 

@@ -47,7 +47,7 @@ class Draw:
         window_s: end of the observation window [s].
         intercept_s: when the target should be in reach [s].
         horizon_s: how long the motion must stay inside the arena [s].
-        tempo: factor on speeds; 1 in training, more in ``ood_speed``.
+        tempo: 1 in training, more in ``ood_speed``; see ``pace``.
     """
 
     rng: np.random.Generator
@@ -60,6 +60,10 @@ class Draw:
     def uniform(self, low: float, high: float) -> float:
         """Draw uniformly from [low, high)."""
         return float(self.rng.uniform(low, high))
+
+    def pace(self, low: float, high: float) -> float:
+        """Draw a speed, or what makes one: from [low, high) in training, from [high, tempo * high) in ``ood_speed``."""
+        return self.uniform(low, high) if self.tempo == 1.0 else self.uniform(high, self.tempo * high)
 
     def sign(self) -> float:
         """Draw -1 or 1."""

@@ -49,7 +49,7 @@ class Bounce(PhysicalMotion):
         height, restitution = draw.uniform(0.5, 0.9), draw.uniform(0.75, 0.9)
         fall_s = np.sqrt(2 * (height - draw.target.rest_height_m) / GRAVITY_M_S2)
         meeting_s = fall_s * (1 + 2 * restitution * draw.uniform(0.15, 0.7))
-        velocity = np.asarray(heading(np.pi + draw.uniform(-0.8, 0.8))) * draw.uniform(0.4, 1.0) * draw.tempo
+        velocity = np.asarray(heading(np.pi + draw.uniform(-0.8, 0.8))) * draw.pace(0.4, 1.0)
         start = np.asarray(draw.meeting_point()) - velocity * meeting_s
         start[2] = height
         return cls(as_vector(start), as_vector(velocity), max(0.0, draw.intercept_s - meeting_s), restitution)

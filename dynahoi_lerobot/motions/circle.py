@@ -35,7 +35,7 @@ class CircularMotion(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw radius, speed, sense, phase and plane."""
         radius = draw.uniform(0.08, 0.25)
-        rate = draw.uniform(0.1, 0.6) / radius * draw.sign() * draw.tempo
+        rate = draw.pace(0.1, 0.6) / radius * draw.sign()
         return cls(draw.meeting_point(), radius, rate, draw.angle(), draw.angle())
 
     def axes(self) -> np.ndarray:

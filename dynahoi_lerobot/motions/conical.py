@@ -23,7 +23,7 @@ class ConicalPendulum(SuspendedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw string and angle."""
-        return cls.hung(draw, float(np.radians(draw.uniform(12, 32)) * draw.tempo))
+        return cls.hung(draw, float(np.radians(draw.pace(12, 32))))
 
     def precession_rad_s(self, target: TargetObject) -> float:
         """Return W with W^2 cos(a) (I + m l^2 - I_z) = m g l: the rigid body's steady precession."""

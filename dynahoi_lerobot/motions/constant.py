@@ -20,6 +20,6 @@ class Constant(StraightMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw a speed and a direction that stays off the floor."""
-        speed = draw.uniform(0.06, 0.5) * draw.tempo
+        speed = draw.pace(0.06, 0.5)
         direction = level_heading(draw, RISE_M, speed * draw.horizon_s)
         return cls(draw.meeting_point(), direction, draw.intercept_s, speed, 0.0)

@@ -23,4 +23,4 @@ class CrossThrow(ThrowMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the throw."""
         yaw = draw.sign() * (np.pi / 2 + draw.uniform(0.7, 1.15))
-        return cls.aimed(draw, draw.uniform(0.45, 0.75), yaw, draw.uniform(0.4, 0.8), draw.uniform(0.85, 1.1))
+        return cls.aimed(draw, draw.uniform(0.45, 0.75), yaw, draw.pace(0.4, 0.8), draw.uniform(0.85, 1.1))

@@ -22,4 +22,4 @@ class DampedPendulum(SuspendedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw string, deflection and drag."""
-        return cls.hung(draw, float(np.radians(draw.uniform(20, 45)) * draw.tempo), draw.uniform(0.15, 0.5))
+        return cls.hung(draw, float(np.radians(draw.pace(20, 45))), draw.uniform(0.15, 0.5))

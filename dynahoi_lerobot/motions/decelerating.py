@@ -20,6 +20,6 @@ class Decelerating(StraightMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw the two speeds and a direction that stays off the floor."""
-        speeds = (draw.uniform(0.35, 0.9) * draw.tempo, draw.uniform(0.03, 0.12) * draw.tempo)
+        speeds = (draw.pace(0.35, 0.9), draw.pace(0.03, 0.12))
         direction = level_heading(draw, RISE_M, sum(speeds) / 2 * draw.horizon_s)
         return cls.between(draw.meeting_point(), direction, draw.intercept_s, speeds, draw.horizon_s)

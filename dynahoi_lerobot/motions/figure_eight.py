@@ -36,7 +36,7 @@ class FigureEight(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw size and rhythm."""
-        rate = 2 * np.pi * draw.uniform(0.15, 0.45) * draw.tempo
+        rate = 2 * np.pi * draw.pace(0.15, 0.45)
         return cls(draw.meeting_point(), draw.uniform(0.1, 0.25), float(rate), draw.angle(), draw.angle())
 
     def position(self, time_s: np.ndarray) -> np.ndarray:

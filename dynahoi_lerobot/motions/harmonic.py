@@ -37,7 +37,7 @@ class HarmonicMotion(PrescribedMotion):
         """Draw amplitude, frequency and phase."""
         amplitude = draw.uniform(0.08, 0.3)
         fastest = MAX_PEAK_SPEED_M_S / (2 * np.pi * amplitude)
-        frequency = min(draw.uniform(0.15, 0.7), fastest) * draw.tempo
+        frequency = min(draw.pace(0.15, 0.7), fastest * draw.tempo)
         return cls(draw.meeting_point(), amplitude, frequency, draw.angle())
 
     def position(self, time_s: np.ndarray) -> np.ndarray:

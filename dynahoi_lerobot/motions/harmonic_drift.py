@@ -39,10 +39,10 @@ class HarmonicDrift(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw drift and oscillation."""
-        speed, amplitude = draw.uniform(0.03, 0.2) * draw.tempo, draw.uniform(0.05, 0.18)
+        speed, amplitude = draw.pace(0.03, 0.2), draw.uniform(0.05, 0.18)
         direction = np.asarray(level_heading(draw, 0.5, speed * draw.horizon_s))
         across = np.cross(direction, draw.rng.normal(size=3))
-        rate = min(2 * np.pi * draw.uniform(0.25, 0.8), 0.8 / amplitude) * draw.tempo
+        rate = min(2 * np.pi * draw.pace(0.25, 0.8), 0.8 / amplitude * draw.tempo)
         return cls(
             draw.meeting_point(), as_vector(speed * direction), as_vector(across / np.linalg.norm(across)),
             draw.intercept_s, amplitude, float(rate), draw.angle(),

@@ -23,4 +23,4 @@ class Lob(ThrowMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the throw."""
         yaw = np.pi + draw.uniform(-0.5, 0.5)
-        return cls.aimed(draw, draw.uniform(0.5, 0.85), yaw, draw.uniform(0.8, 1.5), draw.uniform(0.5, 0.9))
+        return cls.aimed(draw, draw.uniform(0.5, 0.85), yaw, draw.pace(0.8, 1.5), draw.uniform(0.5, 0.9))

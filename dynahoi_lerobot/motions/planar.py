@@ -22,4 +22,4 @@ class PlanarPendulum(SuspendedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw string and deflection."""
-        return cls.hung(draw, float(np.radians(draw.uniform(12, 40)) * draw.tempo))
+        return cls.hung(draw, float(np.radians(draw.pace(12, 40))))

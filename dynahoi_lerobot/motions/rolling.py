@@ -43,7 +43,7 @@ class RollingMotion(PhysicalMotion):
     @classmethod
     def rolled(cls, draw: Draw, run_m: float, until_s: float) -> Self:
         """Return a roll that is at the meeting point ``until_s``, shortened if there is no time for ``run_m``."""
-        slope = float(np.radians(draw.uniform(4, 12)) * draw.tempo)
+        slope = float(np.radians(draw.pace(4, 12)))
         pace = rolling_acceleration(slope, draw.target)
         run = min(run_m, pace * until_s**2 / 2)
         yaw = np.pi + draw.uniform(-2.0, 2.0)

@@ -26,7 +26,7 @@ class Struck(TabletopMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the blow; it lands 0.25 to 0.6 s before the intercept and within the window."""
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.25, 0.6), draw.window_s - 0.1))
-        speed = draw.uniform(0.35, 0.8) * draw.tempo
+        speed = draw.pace(0.35, 0.8)
         yaw = np.pi + draw.uniform(-1.9, 1.9)
         return cls(
             draw.meeting_point(), yaw, speed, impact_s, draw.uniform(0.5, 0.85), draw.uniform(0.02, 0.06)

@@ -38,7 +38,7 @@ class SwingingArc(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the arc and its rhythm."""
         radius, swing = draw.uniform(0.25, 0.6), np.radians(draw.uniform(20, 60))
-        rate = min(2 * np.pi * draw.uniform(0.2, 0.6), 1.0 / (radius * swing)) * draw.tempo
+        rate = min(2 * np.pi * draw.pace(0.2, 0.6), 1.0 / (radius * swing) * draw.tempo)
         pivot = as_vector(np.asarray(draw.meeting_point()) + [0.0, 0.0, radius])
         return cls(pivot, radius, float(swing), float(rate), draw.angle(), draw.angle())
 

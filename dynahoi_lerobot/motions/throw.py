@@ -42,7 +42,7 @@ class ThrowMotion(PhysicalMotion):
             distance_m: horizontal distance between release and meeting point.
             height_m: height of the release point.
         """
-        flight = min(flight_s / draw.tempo, draw.intercept_s)
+        flight = min(flight_s, draw.intercept_s)
         meeting = np.asarray(draw.meeting_point())
         start = meeting - distance_m * np.asarray(heading(yaw))
         start[2] = height_m

@@ -28,7 +28,7 @@ class WallRebound(TabletopMotion):
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.2, 0.6), draw.window_s - 0.05))
         yaw = draw.uniform(-2.2, 2.2)
         return cls(
-            draw.meeting_point(), yaw, draw.uniform(0.3, 0.7) * draw.tempo, impact_s,
+            draw.meeting_point(), yaw, draw.pace(0.3, 0.7), impact_s,
             draw.uniform(0.6, 0.9), draw.uniform(0.01, 0.04),
         )  # fmt: skip
 

@@ -20,13 +20,10 @@ class Renderer(ABC):
         """Prepare to draw ``batch``, which runs ``scene.model``, in square images of ``image_size`` pixels."""
         self.scene, self.batch, self.image_size = scene, batch, image_size
 
-    def refresh(self, ids: np.ndarray) -> None:  # noqa: B027 - not every renderer copies appearances
-        """Notice that geometry or appearance of worlds ``ids`` has been rewritten."""
+    @abstractmethod
+    def rgb(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
 
     @abstractmethod
-    def rgb(self) -> np.ndarray:
-        """Return (N, H, W, 3) uint8 RGB."""
-
-    @abstractmethod
-    def segmentation(self) -> np.ndarray:
-        """Return (N, H, W) int32 geom ids, -1 where nothing is."""
+    def segmentation(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""

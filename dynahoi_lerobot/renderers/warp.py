@@ -4,38 +4,52 @@ from __future__ import annotations
 
 import functools
 
-import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
-from dynahoi_lerobot.scene import Scene
+wp.config.log_level = wp.LOG_WARNING  # before mujoco_warp initialises it
 
-WORLD_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
+import mujoco_warp as mjw  # noqa: E402
+
+from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
+from dynahoi_lerobot.scene import SHOWN_GROUP, Scene  # noqa: E402
+
+LOOK_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
 """Model fields whose values differ between worlds and which the ray caster reads."""
 POSE_FIELDS = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir")
-"""Data fields copied from the simulation before every image."""
+"""Data fields that the simulation computes and the ray caster reads."""
+
+
+@wp.kernel(module="unique")
+def _find_roots(bvh_id: wp.uint64, roots: wp.array[int]):
+    """Find where each world's part of the tree begins."""
+    world = wp.tid()
+    roots[world] = wp.bvh_get_group_root(bvh_id, world)
 
 
 @RENDERERS.register("warp")
 class WarpRenderer(Renderer):
-    """Copies poses into mujoco_warp's arrays and casts one ray per pixel, with textures and without shadows."""
+    """Copies worlds into mujoco_warp's arrays and casts one ray per pixel, with textures and without shadows.
+
+    Worlds are packed into the first rows, so drawing a few of many costs no more than that; what a world looks like
+    does not depend on the row it lands in.
+    """
 
     def __init__(self, scene: Scene, batch: Batch, image_size: int, device: str | None = None) -> None:
         """Compile (once per machine) and allocate; ``device`` is warp's, CUDA if there is one by default."""
         super().__init__(scene, batch, image_size)
-        wp.config.quiet = True
         self._device = device or ("cuda" if wp.is_cuda_available() else "cpu")
         with wp.ScopedDevice(self._device):
             self._model, self._data = mjw.put_model(scene.model), mjw.make_data(scene.model, nworld=batch.nsim)
-            for name in WORLD_FIELDS:
+            for name in LOOK_FIELDS:
                 shared = getattr(self._model, name)
-                own = wp.empty(dtype=shared.dtype, shape=(batch.nsim, *shared.shape[1:]))
-                setattr(self._model, name, own)
-        self._poses = {name: batch.bind(name) for name in POSE_FIELDS}
-        self._hosts = {name: wp.empty_like(getattr(self._data, name), device="cpu") for name in POSE_FIELDS}
+                setattr(self._model, name, wp.empty(dtype=shared.dtype, shape=(batch.nsim, *shared.shape[1:])))
+        self._sources = {name: batch.expand(name) for name in LOOK_FIELDS}
+        self._sources |= {name: batch.bind(name) for name in POSE_FIELDS}
+        self._targets = {name: getattr(self._model, name) for name in LOOK_FIELDS}
+        self._targets |= {name: getattr(self._data, name) for name in POSE_FIELDS}
+        self._staging = {name: wp.empty_like(array, device="cpu") for name, array in self._targets.items()}
 
     @functools.cached_property
     def _color(self) -> mjw.RenderContext:
@@ -45,25 +59,18 @@ class WarpRenderer(Renderer):
     def _labels(self) -> mjw.RenderContext:
         return self._context(render_rgb=False, render_seg=True)
 
-    def refresh(self, ids: np.ndarray) -> None:
-        """Copy the appearance of worlds ``ids``."""
-        del ids  # whole arrays are small, and one copy each is cheaper than many slices
-        for name in WORLD_FIELDS:
-            values = self.batch.expand(name)
-            getattr(self._model, name).assign(np.ascontiguousarray(values, dtype=_host_dtype(values)))
-
-    def rgb(self) -> np.ndarray:
-        """Return (N, H, W, 3) uint8 RGB."""
-        self._render(self._color)
-        packed = self._color.rgb_data.numpy()  # (N, H * W) 0xAARRGGBB
-        pixels = packed.view(np.uint8).reshape(self.batch.nsim, self.image_size, self.image_size, 4)
+    def rgb(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
+        self._render(self._color, ids)
+        packed = self._color.rgb_data[: len(ids)].numpy()  # (n, H * W) 0xAARRGGBB
+        pixels = packed.view(np.uint8).reshape(len(ids), self.image_size, self.image_size, 4)
         return np.ascontiguousarray(pixels[..., 2::-1])
 
-    def segmentation(self) -> np.ndarray:
-        """Return (N, H, W) int32 geom ids, -1 where nothing is."""
-        self._render(self._labels)
-        labels = self._labels.seg_data.numpy()[..., 0]
-        return labels.reshape(self.batch.nsim, self.image_size, self.image_size)
+    def segmentation(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""
+        self._render(self._labels, ids)
+        labels = self._labels.seg_data[: len(ids)].numpy()[..., 0]
+        return labels.reshape(len(ids), self.image_size, self.image_size)
 
     def _context(self, **outputs: bool) -> mjw.RenderContext:
         with wp.ScopedDevice(self._device):
@@ -72,28 +79,30 @@ class WarpRenderer(Renderer):
                 nworld=self.batch.nsim,
                 cam_res=(self.image_size, self.image_size),
                 cam_active=[self.scene.model.camera(self.scene.camera).name],
+                enabled_geom_groups=[SHOWN_GROUP],
                 use_textures=True,
                 use_shadows=False,
                 enable_emission=False,
+                enable_specular=False,
                 enable_per_light_ambient=False,
                 deterministic=True,
                 **outputs,
             )
 
-    def _render(self, context: mjw.RenderContext) -> None:
-        for name, source in self._poses.items():
-            target = self._hosts[name]
-            target.numpy()[...] = source.reshape(target.numpy().shape)
-            wp.copy(getattr(self._data, name), target)
+    def _render(self, context: mjw.RenderContext, ids: np.ndarray) -> None:
+        for name, source in self._sources.items():
+            self._copy(name, source, ids)
+        self._data.nworld = len(ids)
         with wp.ScopedDevice(self._device):
             mjw.refit_bvh(self._model, self._data, context)
+            # the tree was laid out for the compiled scene; one laid out for this frame is cheap and a fifth faster
+            context.bvh.rebuild()
+            wp.launch(_find_roots, dim=len(ids), inputs=[context.bvh.id, context.group_root])
             mjw.render(self._model, self._data, context)
 
-
-def _host_dtype(values: np.ndarray) -> type:
-    return np.int32 if values.dtype.kind in "iu" else np.float32
-
-
-def geom_names(model: mujoco.MjModel) -> list[str]:
-    """Return the names behind the ids of ``segmentation``."""
-    return [model.geom(i).name for i in range(model.ngeom)]
+    def _copy(self, name: str, source: np.ndarray, ids: np.ndarray) -> None:
+        """Move the rows ``ids`` of a field to the first rows of its device array."""
+        staging, target = self._staging[name], self._targets[name]
+        rows = staging.numpy()[: len(ids)]
+        rows[...] = source[ids].reshape(rows.shape)
+        wp.copy(target[: len(ids)], staging[: len(ids)])

@@ -69,7 +69,7 @@ def test_merging_is_the_same_as_writing_at_once_but_for_video_files(tmp_path):
         "videos/observation.images.ego/chunk-000/file-000.mp4",
         "meta/episodes/chunk-000/file-000.parquet",
     }
-    assert merged.pictures == Manifest.read(whole).pictures
+    assert merged.seeds == Manifest.read(whole).seeds
     video = "videos/observation.images.ego/chunk-000/file-001.mp4"
     assert (tmp_path / "merged" / video).stat().st_nlink == 2, "videos are linked, not copied"
 

@@ -157,6 +157,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str, str]] = {
         cell(ROWS, "stats/observation.state/max", 2, nudge),
         "statistics", "episode 2: observation.state/max is",
     ),
+    "stale picture counts": (
+        cell(ROWS, "stats/picture_histogram", 2, lambda counts: [counts[0] + 900, *counts[1:]]),
+        "statistics", "episode 2: observation.images.ego/",
+    ),
     "stale histogram": (
         entry(
             "meta/histograms.json", lambda shown: shown["action"]["palm_x"]["counts"].__setitem__(0, 7)

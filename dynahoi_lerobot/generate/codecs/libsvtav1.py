@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
 from dynahoi_lerobot.generate.codecs.base import CODECS, Codec
+
+# The library reports its settings on stderr unless told otherwise before its first use; 1 leaves errors.
+os.environ.setdefault("SVT_LOG", "1")
 
 
 @CODECS.register("libsvtav1")
