@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
@@ -57,17 +56,13 @@ class Catalog:
         if len(self._pending) == FLUSH_ROWS:
             self._flush()
 
-    def finish(self, picture_histogram: np.ndarray | None) -> None:
-        """Write the tables; the data files must be closed.
-
-        Args:
-            picture_histogram: (3, 256) counts of the sampled pictures, None without a camera.
-        """
+    def finish(self) -> None:
+        """Write the tables; the data files must be closed."""
         self._flush()
         self._files.close()
         write_tasks(list(self.tasks), self.root / TASKS_PATH)
         write_json(self._info(), self.root / INFO_PATH)
-        stats = self._summary.stats(self.root, picture_histogram)
+        stats = self._summary.stats(self.root)
         as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
         write_json(as_lists, self.root / STATS_PATH)
         write_json(self._summary.histograms(self.root, stats), self.root / HISTOGRAMS_PATH)

@@ -15,8 +15,8 @@ from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.generate.features import BOOKKEEPING, Features, content_keys, numeric_keys
 from dynahoi_lerobot.generate.histograms import SHOWN, histograms
 from dynahoi_lerobot.generate.quantiles import exact_quantiles, weighted_quantiles
-from dynahoi_lerobot.generate.rows import Row, row_stats
-from dynahoi_lerobot.generate.statistics import Moments, Stats, picture_stats
+from dynahoi_lerobot.generate.rows import Row, row_histogram, row_stats
+from dynahoi_lerobot.generate.statistics import LEVELS, Moments, Stats, picture_stats
 from dynahoi_lerobot.spec import CAMERA_KEY
 
 
@@ -34,28 +34,25 @@ class DatasetStats:
         self._task_frames: Counter[int] = Counter()
         self._lengths: list[int] = []
         self._pictures = 0
+        self._histogram = np.zeros((3, LEVELS), np.int64)
 
     def add(self, row: Row) -> None:
         """Add one episode's row, with its statistics."""
         for key, moments in self._moments.items():
             moments.add(row_stats(row, key))
-        if CAMERA_KEY in self.features:
+        if (histogram := row_histogram(row)) is not None:
+            self._histogram += histogram
             self._pictures += row[f"stats/{CAMERA_KEY}/count"][0]
         self._task_frames[int(row["stats/task_index/min"][0])] += row["length"]
         self._lengths.append(row["length"])
 
-    def stats(self, root: Path, picture_histogram: np.ndarray | None) -> dict[str, Stats]:
-        """Return the statistics by key.
-
-        Args:
-            root: the dataset whose data files are read.
-            picture_histogram: (3, 256) counts of the sampled pictures, None without a camera.
-        """
+    def stats(self, root: Path) -> dict[str, Stats]:
+        """Return the statistics by key; the data files below ``root`` are read for the quantiles."""
         quantiles = self._content_quantiles(root) | self._bookkeeping_quantiles()
         stats = {key: moments.stats(quantiles[key]) for key, moments in self._moments.items()}
-        if picture_histogram is None:
+        if not self._pictures:
             return stats
-        return {CAMERA_KEY: picture_stats(picture_histogram, self._pictures)} | stats
+        return {CAMERA_KEY: picture_stats(self._histogram, self._pictures)} | stats
 
     def histograms(self, root: Path, stats: dict[str, Stats]) -> dict[str, Any]:
         """Return the histograms of state and action, in the ranges of ``stats``."""

@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dynahoi_lerobot.generate.catalog import write_json
 from dynahoi_lerobot.generate.layout import MANIFEST_PATH
 
@@ -25,7 +23,6 @@ class Manifest:
         episodes: number of episodes.
         frames: number of frames.
         files: sha256 of every other file, by its path below the root.
-        pictures: 3 x 256 counts of the sampled pictures' levels, empty without a camera.
         seeds: every episode's seed, in the dataset's order.
         provenance: recipe, encoding and fingerprint of the code, as the generator gave them.
         yields: how many seeds were tried and how many were kept, missed or rejected.
@@ -34,15 +31,9 @@ class Manifest:
     episodes: int
     frames: int
     files: dict[str, str]
-    pictures: list[list[int]] = field(default_factory=list)
     seeds: list[int] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
     yields: dict[str, int] = field(default_factory=dict)
-
-    @property
-    def histogram(self) -> np.ndarray | None:
-        """(3, 256) counts of the sampled pictures, None without a camera."""
-        return np.array(self.pictures, np.int64) if self.pictures else None
 
     def write(self, root: Path) -> None:
         """Write it below ``root``."""

@@ -14,16 +14,25 @@ import pyarrow as pa
 
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.generate.features import BOOKKEEPING, Features, bookkeeping_arrays, numeric_keys
-from dynahoi_lerobot.generate.statistics import NAMES, Stats, table_stats
+from dynahoi_lerobot.generate.statistics import LEVELS, NAMES, Stats, table_stats
 from dynahoi_lerobot.spec import CAMERA_KEY
 
 Row = dict[str, Any]
 
 TRACES = ("palm_distance", "fingertip_distance", "open_joints", "reference_joints")
-"""Arrays of an Episode that are no per-frame column; metrics need them, so the episode table keeps them."""
+"""Arrays of an Episode that are no per-frame column; metrics need them, so the episode table keeps them.
+
+Their columns are called ``stats/<name>``: LeRobot reads an episode's whole row for every sample, but for columns of
+that prefix.
+"""
+
+HISTOGRAM = "stats/picture_histogram"
+"""Column with the 3 x 256 counts of the episode's sampled pictures, from which datasets sum theirs."""
 
 _META = {field.name: pa.string() if field.type == "str" else pa.int64() for field in fields(EpisodeMeta)}
-_OWN = _META | {"success": pa.bool_(), "stage": pa.string()} | {name: pa.list_(pa.float32()) for name in TRACES}
+_OWN = (
+    _META | {"success": pa.bool_(), "stage": pa.string()} | {f"stats/{name}": pa.list_(pa.float32()) for name in TRACES}
+)
 OWN_COLUMNS = tuple(_OWN)
 """Our columns of the episode table."""
 
@@ -33,13 +42,18 @@ META_COLUMNS = tuple(_META)
 
 def own_columns(episode: Episode) -> Row:
     """Return our columns of the episode's row."""
-    traces = {name: np.asarray(getattr(episode, name), np.float32).tolist() for name in TRACES}
+    traces = {f"stats/{name}": np.asarray(getattr(episode, name), np.float32).tolist() for name in TRACES}
     return asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | traces
 
 
 def stats_columns(stats: dict[str, Stats]) -> Row:
     """Return ``stats/<key>/<name>`` columns."""
     return {f"stats/{key}/{name}": stats[key][name].tolist() for key in stats for name in NAMES}
+
+
+def row_histogram(row: Row) -> np.ndarray | None:
+    """Return the (3, 256) counts of the episode's sampled pictures, None without a camera."""
+    return np.array(row[HISTOGRAM], np.int64).reshape(3, LEVELS) if HISTOGRAM in row else None
 
 
 def row_stats(row: Row, key: str) -> Stats:
@@ -70,6 +84,7 @@ def row_schema(features: Features) -> pa.Schema:
         columns |= {f"videos/{CAMERA_KEY}/{name}": pa.float64() for name in ("from_timestamp", "to_timestamp")}
     columns |= _OWN
     pictures = [] if camera is None else [CAMERA_KEY]
+    columns |= {} if camera is None else {HISTOGRAM: pa.list_(pa.int64())}
     for key in [*pictures, *numeric_keys(features)]:
         columns |= {f"stats/{key}/{name}": _stat_type(key in pictures, name) for name in NAMES}
     columns |= {"meta/episodes/chunk_index": pa.int64(), "meta/episodes/file_index": pa.int64()}

@@ -61,10 +61,12 @@ class Store:
     @cached_property
     def rows(self) -> list[Row]:
         """The episode table without its statistics, one dictionary per episode."""
+        wanted = {f"stats/{name}" for name in TRACES}
         tables = []
         for path in self.row_files():
-            names = [name for name in pq.read_schema(path).names if not name.startswith("stats/")]
-            tables.append(pq.read_table(path, columns=names))
+            names = pq.read_schema(path).names
+            columns = [name for name in names if name in wanted or not name.startswith("stats/")]
+            tables.append(pq.read_table(path, columns=columns))
         return pa.concat_tables(tables).to_pylist()
 
     @property
@@ -119,7 +121,7 @@ class Store:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
         row = self.rows[index]
         table = self.frames(row)
-        flat = {name: np.array(row[name], np.float32) for name in TRACES}
+        flat = {name: np.array(row[f"stats/{name}"], np.float32) for name in TRACES}
         return Episode(
             meta=EpisodeMeta(**{name: row[name] for name in META_COLUMNS}),
             images=self.images(row, table) if images else None,

@@ -20,9 +20,8 @@ from dynahoi_lerobot.generate.features import (
 )
 from dynahoi_lerobot.generate.layout import DATA_PATH, VIDEO_PATH, Layout
 from dynahoi_lerobot.generate.manifest import Manifest, hash_files
-from dynahoi_lerobot.generate.rows import Row, own_columns, stats_columns
+from dynahoi_lerobot.generate.rows import HISTOGRAM, Row, own_columns, stats_columns
 from dynahoi_lerobot.generate.statistics import (
-    LEVELS,
     picture_histogram,
     picture_stats,
     sampled_frames,
@@ -71,7 +70,6 @@ class DatasetWriter:
         self._data = RollingParquet(root, DATA_PATH, self._schema, self.layout)
         self._video: VideoWriter | None = None
         self._videos = 0
-        self._histogram = None if image_size is None else np.zeros((3, LEVELS), np.int64)
         self._seeds: list[int] = []
 
     @property
@@ -106,13 +104,11 @@ class DatasetWriter:
         self._data.close()
         if self._video is not None:
             self._video.close()
-        self._catalog.finish(self._histogram)
-        pictures = [] if self._histogram is None else self._histogram.tolist()
+        self._catalog.finish()
         manifest = Manifest(
             self._catalog.episodes,
             self._catalog.frames,
             hash_files(self.root),
-            pictures,
             self._seeds,
             provenance or {},
             yields or {},
@@ -136,13 +132,13 @@ class DatasetWriter:
             )
 
     def _picture_columns(self, episode: Episode) -> Row:
-        if self._histogram is None or episode.images is None:
+        if self._image_size is None or episode.images is None:
             return {}
         sample = sampled_frames(len(episode))
         images = episode.images if len(sample) == len(episode) else episode.images[sample]
         histogram = picture_histogram(images)
-        self._histogram += histogram
-        return stats_columns({CAMERA_KEY: picture_stats(histogram, len(sample))})
+        counts = {HISTOGRAM: histogram.reshape(-1).tolist()}  # (3 * 256,)
+        return counts | stats_columns({CAMERA_KEY: picture_stats(histogram, len(sample))})
 
     def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> Row:
         place = self._catalog.next_place(episode.meta.task)

@@ -23,8 +23,8 @@ class EpisodeColumns(Check):
         facts = (
             ("length_frames is {}, the recording has {} frames", row["length_frames"], frames),
             ("window_frames is {}, {} frames observe", row["window_frames"], window),
-            ("palm_distance has {} values for {} frames", len(row["palm_distance"]), frames),
-            ("fingertip_distance has {} values for {} frames", len(row["fingertip_distance"]), frames),
+            ("palm_distance has {} values for {} frames", len(row["stats/palm_distance"]), frames),
+            ("fingertip_distance has {} values for {} frames", len(row["stats/fingertip_distance"]), frames),
             ("success is {}, only successes are stored ({})", row["success"], True),
         )
         problems = [sentence.format(said, found) for sentence, said, found in facts if said != found]

@@ -11,8 +11,9 @@ import numpy as np
 from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Columns, Evidence
 from dynahoi_lerobot.generate.dataset_stats import DatasetStats
 from dynahoi_lerobot.generate.layout import HISTOGRAMS_PATH, STATS_PATH
-from dynahoi_lerobot.generate.rows import Row, row_stats
-from dynahoi_lerobot.generate.statistics import NAMES, Stats, table_stats
+from dynahoi_lerobot.generate.rows import Row, row_histogram, row_stats
+from dynahoi_lerobot.generate.statistics import NAMES, Stats, picture_stats, sampled_frames, table_stats
+from dynahoi_lerobot.spec import CAMERA_KEY
 
 ROUNDING = 1e-9
 """Relative difference that another order of summation may make."""
@@ -28,7 +29,7 @@ class Statistics(Check):
         summary = DatasetStats(evidence.features)
         for row in evidence.stats_rows:
             summary.add(row)
-        found = summary.stats(evidence.root, evidence.manifest.histogram)
+        found = summary.stats(evidence.root)
         for key in sorted(found.keys() | told.keys()):
             yield from _differences(f"{STATS_PATH}: {key}", told.get(key, {}), found.get(key, {}))
         if json.loads((evidence.root / HISTOGRAMS_PATH).read_text()) != summary.histograms(evidence.root, found):
@@ -36,6 +37,10 @@ class Statistics(Check):
 
     def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
         """Yield statistics in the episode table that differ."""
+        histogram = row_histogram(row)
+        if histogram is not None:
+            found = picture_stats(histogram, len(sampled_frames(row["length"])))
+            yield from _differences(f"episode {row['episode_index']}: {CAMERA_KEY}", row_stats(row, CAMERA_KEY), found)
         for key, stats in table_stats(dict(columns)).items():
             yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), stats)
 

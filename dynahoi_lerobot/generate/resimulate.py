@@ -1,0 +1,53 @@
+"""Play stored actions again in the world their seed describes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dynahoi_lerobot.agent import Agent, Observation
+from dynahoi_lerobot.episode import EpisodeMeta
+from dynahoi_lerobot.generate.replay import Resimulate
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.rollout import Job, make_batch, play
+from dynahoi_lerobot.sampling import sample_spec
+
+
+class Player(Agent):
+    """Repeats given commands and looks at nothing."""
+
+    name = "player"
+
+    def __init__(self, actions: np.ndarray) -> None:
+        """Take the (T, 18) commands of one world: palm position [m] world and joint angles [rad]."""
+        self._actions = actions
+        self._frame = 0
+
+    def reset(self, count: int) -> None:
+        """Start from the first command."""
+        self._frame = 0
+
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (1, 18), the next command."""
+        command = self._actions[self._frame]
+        self._frame += 1
+        return command[None].astype(np.float64)
+
+
+def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
+    """Return a function that replays episodes of a recipe.
+
+    Args:
+        recipe: the recipe as the manifest keeps it.
+        images: whether to render.
+    """
+    lists = {name: tuple(value) if isinstance(value, list) else value for name, value in recipe.items()}
+    played = Recipe(**lists)
+
+    def resimulate(meta: EpisodeMeta, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        job = Job(0, sample_spec(played, meta.seed), len(actions), meta.attempts)
+        ((_, episode),) = play(make_batch(played, 1), Player(actions), [job], images=images)
+        return episode.state, episode.images
+
+    return resimulate
