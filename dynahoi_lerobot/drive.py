@@ -26,7 +26,8 @@ class Drive:
     Attributes:
         start_pos_w: (3,) position at t = 0 [m].
         start_velocity_w: (3,) velocity at t = 0 [m/s].
-        force_w: (F, 25, 3) applied force [N] in every physics step of every frame; zero where the target is free.
+        force_w: (F, 25, 3) applied force [N] in every physics step of every frame; zero where the target is
+            free, apart from the impulse that releases it.
     """
 
     start_pos_w: np.ndarray
@@ -47,7 +48,7 @@ def drive_for(motion: Motion, target: TargetObject, frames: int) -> Drive:
         return Drive(start, velocity, np.zeros((frames, SUBSTEPS, 3)))
     force = np.zeros((frames * SUBSTEPS, 3))
     force[:held] = -target.mass_kg * GRAVITY_W
-    force[held - 1] += target.mass_kg * velocity / PHYSICS_DT  # the impulse of letting go
+    force[held : held + 1] = target.mass_kg * velocity / PHYSICS_DT  # the impulse of letting go, in the first free step
     return Drive(start, np.zeros(3), force.reshape(frames, SUBSTEPS, 3))
 
 

@@ -18,6 +18,7 @@ from dynahoi_lerobot.hands import HANDS, Hand
 from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE
 from dynahoi_lerobot.looks import PATTERNS, texture_pixels
 from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
 
 SHAPES = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -29,6 +30,7 @@ SHAPES = {
 ENVIRONMENT, HAND_BIT = 1, 2
 """Collision bits: surfaces and striker answer to the first, the hand to the second; the target asks for either."""
 
+SURFACE_FRICTION = (1.0, TORSIONAL_FRICTION_M, ROLLING_FRICTION_M)
 FIXTURE_BOXES = ("box_a", "box_b")
 LARGEST_SLOT_M = 0.12
 LARGEST_BOX_M = (1.5, 1.0, 0.3)
@@ -166,7 +168,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     half = ARENA_HALF_M
     spec.worldbody.add_geom(
         name="floor", type=plane, size=(half, half, 0.1), contype=0, conaffinity=ENVIRONMENT, material="plain_coarse",
-        condim=6, friction=(1.0, 0.002, 0.0002),
+        condim=6, friction=SURFACE_FRICTION,
     )  # fmt: skip
     for name, (side, aside) in WALLS.items():
         spec.worldbody.add_geom(
@@ -192,7 +194,7 @@ def _add_target(spec: mujoco.MjSpec) -> None:
         for index in range(count):
             body.add_geom(
                 name=f"target_{shape}_{index}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, mass=0.0,
-                contype=ENVIRONMENT | HAND_BIT, conaffinity=0, condim=6, friction=(1.0, 0.002, 0.0002), priority=1,
+                contype=ENVIRONMENT | HAND_BIT, conaffinity=0, condim=6, friction=SURFACE_FRICTION, priority=1,
                 material="plain_fine", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
             )  # fmt: skip
     body.add_geom(
@@ -206,7 +208,7 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
         body = spec.worldbody.add_body(name=name, mocap=True, pos=HIDDEN_POS)
         body.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=LARGEST_BOX_M, contype=0, conaffinity=ENVIRONMENT,
-            material="plain_fine", condim=6, friction=(1.0, 0.002, 0.0002),
+            material="plain_fine", condim=6, friction=SURFACE_FRICTION,
         )  # fmt: skip
     striker = spec.worldbody.add_body(name="striker", pos=HIDDEN_POS, gravcomp=1.0)
     striker.explicitinertial, striker.mass, striker.inertia, striker.ipos = True, 0.3, (2e-4,) * 3, (0.0, 0.0, 0.0)

@@ -9,6 +9,7 @@ import numpy as np
 
 from dynahoi_lerobot.motions.base import GRAVITY_M_S2, Box, Draw, Launch, PhysicalMotion, Vector, as_vector, heading
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M
 
 PLANK_HALF_THICKNESS_M = 0.012
 PLANK_HALF_WIDTH_M = 0.07
@@ -16,7 +17,7 @@ PLANK_HALF_WIDTH_M = 0.07
 
 @dataclass(frozen=True)
 class RollingMotion(PhysicalMotion):
-    """Down a slope a = g sin q / (1 + I / (m r^2)), from rest.
+    """Down a slope a = g (sin q - c cos q / r) / (1 + I / (m r^2)), from rest; c is the rolling friction.
 
     Attributes:
         meeting: where the centre of the target is to be met, on the slope or at its foot [m].
@@ -87,9 +88,10 @@ class RollingMotion(PhysicalMotion):
 
 
 def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
-    """Return the acceleration of rolling without slipping [m/s^2]."""
+    """Return the acceleration of rolling without slipping [m/s^2], against rolling friction."""
     ratio = target.inertia[2] / (target.mass_kg * target.roll_radius_m**2)
-    return float(GRAVITY_M_S2 * np.sin(slope_rad) / (1 + ratio))
+    drive = np.sin(slope_rad) - ROLLING_FRICTION_M / target.roll_radius_m * np.cos(slope_rad)
+    return float(GRAVITY_M_S2 * drive / (1 + ratio))
 
 
 def _yaw_pitch_quat(yaw: float, pitch: float) -> tuple[float, float, float, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from dynahoi_lerobot.motions.base import Box, PhysicalMotion, Vector, as_vector, heading, yaw_quat
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 
-TABLE_HALF_M = (0.9, 0.9, 0.02)
+TABLE_HALF_M = (1.1, 0.9, 0.02)
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,8 @@ class TabletopMotion(PhysicalMotion):
     Attributes:
         contact: centre of the target at the impact [m].
         yaw_rad: horizontal direction of the blow or the approach.
-        speed_m_s: of whatever is moving towards the impact.
-        impact_s: time of the impact [s], as planned without friction.
+        speed_m_s: of whatever is moving, at the impact.
+        impact_s: time of the impact [s]; a ball that begins to roll is a little early.
         restitution: rebound speed over approach speed.
         friction: sliding friction of the table.
     """

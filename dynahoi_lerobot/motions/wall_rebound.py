@@ -7,7 +7,16 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Box, Draw, Launch, as_vector, damping_ratio_for, yaw_quat
+from dynahoi_lerobot.motions.base import (
+    GRAVITY_M_S2,
+    MOTIONS,
+    Box,
+    Draw,
+    Launch,
+    as_vector,
+    damping_ratio_for,
+    yaw_quat,
+)
 from dynahoi_lerobot.motions.tabletop import TabletopMotion, reach_m
 from dynahoi_lerobot.objects import TargetObject
 
@@ -17,7 +26,7 @@ WALL_HALF_M = (0.02, 0.3, 0.05)
 @MOTIONS.register("wall_rebound")
 @dataclass(frozen=True)
 class WallRebound(TabletopMotion):
-    """Approach at 0.3 to 0.7 m/s, restitution 0.6 to 0.9, table friction 0.01 to 0.04."""
+    """Meets the wall at 0.3 to 0.7 m/s, restitution 0.6 to 0.9, table friction 0.01 to 0.04."""
 
     name: ClassVar[str] = "wall_rebound"
     phrase: ClassVar[str] = "rebounding from a wall"
@@ -33,14 +42,16 @@ class WallRebound(TabletopMotion):
         )  # fmt: skip
 
     def launch(self, target: TargetObject) -> Launch:
-        """Return the target under way on the table, and the wall."""
+        """Return the target under way on the table, fast enough to reach the wall in time, and the wall."""
         direction, reach = self.direction(), reach_m(target)
+        lost = self.friction * GRAVITY_M_S2 * self.impact_s  # speed that the table takes [m/s]
+        distance = (self.speed_m_s + lost / 2) * self.impact_s
         wall = np.asarray(self.contact) + (reach + WALL_HALF_M[0]) * direction
         wall[2] += WALL_HALF_M[2] - target.rest_height_m
         return Launch(
-            as_vector(np.asarray(self.contact) - self.speed_m_s * self.impact_s * direction),
+            as_vector(np.asarray(self.contact) - distance * direction),
             quat=yaw_quat(self.yaw_rad),
-            velocity=as_vector(self.speed_m_s * direction),
+            velocity=as_vector((self.speed_m_s + lost) * direction),
             boxes=(self.table(target), Box(as_vector(wall), WALL_HALF_M, yaw_quat(self.yaw_rad))),
             damping_ratio=damping_ratio_for(self.restitution),
             friction=self.friction,

@@ -15,6 +15,8 @@ OBJECTS: Registry[type[ObjectKind]] = Registry("object", "dynahoi_lerobot.object
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 MASS_RANGE_KG = (0.04, 0.18)
 FRICTION_RANGE = (0.6, 1.1)
+TORSIONAL_FRICTION_M, ROLLING_FRICTION_M = 0.002, 0.0002
+"""Resistance of contacts to turning and to rolling: torque over normal force [m]."""
 
 
 @dataclass(frozen=True)
