@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from lerobot.configs import NormalizationMode
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
+from lerobot.processor import NormalizerProcessorStep, TransitionKey, create_transition
+from lerobot.utils.constants import ACTION, OBS_STATE
 from lerobot_policy_obact.action_frame import N_SPREAD_BATCHES, ActionFrame, affine_of, looks_absolute
 from obact_helpers import HAND_FEATURES, PUSH_FEATURES, make_batch, make_policy, make_step
 
@@ -20,17 +22,22 @@ def stats_of(x: torch.Tensor) -> dict[str, torch.Tensor]:
 def test_displacements_are_physical(mode: NormalizationMode) -> None:
     generator = torch.Generator().manual_seed(0)
     state = 3 + 0.5 * torch.randn(200, 5, generator=generator)
-    action = torch.cat([state[:, :3] + 0.04, torch.randn(200, 4, generator=generator)], 1)
+    moved = 0.04 * torch.randn(200, 3, generator=generator)
+    action = torch.cat([state[:, :3] + moved, torch.randn(200, 4, generator=generator)], 1)
     frame = ActionFrame(3)
-    normalised = {}
-    for name, x in (("state", state), ("action", action)):
-        affine = affine_of(stats_of(x), mode)
-        frame.set_stats(name, affine)
-        scale, shift = affine or (torch.ones(x.shape[1]), torch.zeros(x.shape[1]))
-        normalised[name] = (x - shift) / scale
-    chunk = frame.to_model(normalised["action"][:, None], normalised["state"])
-    torch.testing.assert_close(chunk[:, 0, :3], torch.full((200, 3), 0.04), rtol=0, atol=1e-5)  # spread is still 1
-    torch.testing.assert_close(chunk[..., 3:], normalised["action"][:, None, 3:])
+    stats = {OBS_STATE: stats_of(state), ACTION: stats_of(action)}
+    frame.set_stats("state", affine_of(stats[OBS_STATE], mode))
+    frame.set_stats("action", affine_of(stats[ACTION], mode))
+    features = {
+        OBS_STATE: PolicyFeature(FeatureType.STATE, (5,)),
+        ACTION: PolicyFeature(FeatureType.ACTION, (7,)),
+    }
+    step = NormalizerProcessorStep(features, {FeatureType.STATE: mode, FeatureType.ACTION: mode}, stats)
+    normalised = step(create_transition(observation={OBS_STATE: state}, action=action))
+    actions = normalised[TransitionKey.ACTION][:, None]
+    chunk = frame.to_model(actions, normalised[TransitionKey.OBSERVATION][OBS_STATE])
+    torch.testing.assert_close(chunk[:, 0, :3], moved, rtol=0, atol=1e-5)  # the spread is still 1
+    torch.testing.assert_close(chunk[..., 3:], actions[..., 3:])
 
 
 def test_the_map_is_invertible_and_its_spread_is_one() -> None:

@@ -28,11 +28,14 @@ def scrambled(batch: dict, frames: slice, seed: int = 9) -> dict:
 
 
 def test_untrained_history_policy_equals_the_single_frame_control() -> None:
-    history, control = make_policy(n_obs_frames=N_OBS), make_policy(n_obs_frames=0)
+    history, control = randomise(make_policy(n_obs_frames=N_OBS)), make_policy(n_obs_frames=0)
+    untrained = make_policy(n_obs_frames=N_OBS).state_dict()
+    gates = {key: value for key, value in untrained.items() if key.endswith("gate")}
+    history.load_state_dict({**history.state_dict(), **gates})  # the rest is random: an untrained head only says 0
     control.load_state_dict(history.state_dict())
     batch = make_batch(history)
     now = {key: value[:, -1:] if key.startswith("observation.") else value for key, value in batch.items()}
-    torch.testing.assert_close(chunk_of(history, batch), chunk_of(control, now), rtol=0, atol=0)
+    torch.testing.assert_close(chunk_of(history, batch), chunk_of(control, now), rtol=1e-3, atol=1e-4)
 
 
 def test_trained_history_policy_uses_its_history_and_the_control_cannot() -> None:

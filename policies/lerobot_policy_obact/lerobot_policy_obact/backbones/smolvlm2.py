@@ -81,18 +81,19 @@ class SmolVLM2Backbone(Backbone):
         features = self.vlm.vision_model(pixel_values=self.standardise(images)).last_hidden_state
         image_tokens = self.vlm.connector(features)  # (F, P, C)
 
-        ids, keep = self._tokenize(texts, images.device)  # (F, L) each
-        embeddings = torch.cat([image_tokens, self.vlm.text_model.embed_tokens(ids)], dim=1)
-        mask = torch.cat([keep.new_ones(image_tokens.shape[:2]), keep], dim=1)  # (F, P + L)
-        hidden = self.vlm.text_model(inputs_embeds=embeddings, attention_mask=mask, use_cache=False).last_hidden_state
-        # The model is causal: image tokens come first and know no text, the last word has read everything.
-        last_word = image_tokens.shape[1] + keep.sum(1) - 1
+        ids, lengths = self._tokenize(texts)  # (F, L), (F,)
+        words = self.vlm.text_model.embed_tokens(ids.to(images.device))
+        hidden = self.vlm.text_model(
+            inputs_embeds=torch.cat([image_tokens, words], dim=1), use_cache=False
+        ).last_hidden_state  # (F, P + L, C)
+        # The model is causal: image tokens come first and know no text, the last word has read everything, and
+        # nobody reads the padding after it.
+        last_word = image_tokens.shape[1] + lengths - 1
         return hidden[:, : image_tokens.shape[1]], hidden[torch.arange(len(ids)), last_word][:, None]
 
-    def _tokenize(self, texts: list[str], device: torch.device) -> tuple[Tensor, Tensor]:
+    def _tokenize(self, texts: list[str]) -> tuple[Tensor, Tensor]:
+        """Return token ids, padded at the end, shape ``(F, L)``, and how many of them are words, shape ``(F,)``."""
         limits = {"truncation": True, "max_length": self.max_text_tokens}
-        known = {text: self.tokenizer(text or " ", **limits).input_ids for text in set(texts)}
+        known = {text: torch.tensor(self.tokenizer(text or " ", **limits).input_ids) for text in set(texts)}
         rows = [known[text] for text in texts]
-        ids = nn.utils.rnn.pad_sequence([torch.tensor(row) for row in rows], batch_first=True)
-        keep = nn.utils.rnn.pad_sequence([torch.ones(len(row), dtype=torch.long) for row in rows], batch_first=True)
-        return ids.to(device), keep.to(device)
+        return nn.utils.rnn.pad_sequence(rows, batch_first=True), torch.tensor([len(row) for row in rows])
