@@ -6,7 +6,9 @@ files that ``dynahoi evaluate`` writes.
 
 from __future__ import annotations
 
+import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +43,7 @@ class ResultsLog:
         """Write the folder if there is anything new, and print the table."""
         if not self._unwritten:
             return
-        info = RunInfo("lerobot", self._split, self._capture, " ".join(sys.argv), self._fingerprint)
+        info = RunInfo(policy_name(sys.argv), self._split, self._capture, " ".join(sys.argv), self._fingerprint)
         results = self._recorder.write(self.folder, info)
         self._unwritten = 0
         print(f"{results_table([results])}\nmetrics so far: {self.folder}", flush=True)
@@ -58,3 +60,13 @@ class TaskEnv(DynahoiVectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         """Write what has been played so far."""
         self._log.write()
+
+
+def policy_name(argv: Sequence[str]) -> str:
+    """Return what LeRobot's command line says is being played: the policy's type, its path, or just ``policy``."""
+    given = dict(word.lstrip("-").split("=", 1) for word in argv if word.startswith("--policy.") and "=" in word)
+    path = given.get("policy.path") or given.get("policy.pretrained_path")
+    config = Path(path or "") / "config.json"
+    if path and config.is_file():
+        return str(json.loads(config.read_text()).get("type", path))
+    return path or given.get("policy.type", "policy")
