@@ -15,10 +15,11 @@ class Cone(ObjectKind):
     def shape(cls, rng: np.random.Generator) -> TargetShape:
         """Draw the geometry [m]."""
         radius, slice_half = rng.uniform(0.028, 0.038), rng.uniform(0.005, 0.0075)
-        heights = np.arange(6) * 2 * slice_half - 3 * slice_half  # the centre of mass lies a quarter of the height up
         widths = radius * (1 - np.arange(6) / 6)
+        middles = (2 * np.arange(6) + 1) * slice_half  # above the base
+        center = float(np.average(middles, weights=widths**2))
         slices = tuple(
-            Primitive("cylinder", (float(width), slice_half), (0.0, 0.0, float(height)))
-            for width, height in zip(widths, heights, strict=True)
+            Primitive("cylinder", (float(width), slice_half), (0.0, 0.0, float(middle - center)))
+            for width, middle in zip(widths, middles, strict=True)
         )
-        return TargetShape(slices, 0.75 * radius, 4 * slice_half)
+        return TargetShape(slices, 0.75 * radius, center)
