@@ -1,0 +1,27 @@
+"""What several core tests need and is expensive: built once per worker, and never changed by a test."""
+
+from __future__ import annotations
+
+import pytest
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.rollout import evaluate, make_batch
+from dynahoi_lerobot.sampling import sample_specs
+
+TEST = Recipe(split="test", image_size=32)
+
+
+@pytest.fixture(scope="session")
+def specs() -> list[EpisodeSpec]:
+    """The first 44 episodes of ``test``: every kind twice."""
+    return sample_specs(TEST, range(44))
+
+
+@pytest.fixture(scope="session")
+def expert_episodes(specs: list[EpisodeSpec]) -> list[Episode]:
+    """The expert's evaluation on ``specs``, in their order, without images."""
+    episodes = evaluate(make_batch(TEST, 22, threads=1), EXPERTS["intercept"](), specs)
+    return sorted(episodes, key=lambda episode: episode.meta.seed)

@@ -1,0 +1,40 @@
+"""Motions as the sampler draws them, without the search for a home."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.conventions import CONTROL_DT
+from dynahoi_lerobot.motions import MOTIONS, Draw, Motion
+from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.timing import draw_timing
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One motion, its target, and the time for which it must make sense [s]."""
+
+    motion: Motion
+    target: TargetObject
+    horizon_s: float
+
+
+def draw_motion(kind: str, seed: int, object_name: str | None = None, tempo: float = 1.0) -> Drawn:
+    """Draw a motion of ``kind`` with the timing of a sampled episode."""
+    rng = np.random.default_rng([seed, 7])
+    timing = draw_timing(kind, "observe_before_act", rng)
+    allowed = [name for name in MOTIONS[kind].objects() if not OBJECTS[name].held_out]
+    name = object_name or str(rng.choice(allowed))
+    target = OBJECTS[name].sample(name, rng)
+    window_s = timing.window_frames * CONTROL_DT
+    draw = Draw(
+        rng=rng,
+        target=target,
+        window_s=window_s,
+        intercept_s=window_s + timing.approach_frames * CONTROL_DT,
+        horizon_s=(timing.window_frames + timing.length_frames) * CONTROL_DT,
+        tempo=tempo,
+    )
+    return Drawn(MOTIONS[kind].sample(draw), target, draw.horizon_s)

@@ -1,0 +1,110 @@
+"""What must hold of every registered motion, with no line per motion."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.conventions import PHYSICS_DT
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.motions import CATEGORIES, MOTIONS, PrescribedMotion, benchmark_motions
+from dynahoi_lerobot.scene import ARENA_HALF_M
+from tests.drawing import draw_motion
+
+KINDS = MOTIONS.names()
+PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, PrescribedMotion)]
+SEEDS = range(5)
+KINDS_PER_CATEGORY = {
+    "straight_line": 3,
+    "simple_harmonic": 3,
+    "circular_arc": 3,
+    "projectile": 3,
+    "pendulum": 3,
+    "inclined_rolling": 2,
+    "impact_response": 2,
+    "hybrid": 3,
+}
+STEP_S = 1e-5
+"""Of central differences: short enough for the kinks that a third derivative may have, long enough for rounding."""
+LEAST_PATH_M = 0.015
+"""Path from the start to the intercept: what the slowest accelerating line covers in its shortest episode."""
+
+
+def test_the_benchmark_has_22_kinds_in_8_categories():
+    assert Counter(MOTIONS[name].category for name in benchmark_motions()) == KINDS_PER_CATEGORY
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_says_what_it_is(kind: str):
+    motion = MOTIONS[kind]
+    assert motion.name == kind
+    assert motion.category in CATEGORIES
+    assert motion.__doc__
+    assert len(motion.phrase.split()) >= 2
+    assert motion.phrase[0].islower(), "the phrase continues 'the object that is'"
+    assert not motion.phrase.endswith(".")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_same_seed_draws_the_same_motion_and_another_seed_another(kind: str):
+    drawn = [draw_motion(kind, seed).motion for seed in SEEDS]
+    assert drawn == [draw_motion(kind, seed).motion for seed in SEEDS]
+    assert len({motion.parameters() for motion in drawn}) == len(drawn)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parameters_are_finite_json_that_gives_the_motion_back(kind: str):
+    for seed in SEEDS:
+        motion = draw_motion(kind, seed).motion
+        values = json.loads(motion.parameters(), parse_constant=_refuse)
+        assert values
+        assert MOTIONS[kind](**{name: _as_tuple(value) for name, value in values.items()}) == motion
+
+
+@pytest.mark.parametrize("kind", PRESCRIBED)
+def test_velocity_and_acceleration_are_the_exact_derivatives(kind: str):
+    for seed in SEEDS:
+        drawn = draw_motion(kind, seed)
+        motion = drawn.motion
+        assert isinstance(motion, PrescribedMotion)
+        times = np.linspace(0.0, drawn.horizon_s, 301)
+        bend_s = getattr(motion, "bend_s", -1.0)  # where an acceleration may jump
+        times = times[np.abs(times - bend_s) > 2 * STEP_S]
+        for lower, higher in ((motion.position, motion.velocity), (motion.velocity, motion.acceleration)):
+            slope = (lower(times + STEP_S) - lower(times - STEP_S)) / (2 * STEP_S)
+            np.testing.assert_allclose(higher(times), slope, atol=5e-5)
+
+
+@pytest.mark.parametrize("kind", PRESCRIBED)
+def test_prescribed_paths_stay_in_the_arena_between_frames_too(kind: str, specs: list[EpisodeSpec]):
+    for spec in specs:
+        if spec.motion.name == kind:
+            assert isinstance(spec.motion, PrescribedMotion)
+            _assert_in_arena(spec.motion.position(np.arange(0.0, spec.horizon_frames * 0.05, PHYSICS_DT)))
+
+
+def test_every_sampled_path_is_finite_inside_the_arena_and_moving(specs: list[EpisodeSpec]):
+    assert {spec.motion.name for spec in specs} == set(benchmark_motions())
+    for spec in specs:
+        assert len(spec.oracle_path) == spec.window_frames + spec.length_frames + 1
+        _assert_in_arena(spec.oracle_path)
+        until_met = spec.oracle_path[: spec.intercept_frame + 1]
+        path_m = np.linalg.norm(np.diff(until_met, axis=0), axis=1).sum()
+        assert path_m > LEAST_PATH_M, f"{spec.motion.name} of seed {spec.seed} covers only {path_m:.4f} m"
+
+
+def _assert_in_arena(path: np.ndarray) -> None:
+    assert np.isfinite(path).all()
+    assert (np.abs(path[:, :2]) < ARENA_HALF_M).all()
+    assert (path[:, 2] > 0.0).all()
+
+
+def _refuse(constant: str) -> None:
+    raise AssertionError(f"parameters hold {constant}")
+
+
+def _as_tuple(value):
+    return tuple(_as_tuple(v) for v in value) if isinstance(value, list) else value

@@ -1,0 +1,62 @@
+"""Real dynamics at 500 Hz, without a hand: what the theory of each physical motion is compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from dynahoi_lerobot.conventions import PHYSICS_DT, SUBSTEPS
+from dynahoi_lerobot.drive import drive_for
+from dynahoi_lerobot.motions import Motion
+from dynahoi_lerobot.objects import TargetObject
+from dynahoi_lerobot.rows import Rows
+from dynahoi_lerobot.scene import ENVIRONMENT, compile_scene
+
+
+@dataclass(frozen=True)
+class Track:
+    """What target and striker did, one row per physics step.
+
+    Attributes:
+        time: (K,) [s]; ``pos``: (K, 3) [m]; ``velocity``: (K, 3) [m/s]; ``quat``: (K, 4) wxyz, world.
+        spin: (K, 3) angular velocity [rad/s], target frame.
+        striker_speed: (K,) [m/s] along its slide.
+    """
+
+    time: np.ndarray
+    pos: np.ndarray
+    velocity: np.ndarray
+    quat: np.ndarray
+    spin: np.ndarray
+    striker_speed: np.ndarray
+
+
+def simulate(motion: Motion, target: TargetObject, seconds: float) -> Track:
+    """Let ``target`` perform ``motion`` with nobody near."""
+    scene = compile_scene(None)
+    batch = Batch(scene.model, nsim=1, nthread=1)
+    rows, one = Rows(batch, scene), np.array([0])
+    frames = int(np.ceil(seconds * 20))
+    drive = drive_for(motion, target, frames)
+    rows.reset(one)
+    rows.write_world(0, motion, target, drive, ENVIRONMENT)
+    rows.finish(one)
+    force = np.zeros((1, frames * SUBSTEPS, scene.model.nv))
+    force[0, :, scene.target_dof : scene.target_dof + 3] = drive.force_w.reshape(-1, 3)
+    first_qpos, first_qvel = rows.qpos[0].copy(), rows.qvel[0].copy()
+    applied = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
+    record = batch.rollout(force.shape[1], force, applied, record=("qpos", "qvel"))
+    assert not np.any(batch.warning), "the simulation is unstable"
+    qpos, qvel = np.vstack([first_qpos, record["qpos"][0]]), np.vstack([first_qvel, record["qvel"][0]])
+    at, dof = scene.target_qpos, scene.target_dof
+    return Track(
+        time=np.arange(len(qpos)) * PHYSICS_DT,
+        pos=qpos[:, at : at + 3],
+        velocity=qvel[:, dof : dof + 3],
+        quat=qpos[:, at + 3 : at + 7],
+        spin=qvel[:, dof + 3 : dof + 6],
+        striker_speed=qvel[:, scene.striker_dof],
+    )
