@@ -1,0 +1,54 @@
+"""Playing worlds by hand, and reducing what happened to a hash."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.rollout import evaluate, make_batch
+from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.world_batch import WorldBatch
+
+SMALL = Recipe(split="test", image_size=32)
+
+
+def world(specs: Sequence[EpisodeSpec], *, threads: int = 1, image_size: int = 32) -> WorldBatch:
+    """A batch with one world for each spec, at the start of its episode."""
+    batch = WorldBatch(len(specs), threads=threads, image_size=image_size)
+    batch.reset(range(len(specs)), specs)
+    return batch
+
+
+def wait(batch: WorldBatch) -> None:
+    """Step until every world is in its control phase; worlds that are there hold still."""
+    while not batch.acting.all():
+        batch.step(batch.executed)
+
+
+def digest(episode: Episode) -> str:
+    """Hash of every number, pixel and word of an episode, but not of the code that made it."""
+    sha = hashlib.sha256(repr(replace(episode.meta, fingerprint="")).encode())
+    for field in fields(episode):
+        value = getattr(episode, field.name)
+        if field.name != "meta":
+            sha.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+    return sha.hexdigest()
+
+
+def digests(specs: Sequence[EpisodeSpec], size: int, threads: int = 1, *, images: bool = False) -> dict[int, str]:
+    """Hash of the expert's evaluation of each seed, played ``size`` worlds at a time."""
+    batch = make_batch(SMALL, size, threads)
+    episodes = evaluate(batch, EXPERTS["intercept"](), specs, images=images)
+    return {episode.meta.seed: digest(episode) for episode in episodes}
+
+
+if __name__ == "__main__":
+    print(digests(sample_specs(SMALL, [int(seed) for seed in sys.argv[1:]]), 2, images=True))
