@@ -1,0 +1,124 @@
+"""OpenGL through MuJoCo's own renderer: one world after another, as any MuJoCo user would draw them."""
+
+from __future__ import annotations
+
+import os
+import platform
+import weakref
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
+from dynahoi_lerobot.scene import SHOWN_GROUP, Scene
+
+FLAG = mujoco.mjtRndFlag
+OFF = [f.value for f in (FLAG.mjRND_SHADOW, FLAG.mjRND_REFLECTION, FLAG.mjRND_HAZE, FLAG.mjRND_FOG, FLAG.mjRND_SKYBOX)]
+"""Effects that the ray caster does not have either."""
+NUMBERED = [FLAG.mjRND_SEGMENT.value, FLAG.mjRND_IDCOLOR.value]
+"""Instead of what things look like, paint a colour that numbers them."""
+GEOM = mujoco.mjtObj.mjOBJ_GEOM.value
+
+
+@RENDERERS.register("opengl")
+class OpenGLRenderer(Renderer):
+    """Writes each world into one MjModel and one MjData, which share the textures, and draws them with one context.
+
+    It shows what ``warp`` shows: one sample per pixel, textures, no shadows and no highlights. Shapes and plain colours
+    agree; patterns are laid on with another phase. EGL is used unless MUJOCO_GL asks for another platform.
+    """
+
+    def __init__(self, scene: Scene, batch: Batch, image_size: int) -> None:
+        """Open an OpenGL context and upload the textures.
+
+        Raises:
+            RuntimeError: if this machine offers no OpenGL; the message says what to do.
+        """
+        super().__init__(scene, batch, image_size)
+        self._model = batch.get_model(0)
+        self._data = mujoco.MjData(self._model)
+        quality, frame = self._model.vis.quality, self._model.vis.global_
+        quality.offsamples, frame.offwidth, frame.offheight = 0, image_size, image_size
+        self._view = mujoco.MjvScene(self._model, maxgeom=scene.model.ngeom)
+        self._view.flags[OFF] = False
+        self._options = mujoco.MjvOption()
+        self._options.geomgroup[:], self._options.sitegroup[:] = 0, 0
+        self._options.geomgroup[SHOWN_GROUP] = 1
+        self._camera = mujoco.MjvCamera()
+        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, scene.camera
+        self._rectangle = mujoco.MjrRect(0, 0, image_size, image_size)
+        self._platform, self._context = _open(self._model, image_size)
+        weakref.finalize(self, _close, self._platform, self._context)
+
+    def rgb(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
+        self._platform.make_current()
+        return np.stack([self._draw(int(i)) for i in ids])
+
+    def segmentation(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""
+        self._platform.make_current()
+        self._view.flags[NUMBERED] = True
+        try:
+            return np.stack([self._geoms(self._draw(int(i))) for i in ids])
+        finally:
+            self._view.flags[NUMBERED] = False
+
+    def _draw(self, i: int) -> np.ndarray:
+        """(H, W, 3) picture of world ``i``."""
+        model, data = self.batch.get_model(i, self._model), self.batch.get_data(i, self._data)
+        model.light_specular[:] = 0.0
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(model, data, self._options, None, self._camera, everything, self._view)
+        mujoco.mjr_render(self._rectangle, self._view, self._context)
+        pixels = np.empty((self.image_size, self.image_size, 3), np.uint8)
+        mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
+        return pixels[::-1]  # OpenGL counts rows from below
+
+    def _geoms(self, painted: np.ndarray) -> np.ndarray:
+        """(H, W) geom ids from a picture whose colours number the things in view from 1."""
+        numbers = painted.astype(np.int32) @ np.array([1, 2**8, 2**16], np.int32)
+        ids = np.full(self._view.ngeom + 1, -1, np.int32)
+        for thing in self._view.geoms[: self._view.ngeom]:
+            if thing.objtype == GEOM:
+                ids[thing.segid + 1] = thing.objid
+        return ids[numbers]
+
+
+def _open(model: mujoco.MjModel, image_size: int) -> tuple[Any, mujoco.MjrContext]:
+    """Return a current platform context and MuJoCo's resources in it.
+
+    Raises:
+        RuntimeError: if this machine offers no OpenGL.
+    """
+    try:
+        opened = _platform_class()(image_size, image_size)
+        opened.make_current()
+        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
+    except (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError) as error:
+        raise RuntimeError(
+            f"the renderer 'opengl' finds no OpenGL on this machine ({error}); install it (Debian: apt install libegl1 "
+            "libgl1-mesa-dri) or use the renderer 'warp', which needs none"
+        ) from error
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
+    return opened, context
+
+
+def _platform_class() -> Any:
+    """MuJoCo's choice if the user has made one or has no Linux, else EGL, which needs no display."""
+    if os.environ.get("MUJOCO_GL") or platform.system() != "Linux":
+        return mujoco.GLContext
+    from mujoco.egl import GLContext
+
+    return GLContext
+
+
+def _close(opened: Any, context: mujoco.MjrContext) -> None:
+    opened.make_current()
+    context.free()
+    opened.free()

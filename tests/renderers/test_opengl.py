@@ -1,0 +1,94 @@
+"""The OpenGL renderer shows what the ray caster shows, or says in a sentence what it lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.renderers import opengl
+from dynahoi_lerobot.rollout import make_batch
+from dynahoi_lerobot.world_batch import WorldBatch
+
+SIZE = 64
+LARGEST_DIFFERENCE = 2.0
+"""Mean absolute difference of two pictures of plainly painted worlds [grey levels of 255]."""
+LEAST_AGREEMENT = 0.99
+"""Share of pixels that show the same geom."""
+
+
+def plain(spec: EpisodeSpec) -> EpisodeSpec:
+    """Return the episode without patterns, whose phase differs between the renderers."""
+    patterns = ("target_pattern", "floor_pattern", "wall_pattern", "box_pattern")
+    return replace(spec, look=replace(spec.look, **dict.fromkeys(patterns, "plain")))
+
+
+def batch_of(renderer: str, specs: list[EpisodeSpec]) -> WorldBatch:
+    """Return a batch at the end of the fourth frame of ``specs``."""
+    batch = make_batch(Recipe(image_size=SIZE, renderer=renderer), len(specs), threads=1)
+    batch.reset(range(len(specs)), specs)
+    for _ in range(4):
+        batch.step(batch.executed)
+    return batch
+
+
+def refusal(batch: WorldBatch) -> str:
+    """Return what the batch's renderer says when it cannot draw, empty if it can."""
+    try:
+        batch.render()
+    except RuntimeError as error:
+        return str(error)
+    return ""
+
+
+@pytest.fixture(scope="module")
+def pair(specs: list[EpisodeSpec]) -> tuple[WorldBatch, WorldBatch | None]:
+    """The same worlds under both renderers; the second is None, after a clear sentence, where there is no OpenGL."""
+    chosen = [plain(spec) for spec in specs[:22:3]]
+    warp, other = batch_of("warp", chosen), batch_of("opengl", chosen)
+    reason = refusal(other)
+    assert not reason or "apt install libegl1" in reason
+    return warp, None if reason else other
+
+
+def test_pictures_agree(pair: tuple[WorldBatch, WorldBatch | None]) -> None:
+    warp, other = pair
+    if other is not None:
+        difference = np.abs(warp.render().astype(int) - other.render()).mean(axis=(1, 2, 3))
+        assert difference.max() < LARGEST_DIFFERENCE
+    assert warp.render().std(axis=(1, 2, 3)).min() > 5.0  # and they show something
+
+
+def test_geoms_agree_and_have_their_colours(pair: tuple[WorldBatch, WorldBatch | None]) -> None:
+    warp, other = pair
+    labels = warp.segmentation()
+    if other is not None:
+        assert (labels == other.segmentation()).mean() > LEAST_AGREEMENT
+    pictures = (warp if other is None else other).render()
+    for world, spec in enumerate(warp.specs):
+        assert spec is not None
+        shown = pictures[world][np.isin(labels[world], warp.scene.target_geoms)]
+        if len(shown) > 4:
+            shade = np.median(shown, axis=0) / np.linalg.norm(np.median(shown, axis=0))
+            wanted = np.asarray(spec.look.target_rgb) / np.linalg.norm(spec.look.target_rgb)
+            assert shade @ wanted > 0.98  # light changes how bright a colour is, not which it is
+
+
+def test_only_the_worlds_asked_for(pair: tuple[WorldBatch, WorldBatch | None]) -> None:
+    batch = pair[1] or pair[0]
+    everything, some = batch.render(), batch.render(np.array([1, 4]))
+    assert (some[[1, 4]] == everything[[1, 4]]).all()
+    assert not some[[0, 2, 3]].any()
+
+
+def test_without_opengl_one_sentence_says_what_to_do(specs: list[EpisodeSpec], monkeypatch: pytest.MonkeyPatch) -> None:
+    class Missing:
+        def __init__(self, width: int, height: int) -> None:
+            raise ImportError("no EGL device")
+
+    monkeypatch.setattr(opengl, "_platform_class", lambda: Missing)
+    with pytest.raises(RuntimeError, match=r"no EGL device.*apt install libegl1.*renderer 'warp'"):
+        batch_of("opengl", specs[:1]).render()
