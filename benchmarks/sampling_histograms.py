@@ -1,0 +1,67 @@
+"""Do sampled episodes reproduce the paper's histograms of duration and hand travel (Figure 3 c-d)?
+
+python benchmarks/sampling_histograms.py [--episodes 10000] [--split train] [--json FILE]
+
+Prints the share of full episode specs in each bin beside the paper's; the paper leaves 10 % of travels unassigned.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from dynahoi_lerobot.conventions import UNIT_M
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.timing import DURATION_EDGES, DURATION_SHARES, TRAVEL_EDGES_M
+
+PAPER_TRAVEL_SHARES = (0.201, 0.477, 0.164, 0.058)
+BLOCK = 220
+Table = list[dict[str, float | str]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--episodes", type=int, default=10_000)
+    parser.add_argument("--split", default="train")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    lengths, travels = [], []
+    for spec in tqdm(_specs(Recipe(split=args.split), args.episodes, args.threads), total=args.episodes, mininterval=5):
+        lengths.append(spec.length_frames)
+        travels.append(spec.travel_m)
+    tables = {
+        "duration [frames]": table(np.array(lengths), DURATION_EDGES, DURATION_SHARES),
+        "travel [u]": table(np.array(travels) / UNIT_M, np.array(TRAVEL_EDGES_M) / UNIT_M, PAPER_TRAVEL_SHARES),
+    }
+    for name, rows in tables.items():
+        print(f"\n{name:18s} paper %   here %  difference")
+        for row in rows:
+            print(f"{row['bin']:18s} {row['paper']:7.1f} {row['here']:8.1f} {row['here'] - row['paper']:+11.1f}")
+    if args.json:
+        args.json.write_text(json.dumps({"episodes": args.episodes, "split": args.split, **tables}, indent=2) + "\n")
+
+
+def table(values: np.ndarray, edges: np.ndarray | tuple[float, ...], paper: tuple[float, ...]) -> Table:
+    """Return one row per bin: its bounds, the paper's share and ours [%]."""
+    counts = np.histogram(values, edges)[0]
+    return [
+        {"bin": f"{low:g} to {high:g}", "paper": 100 * share, "here": 100 * count / len(values)}
+        for low, high, share, count in zip(edges[:-1], edges[1:], paper, counts, strict=True)
+    ]
+
+
+def _specs(recipe: Recipe, count: int, threads: int) -> Iterator[EpisodeSpec]:
+    for first in range(0, count, BLOCK):
+        yield from sample_specs(recipe, range(first, min(first + BLOCK, count)), threads=threads)
+
+
+if __name__ == "__main__":
+    main()
