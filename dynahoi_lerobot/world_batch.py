@@ -110,6 +110,8 @@ class WorldBatch:
         """
         chosen = np.arange(self.size) if ids is None else np.asarray(ids)
         wanted = check_command(commands, len(chosen))
+        if not len(chosen):
+            return
         wanted = np.where(self.acting[chosen, None], wanted, self.executed[chosen])
         previous = self.executed[chosen]
         command = self._servo.clip(wanted, previous)

@@ -1,0 +1,155 @@
+"""The environments keep gymnasium's promises and the benchmark's protocol."""
+
+from __future__ import annotations
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from dynahoi_lerobot.agent import Expert
+from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
+from dynahoi_lerobot.experts.intercept import plan_intercept
+from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.rollout import evaluate, make_batch
+from dynahoi_lerobot.sampling import sample_spec
+from dynahoi_lerobot.splits import kind_seed
+
+SMALL = {"image_size": 16}
+
+
+@pytest.mark.parametrize("kind", [*MOTIONS.names(), "all"])
+@pytest.mark.filterwarnings("ignore")
+def test_every_registered_env_passes_gymnasiums_checker(kind: str) -> None:
+    register_envs()
+    split = "ood_motion" if kind in MOTIONS and MOTIONS[kind].held_out else "test"
+    env = gym.make(f"dynahoi/{kind}-v0", split=split, render_mode="rgb_array", **SMALL)
+    check_env(env.unwrapped)
+    env.close()
+
+
+def follow_expert(env: DynahoiVectorEnv, steps: int) -> list[tuple]:
+    """Play the demonstrator's commands in every world and return what each step returned."""
+    plans = [plan_intercept(spec) for spec in env._batch.specs if spec is not None]
+    results = []
+    for _ in range(steps):
+        commands = np.stack([plan.command(int(f)) for plan, f in zip(plans, env._batch.frame, strict=True)])
+        results.append(env.step(commands.astype(np.float32)))
+    return results
+
+
+def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None:
+    env = DynahoiVectorEnv(2, kind="constant", images=False, **SMALL)
+    env.reset(seed=[0, 1], options={"lerobot_new_rollout": True})
+    results = follow_expert(env, env._max_episode_steps)
+    terminated = np.stack([r[2] for r in results])
+    assert terminated.sum(axis=0).tolist() == [1, 1]
+    for world in range(2):
+        step = int(terminated[:, world].argmax())
+        _, reward, _, truncated, info = results[step]
+        assert (reward[world], truncated[world], info["is_success"][world]) == (1.0, False, True)
+        assert {name for name in METRICS.names() if not np.isnan(info[name][world])} >= {"S_loc", "S_gra", "R_time"}
+        assert info["S_loc"][world] == info["S_gra"][world] == 1.0
+        assert sum(r[1][world] for r in results) == 1.0
+
+
+def test_a_hand_that_waits_is_truncated_after_window_and_l_steps() -> None:
+    env = DynahoiVectorEnv(1, kind="vertical_circle", images=False, **SMALL)
+    observation, _ = env.reset(seed=[0])
+    spec = env._batch.specs[0]
+    assert spec is not None
+    hold = observation["agent_pos"]
+    flags = [env.step(hold)[2:4] for _ in range(spec.window_frames + spec.length_frames)]
+    assert [bool(t or u) for (t, u) in [(f[0][0], f[1][0]) for f in flags]].index(True) == len(flags) - 1
+    assert flags[-1][1][0]
+
+
+def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
+    env = DynahoiVectorEnv(1, kind="constant", images=False, **SMALL)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    env.reset(seed=[0])
+    first = env._batch.specs[0]
+    while not (results := follow_expert(env, 1)[0])[2][0]:
+        pass
+    assert env._batch.specs[0] is first, "the terminal observation still belongs to the episode that ended"
+    observation, reward, terminated, truncated, _ = env.step(np.zeros((1, 18), np.float32))
+    fresh = env._batch.specs[0]
+    assert fresh is not None
+    assert fresh is not first
+    assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
+    np.testing.assert_allclose(observation["agent_pos"][0, :3], fresh.home_pos_w, atol=1e-6)
+    del results
+
+
+def test_one_episode_mode_freezes_finished_worlds() -> None:
+    env = DynahoiVectorEnv(1, kind="constant", images=False, **SMALL)
+    env.reset(seed=[0], options={"lerobot_new_rollout": True})
+    while not follow_expert(env, 1)[0][2][0]:
+        pass
+    frame = env._batch.frame[0]
+    env.step(np.zeros((1, 18), np.float32))
+    assert env._batch.frame[0] == frame
+
+
+def test_seeds_number_the_episodes_of_kind_and_split() -> None:
+    env = DynahoiVectorEnv(3, kind="lob", split="test_small", images=False, **SMALL)
+    env.reset(seed=4)
+    names = Recipe(split="test").motion_names
+    expected = [names.index("lob") + 22 * (number % 5) for number in (4, 5, 6)]
+    assert [spec.seed for spec in env._batch.specs if spec is not None] == expected
+    assert [kind_seed(Recipe(split="test"), "test_small", "lob", n) for n in (4, 5, 6)] == expected
+
+
+def test_env_and_rollout_play_the_same_episode() -> None:
+    class Replay(Expert):
+        name = "replay"
+
+        def act(self, world) -> np.ndarray:
+            return np.stack([plan_intercept(s).command(int(f)) for s, f in zip(world.specs, world.frame, strict=True)])
+
+    env = DynahoiVectorEnv(1, images=False, **SMALL)
+    kept = []
+    env._on_episode = kept.append
+    env.reset(seed=[7])
+    while not kept:
+        follow_expert(env, 1)
+    recipe = Recipe(split="test", **SMALL)
+    (episode,) = evaluate(make_batch(recipe, 1), Replay(), [sample_spec(recipe, 7)])
+    np.testing.assert_allclose(kept[0].state, episode.state, atol=1e-6)  # the env's actions were rounded to float32
+    assert kept[0].stage == episode.stage == "captured"
+
+
+@pytest.mark.parametrize(
+    ("action", "words"),
+    [
+        (np.zeros((2, 18)), "shape (1, 18), got (2, 18)"),
+        (np.zeros((1, 17)), "shape (1, 18), got (1, 17)"),
+        (np.full((1, 18), np.nan), "world 0 must be finite, got nan at index 0"),
+        (np.full((1, 18), np.inf), "got inf"),
+    ],
+)
+def test_bad_actions_are_refused_and_nothing_moves(action: np.ndarray, words: str) -> None:
+    env = DynahoiVectorEnv(1, images=False, **SMALL)
+    env.reset(seed=[0])
+    before = env._batch._batch.state.copy()
+    with pytest.raises(ValueError, match="action") as error:
+        env.step(action)
+    assert words in str(error.value)
+    np.testing.assert_array_equal(env._batch._batch.state, before)
+
+
+def test_direct_act_has_no_window() -> None:
+    env = DynahoiEnv(kind="struck", protocol="direct_act", images=False, **SMALL)
+    observation, _ = env.reset(seed=0)
+    assert observation["phase"][0] == 1.0
+    assert env._vector._batch.specs[0].window_frames == 0
+
+
+def test_without_images_nothing_is_rendered() -> None:
+    env = DynahoiVectorEnv(1, images=False, **SMALL)
+    observation, _ = env.reset(seed=[0])
+    assert "pixels" not in observation
+    assert "_renderer" not in env._batch.__dict__

@@ -1,0 +1,139 @@
+"""``--env.type=dynahoi``: found by LeRobot, played by its evaluation loop, measured in the result folder."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import draccus
+import pytest
+import torch
+from lerobot.configs import PreTrainedConfig
+from lerobot.envs.configs import EnvConfig
+from lerobot.envs.factory import make_env
+from lerobot.envs.utils import close_envs, env_to_policy_features
+from lerobot.policies.pretrained import PreTrainedPolicy
+from lerobot.processor import PolicyProcessorPipeline
+from lerobot.scripts.lerobot_eval import eval_policy_all
+from lerobot.utils.import_utils import register_third_party_plugins
+from lerobot_env_dynahoi.configuration_dynahoi import kinds_of
+from lerobot_env_dynahoi.task_env import policy_name
+
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.motions import CATEGORIES, benchmark_motions
+
+SMALL = {"image_size": 32, "split": "test_small"}
+
+
+@pytest.fixture(scope="module")
+def config_class() -> type[EnvConfig]:
+    register_third_party_plugins()
+    return EnvConfig.get_choice_class("dynahoi")
+
+
+@PreTrainedConfig.register_subclass("stand_still")
+@dataclass
+class StandStillConfig(PreTrainedConfig):
+    """Nothing to configure."""
+
+    observation_delta_indices = action_delta_indices = reward_delta_indices = None
+
+    def get_optimizer_preset(self) -> None: ...
+
+    def get_scheduler_preset(self) -> None: ...
+
+    def validate_features(self) -> None: ...
+
+
+class StandStill(PreTrainedPolicy):
+    """The least a policy can be for LeRobot's rollout: it commands the pose it is in."""
+
+    config_class, name = StandStillConfig, "stand_still"
+
+    def get_optim_params(self) -> list:
+        return []
+
+    def reset(self) -> None: ...
+
+    def forward(self, batch: dict) -> tuple[torch.Tensor, None]:
+        return torch.zeros(()), None
+
+    def predict_action_chunk(self, batch: dict) -> torch.Tensor:
+        return self.select_action(batch)[:, None]
+
+    def select_action(self, batch: dict) -> torch.Tensor:
+        assert batch["observation.images.ego"].shape[1:] == (3, 32, 32)
+        assert batch["observation.fingertips"].shape[1:] == (30,)
+        assert batch["observation.phase"].shape[1:] == (1,)
+        assert all(isinstance(text, str) and text for text in batch["task"])
+        return batch["observation.state"]
+
+
+def evaluate_with_lerobot(config: EnvConfig, episodes: int) -> dict:
+    envs = make_env(config, n_envs=2)
+    nothing = PolicyProcessorPipeline(steps=[])
+    same = {"policy": StandStill(StandStillConfig()), "env_preprocessor": nothing, "env_postprocessor": nothing}
+    plain = PolicyProcessorPipeline(steps=[], to_transition=lambda x: x, to_output=lambda x: x)
+    try:
+        return eval_policy_all(envs, preprocessor=plain, postprocessor=plain, n_episodes=episodes, start_seed=0, **same)
+    finally:
+        close_envs(envs)
+
+
+def test_one_suite_per_category_one_task_per_kind(config_class: type[EnvConfig]) -> None:
+    suites = config_class(**SMALL).create_envs(1)
+    assert set(suites) == set(CATEGORIES)
+    tasks = [env.task for suite in suites.values() for env in suite.values()]
+    assert sorted(tasks) == benchmark_motions()
+    assert all(sorted(suite) == list(range(len(suite))) for suite in suites.values())
+
+
+def test_lerobots_loop_fills_the_result_folder(config_class: type[EnvConfig], tmp_path: Path) -> None:
+    config = config_class(task="constant,ramp", results_dir=str(tmp_path), **SMALL)
+    info = evaluate_with_lerobot(config, episodes=3)
+    results = read_results(tmp_path)
+    assert info["overall"]["n_episodes"] == 6
+    kinds = [row["kind"] for row in results.rows]
+    assert (kinds.count("constant"), kinds.count("ramp")) == (4, 4), "two batches of two per task, none twice"
+    assert len({row["seed"] for row in results.rows}) == 8
+    summary = results.summary()
+    assert summary["S_loc"].n == 8
+    assert (summary["E_loc"].value or 0.0) > 0.3
+
+
+def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig]) -> None:
+    features = env_to_policy_features(config_class(**SMALL))
+    assert {key: tuple(feature.shape) for key, feature in features.items()} == {
+        "observation.images.ego": (3, 32, 32),
+        "observation.state": (18,),
+        "observation.fingertips": (30,),
+        "observation.phase": (1,),
+        "action": (18,),
+    }
+
+
+@dataclass
+class Command:
+    """A LeRobot command that takes an env."""
+
+    env: EnvConfig
+
+
+def test_config_comes_from_the_command_line(config_class: type[EnvConfig]) -> None:
+    words = ["--env.type=dynahoi", "--env.task=lob", "--env.split=val", "--env.image_size=64"]
+    config = draccus.parse(Command, args=words).env
+    assert isinstance(config, config_class)
+    assert (config.task, config.split, config.image_size, config.fps) == ("lob", "val", 64, 20)
+
+
+def test_tasks_are_kinds_or_categories() -> None:
+    known = benchmark_motions()
+    assert kinds_of("pendulum", known) == ["conical", "damped", "planar"]
+    assert kinds_of("ramp, lob", known) == ["lob", "ramp"]
+    with pytest.raises(ValueError, match="unknown task 'loop'; known kinds and categories: accelerating"):
+        kinds_of("loop", known)
+
+
+def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text('{"type": "act"}')
+    assert policy_name(["lerobot-eval", f"--policy.path={tmp_path}"]) == "act"
+    assert policy_name(["lerobot-train", "--policy.type=obact"]) == "obact"
+    assert policy_name(["somebody's script"]) == "policy"
