@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.conventions import SUBSTEPS
+from dynahoi_lerobot.conventions import CONTROL_HZ, SUBSTEPS
 from dynahoi_lerobot.drive import drive_for
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.rows import Rows
 from dynahoi_lerobot.scene import ENVIRONMENT, compile_scene
 
+LIKE_LENGTH_FRAMES = 16
+"""Paths whose lengths differ by less roll together; a throw must not wait for a pendulum ten times as long."""
 CONTROL_SPEC = mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
@@ -35,14 +38,16 @@ def roll_ahead(
         N arrays (F, 3) of positions [m], world, 0.05 s apart, the first at t = 0.
     """
     paths: list[np.ndarray] = [np.empty(0)] * len(motions)
-    physical = [i for i, motion in enumerate(motions) if isinstance(motion, PhysicalMotion)]
+    groups: dict[int, list[int]] = defaultdict(list)
     for i, motion in enumerate(motions):
-        if not isinstance(motion, PhysicalMotion):
-            paths[i] = motion.position(np.arange(frames[i]) / 20.0)  # type: ignore[attr-defined]
-    if physical:
-        longest = max(frames[i] for i in physical)
-        rolled = _simulate([motions[i] for i in physical], [targets[i] for i in physical], longest, threads)
-        for i, path in zip(physical, rolled, strict=True):
+        if isinstance(motion, PhysicalMotion):
+            groups[frames[i] // LIKE_LENGTH_FRAMES].append(i)
+        else:
+            paths[i] = motion.position(np.arange(frames[i]) / CONTROL_HZ)  # type: ignore[attr-defined]
+    for ids in groups.values():
+        longest = max(frames[i] for i in ids)
+        rolled = _simulate([motions[i] for i in ids], [targets[i] for i in ids], longest, threads)
+        for i, path in zip(ids, rolled, strict=True):
             paths[i] = path[: frames[i]]
     return paths
 
