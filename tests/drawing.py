@@ -14,10 +14,11 @@ from dynahoi_lerobot.timing import draw_timing
 
 @dataclass(frozen=True)
 class Drawn:
-    """One motion, its target, and the time for which it must make sense [s]."""
+    """One motion and its target; when the target is to be met, and for how long the motion must make sense [s]."""
 
     motion: Motion
     target: TargetObject
+    intercept_s: float
     horizon_s: float
 
 
@@ -37,4 +38,4 @@ def draw_motion(kind: str, seed: int, object_name: str | None = None, tempo: flo
         horizon_s=(timing.window_frames + timing.length_frames) * CONTROL_DT,
         tempo=tempo,
     )
-    return Drawn(MOTIONS[kind].sample(draw), target, draw.horizon_s)
+    return Drawn(MOTIONS[kind].sample(draw), target, draw.intercept_s, draw.horizon_s)
