@@ -13,6 +13,7 @@ from typing import Any
 from tqdm import tqdm
 
 from dynahoi_lerobot.generate.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.generate.executors.base import EXECUTORS, Executor, Fleet
 from dynahoi_lerobot.generate.manifest import Manifest
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record
@@ -34,6 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--crf", type=int, help="rate factor; lower is better and larger")
     parser.add_argument("--preset", help="the encoder's speed setting")
     parser.add_argument("--gop", type=int, default=Encoding.gop, help="frames between key frames")
+    parser.add_argument("--executor", help="local, slurm or ray: spread the shards as datatrove tasks")
+    parser.add_argument("--tasks", type=int, help="number of tasks; one per shard by default")
+    parser.add_argument("--dry-run", action="store_true", help="show what --executor would do, the Slurm scripts say")
+    parser.add_argument("--partition", default=Fleet.partition, help="Slurm partition")
+    parser.add_argument("--time", default=Fleet.time, help="Slurm time limit per task")
+    parser.add_argument("--cpus-per-task", type=int, default=Fleet.cpus_per_task)
+    parser.add_argument("--gpus-per-task", type=int, default=Fleet.gpus_per_task)
     parser.add_argument("--json", type=Path, help="write the summary there as well")
 
 
@@ -50,7 +58,15 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     """
     try:
         plan = _plan(args, recipe if recipe is not None else _load_recipe(args.recipe))
-        manifest = _generate(plan, args, record or _record(plan, args.workers))
+        if args.executor is not None:
+            executor = _executor(args, plan, record or _record(plan, args.cpus_per_task))
+            if args.dry_run or not executor.run():
+                print(executor.describe())
+                return 0
+        recorder = record or _record(plan, 0 if args.workers == 1 else 1)
+        manifest = _generate(plan, args, recorder)
+    except ModuleNotFoundError as error:
+        return _say(f"--executor needs {error.name}; install dynahoi_lerobot[scale]", BAD_INPUT)
     except (ValueError, FileExistsError, FileNotFoundError) as error:
         return _say(error, BAD_INPUT)
     except (OSError, GenerationError) as error:
@@ -86,11 +102,20 @@ def _load_recipe(path: Path | None) -> Any:
     return Recipe() if path is None else load_recipe(path)
 
 
-def _record(plan: Plan, workers: int) -> Record:
+def _record(plan: Plan, threads: int) -> Record:
+    """Return the expert's recorder; ``threads`` (0: all cores) share the worlds of one process."""
     from dynahoi_lerobot.rollout import record
 
-    # Threads share a machine among the worlds of one process; processes already share it among shards.
-    return partial(record, threads=0 if workers == 1 else 1, images=plan.camera)
+    return partial(record, threads=threads, images=plan.camera)
+
+
+def _executor(args: argparse.Namespace, plan: Plan, record: Record) -> Executor:
+    workers = -1 if args.workers == 1 else args.workers
+    fleet = Fleet(
+        args.tasks, workers, args.cpus_per_task, gpus_per_task=args.gpus_per_task,
+        partition=args.partition, time=args.time,
+    )  # fmt: skip
+    return EXECUTORS[args.executor](plan, args.root, record, fleet)
 
 
 def _generate(plan: Plan, args: argparse.Namespace, record: Record) -> Manifest:

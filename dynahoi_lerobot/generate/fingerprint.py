@@ -13,8 +13,26 @@ import dynahoi_lerobot
 LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "pillow")
 """Libraries whose versions may change states, pixels or files."""
 
-READERS = ("evaluate", "report", "cli.py", "env.py", "metrics")
-"""Parts of the package that read datasets or play policies; they decide no byte of a dataset."""
+READERS = (
+    "cli.py",
+    "env.py",
+    "evaluate/",
+    "listing.py",
+    "metrics/",
+    "quickstart.py",
+    "report/",
+    "view.py",
+    "generate/checks/",
+    "generate/command.py",
+    "generate/datatrove_steps.py",
+    "generate/executors/",
+    "generate/outliers.py",
+    "generate/replay.py",
+    "generate/resimulate.py",
+    "generate/verify",
+    "generate/workers.py",
+)
+"""Parts of the package that read datasets, play policies or spread work; they decide no byte of a dataset."""
 
 
 @cache
@@ -23,9 +41,9 @@ def code_fingerprint() -> str:
     package = Path(dynahoi_lerobot.__file__).parent
     digest = hashlib.sha256(platform.machine().encode())
     for path in sorted(package.rglob("*.py")):
-        relative = path.relative_to(package)
-        if relative.parts[0] not in READERS:
-            digest.update(relative.as_posix().encode())
+        name = path.relative_to(package).as_posix()
+        if not name.startswith(READERS):
+            digest.update(name.encode())
             digest.update(path.read_bytes())
     for library in LIBRARIES:
         digest.update(f"{library}={_version(library)}".encode())

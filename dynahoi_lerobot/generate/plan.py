@@ -61,6 +61,7 @@ class Plan:
         encoding: how to store them.
         shard_episodes: episodes per shard, the unit of work that is made whole or not at all.
         layout: file size limits.
+        code: fingerprint of the code that plans; other machines must have the same.
     """
 
     recipe: Recipe
@@ -70,6 +71,7 @@ class Plan:
     encoding: Encoding = field(default_factory=Encoding)
     shard_episodes: int = 256
     layout: Layout = field(default_factory=Layout)
+    code: str = field(default_factory=code_fingerprint)
 
     def __post_init__(self) -> None:
         """Refuse plans that cannot be carried out.
@@ -113,6 +115,6 @@ class Plan:
             "encoding": asdict(self.encoding),
             "layout": asdict(self.layout),
             "shard_episodes": self.shard_episodes,
-            "code": code_fingerprint(),
+            "code": self.code,
         }
         return json.loads(json.dumps(content, default=str))

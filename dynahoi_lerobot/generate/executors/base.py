@@ -1,0 +1,101 @@
+"""The executor contract: how a plan's shards are spread over machines."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+
+from dynahoi_lerobot.generate.pipeline import finished, open_workspace, workspace_path
+from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record
+from dynahoi_lerobot.generate.shard import ShardMaker
+from dynahoi_lerobot.registry import Registry
+
+EXECUTORS: Registry[type[Executor]] = Registry("executor", "dynahoi_lerobot.generate.executors")
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What a cluster shall give.
+
+    Attributes:
+        tasks: number of tasks; each makes every tasks-th shard. None for one shard per task.
+        workers: how many tasks run at once; -1 for no limit.
+        cpus_per_task: processor cores per task.
+        mem_per_cpu_gb: memory per core [GB].
+        gpus_per_task: GPUs per task.
+        partition: Slurm partition.
+        time: Slurm time limit per task, ``HH:MM:SS``.
+        activate: shell command that activates the Python environment on a Slurm node.
+    """
+
+    tasks: int | None = None
+    workers: int = -1
+    cpus_per_task: int = 1
+    mem_per_cpu_gb: int = 2
+    gpus_per_task: int = 0
+    partition: str = "cpu"
+    time: str = "24:00:00"
+    activate: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse fleets of nothing.
+
+        Raises:
+            ValueError: if a number is not positive.
+        """
+        for name in ("tasks", "cpus_per_task", "mem_per_cpu_gb"):
+            if (value := getattr(self, name)) is not None and value < 1:
+                raise ValueError(f"{name} is {value}; it must be 1 or more")
+
+
+class Executor(ABC):
+    """Runs the two steps of a plan. datatrove marks finished tasks below the workspace and skips them."""
+
+    def __init__(self, plan: Plan, root: Path, record: Record, fleet: Fleet) -> None:
+        """Prepare to make ``plan`` at ``root``; nothing is written yet."""
+        self.plan, self.root, self.fleet = plan, root.absolute(), fleet
+        self.maker = ShardMaker(plan, workspace_path(self.root), record)
+        self.tasks = min(fleet.tasks or plan.shards, plan.shards)
+        self.logs = self.maker.folder / "logs"
+
+    def run(self) -> bool:
+        """Make the dataset, or hand it to a queue.
+
+        Returns:
+            True if the dataset is whole now, False if it will be when the queue has done its work.
+
+        Raises:
+            FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
+            GenerationError: if tasks failed.
+        """
+        if finished(self.plan, self.root) is not None:
+            return True
+        open_workspace(self.plan, self.root)
+        self._forget_lost_work()
+        return self.launch()
+
+    @abstractmethod
+    def launch(self) -> bool:
+        """Run or submit both steps; see ``run``."""
+
+    @abstractmethod
+    def describe(self) -> str:
+        """Return what ``run`` would do, without doing it."""
+
+    def require_all_shards(self) -> None:
+        """Make sure that the first step left nothing out.
+
+        Raises:
+            GenerationError: if a shard is missing.
+        """
+        if missing := self.maker.missing():
+            raise GenerationError(
+                f"{len(missing)} of {self.plan.shards} shards failed; see {self.logs / 'shards/logs'}"
+            )
+
+    def _forget_lost_work(self) -> None:
+        """Remove the completion marks of tasks whose shards are gone."""
+        for shard in self.maker.missing():
+            (self.logs / f"shards/completions/{shard % self.tasks:05d}").unlink(missing_ok=True)
+        (self.logs / "merge/completions/00000").unlink(missing_ok=True)

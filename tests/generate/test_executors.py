@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from dynahoi_lerobot.generate.executors.base import EXECUTORS, Fleet
+from dynahoi_lerobot.generate.manifest import Manifest, hash_files
+from dynahoi_lerobot.generate.pipeline import generate
+from dynahoi_lerobot.generate.plan import GenerationError, Plan
+from tests.generate import recorder
+from tests.generate.recorder import FakeRecipe
+from tests.generate.test_command import run
+
+PLAN = Plan(FakeRecipe(), 7, shard_episodes=2)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """The dataset as one process makes it."""
+    root = tmp_path_factory.mktemp("alone") / "d"
+    generate(PLAN, root, record=recorder.record)
+    return root
+
+
+def same(first, second) -> bool:
+    return hash_files(first) == hash_files(second) and Manifest.read(first) == Manifest.read(second)
+
+
+def test_local_tasks_give_the_same_bytes(alone, tmp_path):
+    executor = EXECUTORS["local"](PLAN, tmp_path / "d", recorder.record, Fleet(tasks=3, workers=1))
+    assert executor.run() is True
+    assert same(alone, tmp_path / "d")
+    assert not list((tmp_path / "d.partial").glob("shard-*"))
+    assert executor.run() is True, "done already"
+
+
+def test_local_processes_through_the_command(alone, tmp_path):
+    words = ("--root", tmp_path / "d", "--episodes", 7, "--shard-episodes", 2)
+    assert run(*words, "--executor", "local", "--tasks", 2, "--workers", 2) == 0
+    assert same(alone, tmp_path / "d")
+    assert [path.name for path in tmp_path.iterdir()] == ["d"]
+
+
+def test_finished_tasks_are_skipped_and_lost_work_is_done_again(alone, tmp_path):
+    executor = EXECUTORS["local"](PLAN, tmp_path / "d", recorder.record_until_marked, Fleet(workers=1))
+    folder = executor.maker.folder
+    folder.mkdir()
+    (folder / "stop").touch()
+    recorder.STOP.append(folder / "stop")
+    try:
+        with pytest.raises(RuntimeError, match="stopped"):
+            executor.run()
+        assert [path.name for path in folder.glob("shard-*")] == ["shard-000000", "shard-000001"]
+        (folder / "stop").unlink()
+        kept = (folder / "shard-000001").stat().st_ino
+        shutil.rmtree(folder / "shard-000000")
+        made = recorder.CALLS.copy()
+        executor.run()
+    finally:
+        recorder.STOP.clear()
+    assert kept
+    assert recorder.CALLS[len(made) :] == [range(0, 2), range(4, 6), range(6, 7)]
+    assert same(alone, tmp_path / "d")
+
+
+def test_ray_tasks_give_the_same_bytes(alone, tmp_path, monkeypatch):
+    import ray
+
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    try:
+        executor = EXECUTORS["ray"](PLAN, tmp_path / "d", recorder.record, Fleet(tasks=2, mem_per_cpu_gb=1))
+        assert executor.run() is True
+    finally:
+        ray.shutdown()
+    assert same(alone, tmp_path / "d")
+
+
+def test_slurm_scripts_can_be_seen(tmp_path, capsys):
+    words = ("--root", tmp_path / "d", "--executor", "slurm", "--dry-run", "--partition", "hopper", "--tasks", 3)
+    more = ("--episodes", 7, "--shard-episodes", 2, "--cpus-per-task", 8, "--gpus-per-task", 1, "--time", "01:00:00")
+    assert run(*words, *more) == 0
+    shards, merge = capsys.readouterr().out.split("# submitted with --dependency=afterok")
+    for line in (
+        "#SBATCH --partition=hopper", "#SBATCH --array=0-2", "#SBATCH --cpus-per-task=8", "#SBATCH --gpus=1",
+        "#SBATCH --time=01:00:00", "#SBATCH --job-name=dynahoi-shards-d", f"source {sys.prefix}/bin/activate",
+    ):  # fmt: skip
+        assert line in shards
+    assert f"launch_pickled_pipeline {tmp_path}/d.partial/logs/shards/executor.pik" in shards
+    assert "#SBATCH --array=0-0" in merge
+    assert "dynahoi-merge-d" in merge
+    assert not any(tmp_path.iterdir()), "nothing was written"
+
+
+def test_slurm_submits_two_jobs(tmp_path, monkeypatch, capsys):
+    from datatrove.executor import slurm
+
+    calls = []
+
+    def sbatch(contents, job_id_retriever, *args):
+        calls.append((contents, args))
+        return str(100 + len(calls))
+
+    monkeypatch.setattr(slurm, "launch_slurm_job", sbatch)
+    assert run("--root", tmp_path / "d", "--executor", "slurm", "--episodes", 7, "--shard-episodes", 2) == 0
+    jobs = [(contents, args) for contents, args in calls if "merge_stats" not in contents]
+    assert ["dynahoi-shards" in jobs[0][0], "dynahoi-merge" in jobs[1][0]] == [True, True]
+    assert "--dependency=afterok:101" in jobs[1][1]
+    assert (tmp_path / "d.partial/logs/shards/executor.pik").is_file()
+    assert not (tmp_path / "d").exists()
+
+
+def test_machines_with_other_code_refuse_to_work(tmp_path):
+    with pytest.raises(GenerationError, match="made by code 0123, this machine has"):
+        generate(dataclasses.replace(PLAN, code="0123"), tmp_path / "d", record=recorder.record)
+
+
+def test_failed_tasks_are_an_error(tmp_path):
+    executor = EXECUTORS["local"](PLAN, tmp_path / "d", recorder.record, Fleet())
+    executor.maker.folder.mkdir()
+    with pytest.raises(GenerationError, match=r"4 of 4 shards failed; see .*logs/shards/logs"):
+        executor.require_all_shards()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--executor", "cloud"), "unknown executor 'cloud'; known: local, ray, slurm"),
+        (("--executor", "local", "--tasks", 0), "tasks is 0"),
+    ],
+)
+def test_bad_fleets_are_one_sentence(tmp_path, capsys, words, sentence):
+    assert run("--root", tmp_path / "d", *words) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_missing_library_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "datatrove.executor", None)
+    monkeypatch.setitem(sys.modules, "datatrove", None)
+    monkeypatch.delitem(sys.modules, "dynahoi_lerobot.generate.datatrove_steps", raising=False)
+    assert run("--root", tmp_path / "d", "--executor", "local") == 2
+    assert "install dynahoi_lerobot[scale]" in capsys.readouterr().err
