@@ -3,13 +3,14 @@
 The paper (Section 4, ObAct) fuses ``s`` observed frames with the current frame by spatiotemporal attention
 and gives no equations; these are ours. With current tokens ``x`` (M of them) and frame tokens ``f_t``:
 
-    y_t = Attention(q = x, kv = f_t)                      space: each query reads every frame on its own
-    z   = Attention(q = x, kv = {y_t + phi(t)})           time: and then weighs what it read over the frames
-    x  <- x + tanh(g) z,   g = 0 at the start
+    z_m = Attention(q = x_m, kv = {f_tm + phi(t)} over t)     time: how did the thing in token m move?
+    y   = z + Attention(q = z, kv = z)                        space: what does that mean for the other tokens?
+    x  <- x + tanh(g) y,   g = 0 at the start
 
 ``phi`` embeds the age of a frame in seconds, so that one set of weights serves any frame rate and stride. The
 gate makes the untrained block the identity: a policy with history starts as exactly the one without, and what
-history adds is learned on top. Space before time costs M^2 T + M T instead of (M T)^2.
+history adds is learned on top. Time before space costs M T + M^2 instead of (M T)^2, and as keys and values of a
+frame do not depend on who asks, decisions that share a frame share them.
 """
 
 from __future__ import annotations
@@ -60,23 +61,30 @@ class Attention(nn.Module):
         self.v_proj = nn.Linear(width, width)
         self.o_proj = nn.Linear(width, width)
 
-    def forward(self, x: Tensor, memory: Tensor, keep: Tensor | None = None) -> Tensor:
-        """Attend.
+    def forward(self, x: Tensor, memory: Tensor) -> Tensor:
+        """Let queries ``(B, Q, D)`` read a memory ``(B, K, D)``; shape ``(B, Q, D)``."""
+        return self.attend(x, *self.keys_values(memory))
+
+    def keys_values(self, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return keys and values of a memory, each of its shape ``(..., D)``."""
+        return self.k_proj(memory), self.v_proj(memory)
+
+    def attend(self, x: Tensor, keys: Tensor, values: Tensor, keep: Tensor | None = None) -> Tensor:
+        """Let queries read given keys and values.
 
         Args:
             x: Queries, shape ``(B, Q, D)``.
-            memory: Keys and values, shape ``(B * R, K, D)``: each row of queries reads ``R`` memories in a row,
-                each on its own.
-            keep: True where the memory may be read, shape ``(B * R, K)``; None reads all of it.
+            keys: Shape ``(B, K, D)``.
+            values: Shape ``(B, K, D)``.
+            keep: True where the memory may be read, shape ``(B, K)``; None reads all of it.
 
         Returns:
-            Shape ``(B * R, Q, D)``.
+            Shape ``(B, Q, D)``.
         """
-        q = self._split(self.q_proj(x)).repeat_interleave(len(memory) // len(x), dim=0)  # (B * R, heads, Q, d)
-        k, v = self._split(self.k_proj(memory)), self._split(self.v_proj(memory))  # (B * R, heads, K, d)
-        mask = None if keep is None else keep[:, None, None, :]  # (B * R, 1, 1, K)
+        q, k, v = self._split(self.q_proj(x)), self._split(keys), self._split(values)
+        mask = None if keep is None else keep[:, None, None, :]  # (B, 1, 1, K)
         out = F.scaled_dot_product_attention(q, k, v, mask, dropout_p=self.dropout if self.training else 0.0)
-        return self.o_proj(out.transpose(1, 2).flatten(2))  # (B * R, heads, Q, d) -> (B * R, Q, D)
+        return self.o_proj(out.transpose(1, 2).flatten(2))  # (B, heads, Q, d) -> (B, Q, D)
 
     def _split(self, x: Tensor) -> Tensor:
         return x.unflatten(-1, (self.n_heads, -1)).transpose(1, 2)  # (B, N, D) -> (B, heads, N, d)
@@ -89,7 +97,7 @@ def feed_forward(width: int, dropout: float = 0.0, expansion: int = 2) -> nn.Seq
 
 
 class AgeEmbedding(nn.Module):
-    """Embeds how long ago a frame was seen.
+    """Embeds how long ago a frame was seen, as what it adds to the frame's keys and values.
 
     Args:
         width: Token size.
@@ -100,12 +108,13 @@ class AgeEmbedding(nn.Module):
     def __init__(self, width: int, min_period_s: float = 0.1, max_period_s: float = 20.0) -> None:
         super().__init__()
         self.width, self.min_period_s, self.max_period_s = width, min_period_s, max_period_s
-        self.mlp = nn.Sequential(nn.Linear(width + 1, width), nn.SiLU(), nn.Linear(width, width))
+        self.mlp = nn.Sequential(nn.Linear(width + 1, width), nn.SiLU(), nn.Linear(width, 2 * width))
 
-    def forward(self, age_s: Tensor) -> Tensor:
-        """Embed ages [s], shape ``(...)`` -> ``(..., D)``."""
+    def forward(self, age_s: Tensor) -> tuple[Tensor, Tensor]:
+        """Map ages [s], shape ``(W,)``, to a key part and a value part, each ``(W, D)``."""
         waves = sinusoidal_features(age_s, self.width, self.min_period_s, self.max_period_s)
-        return self.mlp(torch.cat([age_s[..., None].float(), waves], dim=-1))
+        key, value = self.mlp(torch.cat([age_s[:, None].float(), waves], dim=-1)).chunk(2, dim=-1)
+        return key, value
 
 
 class SpatioTemporalBlock(nn.Module):
@@ -121,46 +130,49 @@ class SpatioTemporalBlock(nn.Module):
         super().__init__()
         self.norm_query = nn.LayerNorm(width)
         self.norm_frames = nn.LayerNorm(width)
-        self.space = Attention(width, n_heads, dropout)
-        self.norm_read = nn.LayerNorm(width)
         self.age = AgeEmbedding(width)
         self.time = Attention(width, n_heads, dropout)
+        self.norm_read = nn.LayerNorm(width)
+        self.space = Attention(width, n_heads, dropout)
         self.gate = nn.Parameter(torch.zeros(width))
         self.norm_ff = nn.LayerNorm(width)
         self.ff = feed_forward(width, dropout)
 
-    def forward(self, x: Tensor, frames: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
-        """Let the current tokens read the frames.
+    def forward(self, x: Tensor, frames: Tensor, frame_index: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
+        """Let the current tokens of each decision read its window.
 
         Args:
-            x: Current tokens, shape ``(B, M, D)``.
-            frames: Tokens of every visible frame, the current one included, shape ``(B, T, N, D)``.
-            age_s: Time of each frame before the current one, 0 for the current one [s], shape ``(B, T)``.
-            keep: False where a frame is padding, shape ``(B, T)``.
+            x: Current tokens, shape ``(B * K, N, D)``.
+            frames: Tokens of every frame, shape ``(B, T, N, D)``.
+            frame_index: Frames in the window of each decision, shape ``(K, W)``.
+            age_s: Time of those frames before their decision [s], shape ``(W,)``.
+            keep: False where a frame of a window is padding, shape ``(B * K, W)``.
 
         Returns:
-            Current tokens, shape ``(B, M, D)``.
+            Current tokens, shape ``(B * K, N, D)``.
         """
-        x = x + torch.tanh(GATE_GAIN * self.gate) * self.read(self.norm_query(x), frames, age_s, keep)
+        moved = self.read_time(self.norm_query(x), self.norm_frames(frames), frame_index, age_s, keep)
+        h = self.norm_read(moved)
+        x = x + torch.tanh(GATE_GAIN * self.gate) * (moved + self.space(h, h))
         return x + self.ff(self.norm_ff(x))
 
-    def read(self, q: Tensor, frames: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
-        """Return what queries ``(B, M, D)`` gather over space and then time, shape ``(B, M, D)``."""
-        n_batch, n_frames = frames.shape[:2]
-        per_frame = self.norm_frames(frames).flatten(0, 1)  # (B, T, N, D) -> (B*T, N, D)
-        seen = self.space(q, per_frame)  # (B*T, M, D)
-        seen = self.norm_read(seen.unflatten(0, (n_batch, n_frames)))  # (B, T, M, D)
-        seen = seen + self.age(age_s)[:, :, None]  # (B, T, M, D)
-
-        n_queries = q.shape[1]
-        tracks = seen.transpose(1, 2).flatten(0, 1)  # (B, T, M, D) -> (B*M, T, D)
-        queries = q.flatten(0, 1)[:, None]  # (B, M, D) -> (B*M, 1, D)
-        read = self.time(queries, tracks, keep.repeat_interleave(n_queries, dim=0))  # (B*M, 1, D)
-        return read.reshape(n_batch, n_queries, -1)  # (B, M, D)
+    def read_time(self, q: Tensor, frames: Tensor, frame_index: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
+        """Return what each token reads from its own past, shape ``(B * K, N, D)``; see `forward`."""
+        n_tokens = q.shape[1]
+        tracks = [
+            (per_frame[:, frame_index] + age[:, None])  # (B, T, N, D) -> (B, K, W, N, D), and (W, 1, D)
+            .flatten(0, 1)
+            .transpose(1, 2)
+            .flatten(0, 1)  # (B * K * N, W, D)
+            for per_frame, age in zip(self.time.keys_values(frames), self.age(age_s), strict=True)
+        ]
+        queries = q.flatten(0, 1)[:, None]  # (B * K * N, 1, D)
+        read = self.time.attend(queries, *tracks, keep.repeat_interleave(n_tokens, dim=0))
+        return read.reshape(q.shape)
 
 
 class SpatioTemporalAttention(nn.Module):
-    """A stack of `SpatioTemporalBlock`: the observed frames stay as they are, the current tokens are refined.
+    """A stack of `SpatioTemporalBlock`: the frames stay as they are, the current tokens are refined.
 
     Args:
         width: Token size.
@@ -174,19 +186,21 @@ class SpatioTemporalAttention(nn.Module):
         self.blocks = nn.ModuleList(SpatioTemporalBlock(width, n_heads, dropout) for _ in range(n_layers))
         self.norm = nn.LayerNorm(width)
 
-    def forward(self, frames: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
-        """Fuse a window into its last frame.
+    def forward(self, frames: Tensor, frame_index: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
+        """Fuse the window of each of ``K`` decisions into its current frame.
 
         Args:
-            frames: Tokens of the window, the current frame last, shape ``(B, T, N, D)``.
-            age_s: Time before the current frame [s], shape ``(B, T)``.
+            frames: Tokens of every frame, shape ``(B, T, N, D)``.
+            frame_index: Frames in the window of each decision, its current one last, shape ``(K, W)``.
+            age_s: Time of those frames before their decision [s], shape ``(W,)``.
             keep: False where a frame is padding, shape ``(B, T)``.
 
         Returns:
-            Tokens of the current frame, aware of the others, shape ``(B, N, D)``.
+            Tokens of each current frame, aware of the others, shape ``(B * K, N, D)``.
         """
+        keep = keep[:, frame_index].flatten(0, 1)  # (B, K, W) -> (B * K, W)
         keep = torch.cat([keep[:, :-1], torch.ones_like(keep[:, -1:])], dim=1)  # a query always sees its own frame
-        x = frames[:, -1]
+        x = frames[:, frame_index[:, -1]].flatten(0, 1)  # (B, K, N, D) -> (B * K, N, D)
         for block in self.blocks:
-            x = block(x, frames, age_s, keep)
+            x = block(x, frames, frame_index, age_s, keep)
         return self.norm(x)

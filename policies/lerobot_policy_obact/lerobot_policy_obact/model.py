@@ -44,10 +44,8 @@ class ObActModel(nn.Module):
             Conditions of ``B * K`` chunks, decisions of one sample in a row.
         """
         tokens = self.encode_frames(observation)  # (B, T, N, D)
-        n_batch, n_decisions = len(tokens), len(frame_index)
-        windows = tokens[:, frame_index].flatten(0, 1)  # (B, K, s+1, N, D) -> (B*K, s+1, N, D)
-        keep = observation.keep[:, frame_index].flatten(0, 1)  # (B, K, s+1) -> (B*K, s+1)
-        fused = self.attention(windows, age_s.expand(n_batch * n_decisions, -1), keep)  # (B*K, N, D)
+        n_decisions = len(frame_index)
+        fused = self.attention(tokens, frame_index, age_s, observation.keep)  # (B*K, N, D)
         state = observation.proprioception[:, frame_index[:, -1]].flatten(0, 1)  # (B, K, S) -> (B*K, S)
         if self.text is not None:
             said = self.text(observation.texts).repeat_interleave(n_decisions, 0)  # (B, 1, D) -> (B*K, 1, D)

@@ -124,3 +124,20 @@ def randomise(policy: ObActPolicy, seed: int = 1) -> ObActPolicy:
         if "norm" in name:
             parameter.data += 1
     return policy
+
+
+def mean_loss(policy: ObActPolicy, batch: dict[str, object], n_draws: int = 20) -> float:
+    """Return the loss of a batch, averaged over the same noise at every call."""
+    torch.manual_seed(0)
+    with torch.no_grad():
+        return sum(policy.eval()(batch)[0].item() for _ in range(n_draws)) / n_draws
+
+
+def fit(policy: ObActPolicy, batch: dict[str, object], n_steps: int, lr: float) -> None:
+    """Train on one batch."""
+    torch.manual_seed(1)
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=lr)
+    for _ in range(n_steps):
+        policy.train()(batch)[0].backward()
+        optimizer.step()
+        optimizer.zero_grad()
