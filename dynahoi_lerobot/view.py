@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import base64
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -76,9 +77,9 @@ def _from_dataset(args: argparse.Namespace) -> Shown:
     dataset = LeRobotDataset(args.dataset.name, root=args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
-    first = int(dataset.meta.episodes[args.episode]["dataset_from_index"])
-    last = int(dataset.meta.episodes[args.episode]["dataset_to_index"])
-    items = [dataset[i] for i in range(first, last)]
+    table: Any = dataset.meta.episodes
+    first, last = (int(table[args.episode][key]) for key in ("dataset_from_index", "dataset_to_index"))
+    items: list[Any] = [dataset[i] for i in range(first, last)]
     frames = np.stack([(item[CAMERA_KEY].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
     phases = [_phase(bool(item["localized"].item()), float(item[PHASE.key].item())) for item in items]
     return frames, str(items[0]["task"]), phases

@@ -118,7 +118,7 @@ class WorldBatch:
         control = np.zeros((len(chosen), SUBSTEPS, self._ctrl.shape[1] + self.scene.model.nv))
         control[..., : self._ctrl.shape[1]] = self._servo.set_points(command, previous)
         dof = self._ctrl.shape[1] + self.scene.target_dof
-        control[..., dof : dof + 3] = [self._drive_force(i) for i in chosen]
+        control[..., dof : dof + 3] = [self._drive_force(int(i)) for i in chosen]
         self._advance(chosen, control)
         self.executed[chosen] = command
         self.frame[chosen] += 1

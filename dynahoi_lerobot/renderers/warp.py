@@ -25,7 +25,7 @@ POSE_FIELDS = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "
 def _find_roots(bvh_id: wp.uint64, roots: wp.array[int]):
     """Find where each world's part of the tree begins."""
     world = wp.tid()
-    roots[world] = wp.bvh_get_group_root(bvh_id, world)
+    roots[world] = wp.bvh_get_group_root(bvh_id, world)  # type: ignore[index, arg-type] - warp's language, not Python's
 
 
 @RENDERERS.register("warp")
@@ -53,11 +53,11 @@ class WarpRenderer(Renderer):
 
     @functools.cached_property
     def _color(self) -> mjw.RenderContext:
-        return self._context(render_rgb=True, render_seg=False)
+        return self._context(color=True)
 
     @functools.cached_property
     def _labels(self) -> mjw.RenderContext:
-        return self._context(render_rgb=False, render_seg=True)
+        return self._context(color=False)
 
     def rgb(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
@@ -72,7 +72,7 @@ class WarpRenderer(Renderer):
         labels = self._labels.seg_data[: len(ids)].numpy()[..., 0]
         return labels.reshape(len(ids), self.image_size, self.image_size)
 
-    def _context(self, **outputs: bool) -> mjw.RenderContext:
+    def _context(self, *, color: bool) -> mjw.RenderContext:
         with wp.ScopedDevice(self._device):
             return mjw.create_render_context(
                 self.scene.model,
@@ -86,7 +86,8 @@ class WarpRenderer(Renderer):
                 enable_specular=False,
                 enable_per_light_ambient=False,
                 deterministic=True,
-                **outputs,
+                render_rgb=color,
+                render_seg=not color,
             )
 
     def _render(self, context: mjw.RenderContext, ids: np.ndarray) -> None:
@@ -105,4 +106,4 @@ class WarpRenderer(Renderer):
         staging, target = self._staging[name], self._targets[name]
         rows = staging.numpy()[: len(ids)]
         rows[...] = source[ids].reshape(rows.shape)
-        wp.copy(target[: len(ids)], staging[: len(ids)])
+        wp.copy(target[: len(ids)], staging[: len(ids)])  # type: ignore[arg-type] - slices of arrays are arrays
