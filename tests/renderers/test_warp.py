@@ -1,0 +1,137 @@
+"""What the ray caster shows is what is there, in the colours it has."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.motions import PhysicalMotion
+from dynahoi_lerobot.scene import Scene
+from dynahoi_lerobot.world_batch import WorldBatch
+from tests.world.playing import wait, world
+
+SIZE = 64
+SAME_HUE = 0.95
+"""Least cosine between a mean colour and the tint it should have: shading changes its brightness, not its hue."""
+
+
+@pytest.fixture(scope="module")
+def watching(specs: list[EpisodeSpec]) -> WorldBatch:
+    """One world for each kind, at the start of its control phase; tests must not step it."""
+    batch = world(specs[:22], image_size=SIZE)
+    wait(batch)
+    return batch
+
+
+@pytest.fixture(scope="module")
+def images(watching: WorldBatch) -> np.ndarray:
+    return watching.render()
+
+
+@pytest.fixture(scope="module")
+def labels(watching: WorldBatch) -> np.ndarray:
+    return watching.segmentation()
+
+
+def test_images_have_the_promised_shape_and_content(images: np.ndarray):
+    assert images.shape == (22, SIZE, SIZE, 3)
+    assert images.dtype == np.uint8
+    assert len({image.tobytes() for image in images}) == 22
+    assert (images.reshape(22, -1).std(axis=1) > 10).all(), "no image is blank"
+
+
+def test_every_label_is_a_geom_that_this_world_shows(
+    watching: WorldBatch, labels: np.ndarray, specs: list[EpisodeSpec]
+):
+    assert labels.shape == (22, SIZE, SIZE)
+    assert labels.dtype == np.int32
+    for spec, seen in zip(specs, labels, strict=False):
+        extra = set(np.unique(seen)) - {-1} - _shown(watching.scene, spec)
+        names = [watching.scene.model.geom(int(geom)).name for geom in extra]
+        assert not names, f"{spec.motion.name} of a {spec.target.name} shows {names}"
+
+
+def test_the_target_has_its_colour_where_the_labels_say_it_is(
+    watching: WorldBatch, images: np.ndarray, labels: np.ndarray, specs: list[EpisodeSpec]
+):
+    compared = 0
+    for spec, image, seen in zip(specs, images, labels, strict=False):
+        pixels = image[np.isin(seen, watching.scene.target_geoms)]
+        if len(pixels) >= 8:
+            assert _cosine(pixels.mean(axis=0), spec.look.target_rgb) > SAME_HUE, spec.motion.name
+            compared += 1
+    assert compared >= 16
+
+
+def test_skin_floor_and_backdrop_have_their_colours(
+    watching: WorldBatch, images: np.ndarray, labels: np.ndarray, specs: list[EpisodeSpec]
+):
+    scene, compared = watching.scene, 0
+    for spec, image, seen in zip(specs, images, labels, strict=False):
+        for geoms, rgb in (
+            (scene.hand_geoms, spec.look.skin_rgb),
+            ([scene.floor_geom], spec.look.floor_rgb),
+            ([scene.backdrop_geom], spec.look.wall_rgb),
+        ):
+            pixels = image[np.isin(seen, geoms)]
+            if len(pixels) > 50:  # a table may cover the floor
+                assert _cosine(pixels.mean(axis=0), rgb) > SAME_HUE
+                compared += 1
+    assert compared >= 60
+
+
+def test_the_target_appears_where_the_camera_geometry_puts_it(
+    watching: WorldBatch, labels: np.ndarray, specs: list[EpisodeSpec]
+):
+    """The middle of its pixels is the projection of its centre, to three pixels."""
+    scene = watching.scene
+    camera = scene.model.camera(scene.camera)
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, camera.quat)
+    focal = SIZE / 2 / np.tan(np.radians(camera.fovy[0]) / 2)
+    compared = 0
+    for i, seen in enumerate(labels):
+        rows, columns = np.nonzero(np.isin(seen, scene.target_geoms))
+        centre = watching.target_pose[i, :3] - watching.state[i, :3] - camera.pos
+        right, up, back = centre @ axes.reshape(3, 3)
+        inside = max(abs(right), abs(up)) / -back < 0.8 * SIZE / 2 / focal
+        if len(rows) >= 12 and inside and specs[i].target.name not in ("cup", "ring", "bottle"):
+            expected = (SIZE / 2 - up / -back * focal, SIZE / 2 + right / -back * focal)
+            assert (rows.mean() + 0.5, columns.mean() + 0.5) == pytest.approx(expected, abs=3.0)
+            compared += 1
+    assert compared >= 5
+
+
+def test_worlds_that_are_not_asked_for_are_black_and_the_others_unchanged(watching: WorldBatch, images: np.ndarray):
+    some = watching.render(np.array([4, 17]))
+    np.testing.assert_array_equal(some[[4, 17]], images[[4, 17]])
+    assert not np.delete(some, [4, 17], axis=0).any()
+
+
+def test_pictures_follow_the_world(specs: list[EpisodeSpec]):
+    batch = world([specs[3]], image_size=SIZE)
+    before = batch.render()
+    batch.step(batch.executed)
+    moved = batch.render()
+    assert (before != moved).any()
+    batch.reset([0], [specs[3]])
+    np.testing.assert_array_equal(batch.render(), before)
+
+
+def _shown(scene: Scene, spec: EpisodeSpec) -> set[int]:
+    """Geoms that a world of ``spec`` may show."""
+    shown = {scene.floor_geom, scene.backdrop_geom, *scene.hand_geoms.tolist()}
+    free = {shape: list(ids) for shape, ids in scene.slots.items()}
+    shown |= {free[primitive.shape].pop(0) for primitive in spec.target.primitives}
+    if isinstance(spec.motion, PhysicalMotion):
+        launch = spec.motion.launch(spec.target)
+        shown |= set(scene.box_geoms[: len(launch.boxes)])
+        shown |= {scene.tether_geom} if launch.tether else set()
+        shown |= {scene.striker_geom} if launch.striker else set()
+    return shown
+
+
+def _cosine(color: np.ndarray, tint: tuple[float, float, float]) -> float:
+    return float(color @ np.asarray(tint) / np.linalg.norm(color) / np.linalg.norm(tint))
