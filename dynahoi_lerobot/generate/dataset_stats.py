@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.generate.features import BOOKKEEPING, Features, content_keys, numeric_keys
-from dynahoi_lerobot.generate.histograms import SHOWN, histograms
+from dynahoi_lerobot.generate.histograms import histograms
 from dynahoi_lerobot.generate.quantiles import exact_quantiles, weighted_quantiles
 from dynahoi_lerobot.generate.rows import Row, row_histogram, row_stats
 from dynahoi_lerobot.generate.statistics import LEVELS, Moments, Stats, picture_stats
@@ -56,8 +56,7 @@ class DatasetStats:
 
     def histograms(self, root: Path, stats: dict[str, Stats]) -> dict[str, Any]:
         """Return the histograms of state and action, in the ranges of ``stats``."""
-        batches = {key: lambda key=key: numeric_batches(root, [key]) for key in SHOWN}
-        return histograms(batches, self.features, stats)
+        return histograms(lambda key: numeric_batches(root, [key]), self.features, stats)
 
     def _content_quantiles(self, root: Path) -> dict[str, Stats]:
         keys = content_keys(self.features)

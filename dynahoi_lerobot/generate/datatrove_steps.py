@@ -9,7 +9,9 @@ from typing import Any
 
 from datatrove.pipeline.base import PipelineStep
 
+from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.generate.pipeline import finished, merge_shards
+from dynahoi_lerobot.generate.plan import GenerationError
 from dynahoi_lerobot.generate.shard import ShardMaker
 
 
@@ -25,8 +27,16 @@ class MakeShards(PipelineStep):
         self.maker = maker
 
     def run(self, data: Any, rank: int = 0, world_size: int = 1) -> Iterator[Any]:
-        """Make this task's shards; those that exist are kept."""
+        """Make this task's shards; those that exist are kept.
+
+        Raises:
+            GenerationError: if this machine has other code than the plan.
+        """
         yield from data or ()
+        if (here := code_fingerprint()) != self.maker.plan.code:
+            raise GenerationError(
+                f"the plan was made by code {self.maker.plan.code}, this machine has {here}; update it"
+            )
         for shard in range(rank, self.maker.plan.shards, world_size):
             self.maker.make(shard, lambda: self.stat_update("episodes"))
 

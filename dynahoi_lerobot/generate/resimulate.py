@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import draccus
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
@@ -42,8 +43,7 @@ def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
         recipe: the recipe as the manifest keeps it.
         images: whether to render.
     """
-    lists = {name: tuple(value) if isinstance(value, list) else value for name, value in recipe.items()}
-    played = Recipe(**lists)
+    played = draccus.decode(Recipe, recipe)
 
     def resimulate(meta: EpisodeMeta, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         job = Job(0, sample_spec(played, meta.seed), len(actions), meta.attempts)

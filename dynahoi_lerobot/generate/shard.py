@@ -8,11 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
+from av.error import FFmpegError
 
 from dynahoi_lerobot.generate.features import content_arrays
 from dynahoi_lerobot.generate.files import temporary_sibling
-from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.generate.manifest import Manifest
 from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, Record
 from dynahoi_lerobot.generate.plausibility import implausibilities
@@ -56,21 +55,19 @@ class ShardMaker:
             The shard's folder, a dataset of its own.
 
         Raises:
-            GenerationError: if a slot fails MAX_DRAWS times, or this machine has other code than the plan.
+            GenerationError: if a slot fails MAX_DRAWS times.
             OSError: if the disk is full or refuses to be written.
         """
         target = self.path(shard)
         if is_whole(target):
             return target
-        if (here := code_fingerprint()) != self.plan.code:
-            raise GenerationError(f"the plan was made by code {self.plan.code}, this machine has {here}; update it")
         shutil.rmtree(target, ignore_errors=True)
         with temporary_sibling(target) as temporary:
             writer = DatasetWriter(temporary, self.plan.image_size, self.plan.encoding, self.plan.layout)
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
                 writer.finish(yields=tally)
-            except av.FFmpegError as error:
+            except FFmpegError as error:
                 # FFmpeg's own errors cannot travel between processes.
                 raise OSError(error.errno, error.strerror, str(target)) from None
             finally:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import cast
 
 import av
+from av.container import OutputContainer
 from av.video.stream import VideoStream
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
@@ -65,7 +66,7 @@ class _Cutter:
         self._source: Path | None = None
         self._packets: Iterator[av.Packet] = iter(())
         self._read = self._written = 0
-        self._output: av.container.OutputContainer | None = None
+        self._output: OutputContainer | None = None
 
     def cut(self, source: Path, row: Row) -> Row:
         """Copy one episode's packets; return the columns that say where they went."""
@@ -91,10 +92,10 @@ class _Cutter:
         container = av.open(str(source))
         stream = container.streams.video[0]
         self._packets = (packet for packet in container.demux(stream) if packet.size)
-        self._output = av.open(str(self._assembly.next_video()), "w", options={"fflags": "+bitexact"})
-        self._stream = cast(VideoStream, self._output.add_stream_from_template(stream, opaque=True))
+        output = av.open(str(self._assembly.next_video()), "w", options={"fflags": "+bitexact"})
+        self._stream = cast(VideoStream, output.add_stream_from_template(stream, opaque=True))
         self._stream.time_base = Fraction(1, CONTROL_HZ)
-        self._source, self._read, self._written = source, 0, 0
+        self._output, self._source, self._read, self._written = output, source, 0, 0
 
     def _copy(self, packet: av.Packet) -> None:
         assert self._output is not None

@@ -79,7 +79,8 @@ def count_frames(path: Path) -> int:
         OSError: if the file cannot be read as a video.
     """
     with av.open(str(path)) as container:
-        return sum(1 for packet in container.demux(video=0) if packet.size)
+        sizes = [packet.size for packet in container.demux(video=0)]
+    return sum(size > 0 for size in sizes)  # the last packet is empty, it flushes
 
 
 def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:

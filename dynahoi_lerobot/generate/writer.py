@@ -88,8 +88,8 @@ class DatasetWriter:
         row = own_columns(episode) | {"tasks": [episode.meta.task], "length": len(episode)}
         row |= stats_columns(table_stats(arrays)) | self._picture_columns(episode)
         row |= self._write_frames(episode, arrays)
-        if self._image_size is not None and self._codec.is_video:
-            row |= self._write_video(episode.images)
+        if episode.images is not None and self._image_size is not None and self._codec.is_video:
+            row |= self._write_video(episode.images, self._image_size)
         self._catalog.add(row)
         self._seeds.append(episode.meta.seed)
 
@@ -148,8 +148,8 @@ class DatasetWriter:
         chunk, file = self._data.write(table)
         return {"data/chunk_index": chunk, "data/file_index": file}
 
-    def _write_video(self, images: np.ndarray) -> Row:
-        video = self._video_with_room(len(images))
+    def _write_video(self, images: np.ndarray, image_size: int) -> Row:
+        video = self._video_with_room(len(images), image_size)
         start = video.frames
         video.write(images)
         chunk, file = self.layout.place(self._videos - 1)
@@ -161,14 +161,14 @@ class DatasetWriter:
         }
         return {f"videos/{CAMERA_KEY}/{name}": value for name, value in cells.items()}
 
-    def _video_with_room(self, frames: int) -> VideoWriter:
+    def _video_with_room(self, frames: int, image_size: int) -> VideoWriter:
         video = self._video
         if video is not None and not self._fits(video, frames):
             video.close()
             video = None
         if video is None:
             path = self.layout.path(self.root, VIDEO_PATH, self._videos, video_key=CAMERA_KEY)
-            video = VideoWriter(path, self._image_size, CONTROL_HZ, self.encoding)
+            video = VideoWriter(path, image_size, CONTROL_HZ, self.encoding)
             self._videos += 1
         self._video = video
         return video

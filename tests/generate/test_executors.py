@@ -115,8 +115,9 @@ def test_slurm_submits_two_jobs(tmp_path, monkeypatch, capsys):
 
 
 def test_machines_with_other_code_refuse_to_work(tmp_path):
+    plan = dataclasses.replace(PLAN, code="0123")
     with pytest.raises(GenerationError, match="made by code 0123, this machine has"):
-        generate(dataclasses.replace(PLAN, code="0123"), tmp_path / "d", record=recorder.record)
+        EXECUTORS["local"](plan, tmp_path / "d", recorder.record, Fleet(workers=1)).run()
 
 
 def test_failed_tasks_are_an_error(tmp_path):

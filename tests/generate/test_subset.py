@@ -8,7 +8,7 @@ import pytest
 
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
 from dynahoi_lerobot.generate.codecs.base import CODECS, Encoding
-from dynahoi_lerobot.generate.histograms import histograms
+from dynahoi_lerobot.generate.histograms import SHOWN, histograms
 from dynahoi_lerobot.generate.manifest import Manifest
 from dynahoi_lerobot.generate.outliers import find_outliers, reject_outliers
 from dynahoi_lerobot.generate.store import Store
@@ -81,7 +81,8 @@ def test_histograms_count_every_frame(dataset):
 def test_histograms_are_those_of_numpy():
     values = np.random.default_rng(0).normal(size=(1000, 2)).astype(np.float32)
     values[:, 1] = 3.0
-    key, stats = "action", {"action": {"min": values.min(axis=0), "max": values.max(axis=0)}}
-    shown = histograms({key: lambda: np.split(values, 4)}, {key: {"names": ["a", "still"]}}, stats)[key]
+    stats = {key: {"min": values.min(axis=0), "max": values.max(axis=0)} for key in SHOWN}
+    features = {key: {"names": ["a", "still"]} for key in SHOWN}
+    shown = histograms(lambda key: np.split(values, 4), features, stats)["action"]
     np.testing.assert_array_equal(shown["a"]["counts"], np.histogram(values[:, 0], 50)[0])
     assert shown["still"]["counts"] == [1000] + [0] * 49

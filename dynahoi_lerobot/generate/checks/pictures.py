@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import av
 import numpy as np
+from av.error import FFmpegError
 
 from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Columns, Evidence
 from dynahoi_lerobot.generate.rows import Row, row_stats
@@ -27,7 +27,7 @@ class Pictures(Check):
             return
         try:
             images = evidence.images(row, evidence.frames(row))
-        except (OSError, av.FFmpegError, ValueError) as error:
+        except (OSError, FFmpegError, ValueError) as error:
             yield f"the pictures of episode {number} cannot be decoded: {error}"
             return
         if images is None or len(images) != row["length"]:

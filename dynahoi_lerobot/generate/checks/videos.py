@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import av
+from av.error import FFmpegError
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Evidence
@@ -29,7 +30,7 @@ class Videos(Check):
             yield from (f"{name} {problem}" for problem in _ranges(rows))
             try:
                 yield from (f"{name} {problem}" for problem in _stream(path, rows, evidence))
-            except (OSError, av.FFmpegError, IndexError) as error:
+            except (OSError, FFmpegError, IndexError) as error:
                 yield f"{name} cannot be read as a video: {error}"
 
 
@@ -60,7 +61,7 @@ def _stream(path: Path, rows: list[Row], evidence: Evidence) -> Iterator[str]:
         if len(packets) != wanted:
             yield f"holds {len(packets)} frames; its episodes have {wanted}"
             return
-        times = sorted(float(packet.pts * packet.time_base) for packet in packets)
+        times = sorted(float((packet.pts or 0) * packet.time_base) for packet in packets)
         if any(abs(time - number / CONTROL_HZ) > 1e-6 for number, time in enumerate(times)):
             yield f"has frames that are not 1/{CONTROL_HZ} s apart"
         starts = {round(row[f"videos/{CAMERA_KEY}/from_timestamp"] * CONTROL_HZ) for row in rows}
