@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, Fleet
+from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.generate.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, Plan
@@ -15,38 +16,44 @@ from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
 from tests.generate.test_command import run
 
-PLAN = Plan(FakeRecipe(), 7, shard_episodes=2)
+
+@pytest.fixture
+def plan() -> Plan:
+    """Seven episodes in four shards, planned by the code as it is now, like that of the processes started next."""
+    code_fingerprint.cache_clear()
+    return Plan(FakeRecipe(), 7, shard_episodes=2)
 
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
     """The dataset as one process makes it."""
     root = tmp_path_factory.mktemp("alone") / "d"
-    generate(PLAN, root, record=recorder.record)
+    generate(Plan(FakeRecipe(), 7, shard_episodes=2), root, record=recorder.record)
     return root
 
 
 def same(first, second) -> bool:
-    return hash_files(first) == hash_files(second) and Manifest.read(first) == Manifest.read(second)
+    one, other = Manifest.read(first), Manifest.read(second)
+    return hash_files(first) == hash_files(second) == other.files and one.seeds == other.seeds
 
 
-def test_local_tasks_give_the_same_bytes(alone, tmp_path):
-    executor = EXECUTORS["local"](PLAN, tmp_path / "d", recorder.record, Fleet(tasks=3, workers=1))
+def test_local_tasks_give_the_same_bytes(plan, alone, tmp_path):
+    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record, Fleet(tasks=3, workers=1))
     assert executor.run() is True
     assert same(alone, tmp_path / "d")
     assert not list((tmp_path / "d.partial").glob("shard-*"))
     assert executor.run() is True, "done already"
 
 
-def test_local_processes_through_the_command(alone, tmp_path):
+def test_local_processes_through_the_command(plan, alone, tmp_path):
     words = ("--root", tmp_path / "d", "--episodes", 7, "--shard-episodes", 2)
     assert run(*words, "--executor", "local", "--tasks", 2, "--workers", 2) == 0
     assert same(alone, tmp_path / "d")
     assert [path.name for path in tmp_path.iterdir()] == ["d"]
 
 
-def test_finished_tasks_are_skipped_and_lost_work_is_done_again(alone, tmp_path):
-    executor = EXECUTORS["local"](PLAN, tmp_path / "d", recorder.record_until_marked, Fleet(workers=1))
+def test_finished_tasks_are_skipped_and_lost_work_is_done_again(plan, alone, tmp_path):
+    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record_until_marked, Fleet(workers=1))
     folder = executor.maker.folder
     folder.mkdir()
     (folder / "stop").touch()
@@ -67,13 +74,13 @@ def test_finished_tasks_are_skipped_and_lost_work_is_done_again(alone, tmp_path)
     assert same(alone, tmp_path / "d")
 
 
-def test_ray_tasks_give_the_same_bytes(alone, tmp_path, monkeypatch):
+def test_ray_tasks_give_the_same_bytes(plan, alone, tmp_path, monkeypatch):
     import ray
 
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
-        executor = EXECUTORS["ray"](PLAN, tmp_path / "d", recorder.record, Fleet(tasks=2, mem_per_cpu_gb=1))
+        executor = EXECUTORS["ray"](plan, tmp_path / "d", recorder.record, Fleet(tasks=2, mem_per_cpu_gb=1))
         assert executor.run() is True
     finally:
         ray.shutdown()
@@ -114,14 +121,14 @@ def test_slurm_submits_two_jobs(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "d").exists()
 
 
-def test_machines_with_other_code_refuse_to_work(tmp_path):
-    plan = dataclasses.replace(PLAN, code="0123")
+def test_machines_with_other_code_refuse_to_work(plan, tmp_path):
+    other = dataclasses.replace(plan, code="0123")
     with pytest.raises(GenerationError, match="made by code 0123, this machine has"):
-        EXECUTORS["local"](plan, tmp_path / "d", recorder.record, Fleet(workers=1)).run()
+        EXECUTORS["local"](other, tmp_path / "d", recorder.record, Fleet(workers=1)).run()
 
 
-def test_failed_tasks_are_an_error(tmp_path):
-    executor = EXECUTORS["local"](PLAN, tmp_path / "d", recorder.record, Fleet())
+def test_failed_tasks_are_an_error(plan, tmp_path):
+    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record, Fleet())
     executor.maker.folder.mkdir()
     with pytest.raises(GenerationError, match=r"4 of 4 shards failed; see .*logs/shards/logs"):
         executor.require_all_shards()
