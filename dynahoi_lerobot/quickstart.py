@@ -140,7 +140,9 @@ def _lerobot(out: Path, script: str, *words: str) -> None:
     log = out / f"{script}.log"
     command = [sys.executable, "-m", f"lerobot.scripts.{script}", *words]
     print(f"{script.replace('_', '-')} {' '.join(words)}\noutput: {log}", flush=True)
+    # one compute thread beside one that decodes: two of each fight over two cores and take several times as long
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     with log.open("w") as stream:
-        code = subprocess.run(command, stdout=stream, stderr=subprocess.STDOUT, check=False).returncode
+        code = subprocess.run(command, stdout=stream, stderr=subprocess.STDOUT, env=environment, check=False).returncode
     if code:
         raise StageError(f"{script.replace('_', '-')} ended with code {code}; see {log}")

@@ -80,7 +80,7 @@ class DynahoiEnvConfig(EnvConfig):
         return {name: getattr(self, name) for name in names}
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
-        """Return ``{category: {task number: env}}``; every env is one native batch, so there is nothing to make async."""
+        """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async."""
         del use_async_envs
         kinds = kinds_of(self.task, Recipe(split=seed_stream(self.split)).motion_names)
         log = ResultsLog(self._results_folder(), self.split, self.capture)
