@@ -1,0 +1,91 @@
+"""The commands: what they print, and one clear sentence with a non-zero exit for bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import av
+import pytest
+from PIL import Image
+
+from dynahoi_lerobot import cli
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.listing import LISTS
+from dynahoi_lerobot.motions import MOTIONS
+
+
+@pytest.mark.parametrize("what", sorted(LISTS))
+def test_list_prints_every_entry_with_a_description(what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["list", what, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert rows
+    assert all(str(value) for row in rows for key, value in row.items() if key in ("description", "ranges"))
+    assert cli.main(["list", what]) == 0
+    table = capsys.readouterr().out.splitlines()
+    assert len(table) == len(rows) + 2
+    assert len({len(line) for line in table}) == 1, "columns are aligned"
+
+
+def test_list_knows_all_motions(capsys: pytest.CaptureFixture[str]) -> None:
+    cli.main(["list", "motions", "--json"])
+    assert sorted(row["name"] for row in json.loads(capsys.readouterr().out)) == MOTIONS.names()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["evaluate", "--policy", "expertt"], "there is no policy 'expertt'"),
+        (["evaluate", "--policy", "hold", "--split", "exam"], "unknown split 'exam'; known: train, val, test"),
+        (["evaluate", "--policy", "hold", "--episodes", "0"], "--episodes must be at least 1, got 0"),
+        (["evaluate", "--policy", "hold", "--capture", "glue"], "unknown capture rule 'glue'; known: attach"),
+        (["evaluate", "--policy", "hold", "--motions", "lop"], "unknown motion 'lop' (did you mean 'lob'?)"),
+        (["view", "--motion", "lob", "--out", "x.avi"], "cannot write '.avi'; use .gif, .mp4, .html"),
+        (["view"], "say what to watch"),
+        (["report", "nowhere"], "nowhere; run `dynahoi evaluate`"),
+        (["generate", "--root", "x", "--episodes", "-1"], "-1"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_a_non_zero_exit(
+    words: list[str], sentence: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words) == cli.BAD_INPUT
+    message = capsys.readouterr().err.strip()
+    assert sentence in message
+    assert message.count("\n") == 0
+    assert list(tmp_path.iterdir()) == [], "nothing is left behind"
+
+
+def test_evaluate_writes_results_and_goes_on_where_it_stopped(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "expert"
+    words = ["evaluate", "--policy", "expert", "--out", str(out), "--image-size", "32"]
+    assert cli.main([*words, "--episodes", "3", "--gifs", "1"]) == 0
+    first = read_results(out)
+    assert cli.main([*words, "--episodes", "5", "--per-kind"]) == 0
+    results = read_results(out)
+    assert [row["seed"] for row in results.rows[:3]] == [row["seed"] for row in first.rows]
+    assert sorted(row["seed"] for row in results.rows) == [0, 1, 2, 3, 4]
+    assert results.summary()["S_loc"].value == 1.0
+    assert "S_loc %" in capsys.readouterr().out
+    (gif,) = out.glob("*.gif")
+    assert Image.open(gif).n_frames > 20  # type: ignore[attr-defined]
+    page = tmp_path / "page.html"
+    assert cli.main(["report", str(out), "--out", str(page)]) == 0
+    assert "expert" in page.read_text()
+
+
+@pytest.mark.parametrize("suffix", ["gif", "mp4", "html"])
+def test_view_writes_the_episode(suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / f"episode.{suffix}"
+    assert cli.main(["view", "--motion", "lob", "--image-size", "32", "--out", str(out)]) == 0
+    if suffix == "mp4":
+        with av.open(str(out)) as film:
+            frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+        assert len(frames) > 20
+        assert frames[0].shape == (32, 32, 3)
+    else:
+        assert out.stat().st_size > 2000
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
