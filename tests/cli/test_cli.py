@@ -71,7 +71,7 @@ def test_evaluate_writes_results_and_goes_on_where_it_stopped(
     assert results.summary()["S_loc"].value == 1.0
     assert "S_loc %" in capsys.readouterr().out
     (gif,) = out.glob("*.gif")
-    assert Image.open(gif).n_frames > 20  # type: ignore[attr-defined]
+    assert Image.open(gif).n_frames > 5, "equal neighbours are stored once"  # type: ignore[attr-defined]
     page = tmp_path / "page.html"
     assert cli.main(["report", str(out), "--out", str(page)]) == 0
     assert "expert" in page.read_text()
