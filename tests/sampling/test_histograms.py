@@ -13,7 +13,7 @@ from dynahoi_lerobot.timing import draw_timing, kind_table
 
 DURATION_BINS, DURATION_PERCENT = (20, 40, 60, 80, 120, np.inf), (20.2, 36.1, 19.5, 13.9, 10.1)
 TRAVEL_BINS_U, TRAVEL_PERCENT = (0, 0.5, 2, 4, np.inf), (20.1, 47.7, 16.4, 5.8)
-"""The paper's travels leave 10 % unassigned, which we spread evenly: each bin is 2.5 points higher by design."""
+"""The paper's travels leave 10 % unassigned, which we spread: each bin is 2 to 3 points higher by design."""
 
 
 def assert_reproduces(lengths: list[int], travels_m: list[float], points: float) -> None:
@@ -33,10 +33,10 @@ def test_ten_thousand_timings_are_within_three_points():
     assert_reproduces([t.length_frames for t in timings], [t.travel_m for t in timings], points=3.0)
 
 
-def test_440_whole_episodes_are_within_eight_points():
-    """Three standard deviations of a share of 36 % in 440 draws are 6.9 points; travels have their 2.5 on top."""
+def test_440_whole_episodes_are_within_nine_points():
+    """Three standard deviations of a share of 36 % in 440 draws are 6.9 points; travels have up to 3 on top."""
     specs = sample_specs(Recipe(), range(440))
-    assert_reproduces([s.length_frames for s in specs], [s.travel_m for s in specs], points=8.0)
+    assert_reproduces([s.length_frames for s in specs], [s.travel_m for s in specs], points=9.0)
 
 
 @pytest.mark.parametrize("kind", benchmark_motions())

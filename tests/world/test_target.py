@@ -11,6 +11,7 @@ from dynahoi_lerobot.conventions import CONTROL_DT, PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.drive import GRAVITY_W, drive_for
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions.rolling import RollingMotion
 from dynahoi_lerobot.rows import Rows
 from dynahoi_lerobot.scene import compile_scene
 from tests.drawing import draw_motion
@@ -74,6 +75,20 @@ def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_
     assert isinstance(spec.motion, PrescribedMotion)
     now = np.array([spec.window_frames * CONTROL_DT])
     np.testing.assert_allclose(batch.target_velocity[0, :3], spec.motion.velocity(now)[0], atol=0.005)
+
+
+def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpec]):
+    """A rolling target turns about the horizontal across its slope, whatever its own axes do: w = n x v / r."""
+    spec = next(s for s in specs if s.motion.name == "ramp")
+    assert isinstance(spec.motion, RollingMotion)
+    batch = world([spec])
+    _, normal = spec.motion.slope_axes()
+    while batch.frame[0] < spec.intercept_frame - 1:
+        batch.step(batch.executed)
+    linear, angular = batch.target_velocity[0, :3], batch.target_velocity[0, 3:]
+    assert np.linalg.norm(linear) > 0.1
+    expected = np.cross(normal, linear) / spec.target.roll_radius_m
+    np.testing.assert_allclose(angular, expected, atol=0.05 * np.linalg.norm(expected))
 
 
 def _drive(kind: str, driven_frames: int, frames: int) -> tuple[np.ndarray, np.ndarray]:
