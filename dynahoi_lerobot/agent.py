@@ -72,6 +72,8 @@ class Expert(ABC):
     """Maps the full simulator state of N worlds to N commands: privileged, deterministic and without memory."""
 
     name: str = "expert"
+    retries: int = 0
+    """How often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does."""
 
     @abstractmethod
     def act(self, world: WorldState) -> np.ndarray:

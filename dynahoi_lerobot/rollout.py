@@ -17,8 +17,6 @@ from dynahoi_lerobot.recorder import Job, WorldRecorder, frame_columns
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.world_batch import WorldBatch
 
-MAX_ATTEMPTS = 4
-"""A first try and up to three retries (Appendix "Data collection")."""
 DEFAULT_BATCH = 32
 
 
@@ -59,26 +57,27 @@ def record(
     Each is a function of (recipe, seed): batch size and threads do not matter.
     """
     batch = make_batch(recipe, min(batch_size, max(1, len(seeds))), threads)
-    finished: dict[int, Episode | None] = {}
-    next_index, jobs = 0, _Jobs(recipe, seeds, threads)
-    for job, episode in play(batch, EXPERTS[recipe.expert](), jobs, images=images):
-        if episode.success or job.attempt == MAX_ATTEMPTS:
-            finished[job.index] = episode if episode.success else None
-        else:
-            jobs.retries.append(replace(job, attempt=job.attempt + 1))
+    finished: dict[int, Episode] = {}
+    next_index = 0
+    expert, jobs = EXPERTS[recipe.expert](), _fresh_jobs(recipe, seeds, threads)
+    for job, episode in _play_with_retries(batch, expert, jobs, images):
+        finished[job.index] = episode
         while next_index in finished:
             ready = finished.pop(next_index)
             next_index += 1
-            if ready is not None:
+            if ready.success:
                 yield ready
 
 
 def evaluate(
     batch: WorldBatch, actor: Agent | Expert, specs: Sequence[EpisodeSpec], *, images: bool = False
 ) -> Iterator[Episode]:
-    """Yield one evaluated episode per spec, as they end: the window, then up to L control steps."""
+    """Yield one evaluated episode per spec, as they end: the window, then up to L control steps.
+
+    An expert that may try again does so here as well; ``meta.attempts`` says how often it had to.
+    """
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
-    for _, episode in play(batch, actor, jobs, images=images):
+    for _, episode in _play_with_retries(batch, actor, jobs, images):
         yield episode
 
 
@@ -94,15 +93,27 @@ def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
     )
 
 
+def _play_with_retries(
+    batch: WorldBatch, actor: Agent | Expert, fresh: Iterator[Job], images: bool
+) -> Iterator[tuple[Job, Episode]]:
+    """Play jobs as ``play`` does, but those that fail again, for as long as the actor may retry."""
+    jobs = _Jobs(fresh)
+    attempts = 1 + getattr(actor, "retries", 0)
+    for job, episode in play(batch, actor, jobs, images=images):
+        if episode.success or job.attempt == attempts:
+            yield job, episode
+        else:
+            jobs.retries.append(replace(job, attempt=job.attempt + 1))
+
+
 class _Jobs(Iterator[Job]):
-    """Retries as they come up, then fresh episodes, sampled a block at a time.
+    """Retries as they come up, then fresh jobs.
 
     Unlike a generator it can be asked again after it had nothing: the last episodes to end may still ask for retries.
     """
 
-    def __init__(self, recipe: Recipe, seeds: Sequence[int], threads: int) -> None:
-        self.retries = deque[Job]()
-        self._fresh = _fresh_jobs(recipe, seeds, threads)
+    def __init__(self, fresh: Iterator[Job]) -> None:
+        self.retries, self._fresh = deque[Job](), fresh
 
     def __next__(self) -> Job:
         return self.retries.popleft() if self.retries else next(self._fresh)

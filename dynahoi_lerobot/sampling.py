@@ -83,19 +83,20 @@ def _round(
 ) -> list[int]:
     """Draw a motion for every pending draft, roll them ahead together, keep those that fit; return the rest."""
     drawn = [i for i in pending if _draw_motion(recipe, drafts[i])]
-    paths = _roll([drafts[i] for i in drawn], _until_intercept, threads)
+    paths = _roll(recipe, [drafts[i] for i in drawn], _until_intercept, threads)
     homes = {i: find_home(p, drafts[i].timing, drafts[i].rng) for i, p in zip(drawn, paths, strict=True)}
     found = [i for i in drawn if homes[i] is not None]
-    for i, path in zip(found, _roll([drafts[i] for i in found], _horizon, threads), strict=True):
+    for i, path in zip(found, _roll(recipe, [drafts[i] for i in found], _horizon, threads), strict=True):
         home = homes[i]
         if in_arena(path) and home is not None:
             done[i] = _finish(recipe, drafts[i], path, home)
     return [i for i in pending if i not in done]
 
 
-def _roll(drafts: list[_Draft], frames: Callable[[Timing], int], threads: int) -> list[np.ndarray]:
+def _roll(recipe: Recipe, drafts: list[_Draft], frames: Callable[[Timing], int], threads: int) -> list[np.ndarray]:
     motions, targets = [d.motion for d in drafts], [d.target for d in drafts]
-    return roll_ahead(motions, targets, [frames(d.timing) for d in drafts], threads=threads)  # type: ignore[arg-type]
+    lengths = [frames(d.timing) for d in drafts]
+    return roll_ahead(motions, targets, lengths, hand=recipe.hand, threads=threads)  # type: ignore[arg-type]
 
 
 def _until_intercept(timing: Timing) -> int:

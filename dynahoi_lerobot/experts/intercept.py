@@ -22,6 +22,7 @@ class Intercept(Expert):
     """
 
     name = "intercept"
+    retries = 3
 
     def __init__(self) -> None:
         """Start with no plans."""

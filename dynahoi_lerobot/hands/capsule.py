@@ -25,7 +25,8 @@ FINGER_TORQUE_NM = 1.2
 FINGER_BANDWIDTH_RAD_S = 120.0
 FINGER_ARMATURE = 2.0e-4
 """Reflected rotor inertia [kg m^2]; it dominates the finger links' own."""
-MAX_FLEXION_RAD = 1.6
+FLEXION_RANGE_RAD = (-0.05, 1.6)
+"""The open hand, at zero, touches no limit: an idle limit would be a constraint in every physics step."""
 GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
 """Reach of the palm centre, world."""
 
@@ -129,7 +130,7 @@ class CapsuleHand(Hand):
             link.add_joint(
                 name=joint,
                 axis=finger.axis,
-                range=(0.0, MAX_FLEXION_RAD),
+                range=FLEXION_RANGE_RAD,
                 limited=True,
                 armature=FINGER_ARMATURE,
             )
