@@ -18,6 +18,7 @@ from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.recorder import Job, WorldRecorder, frame_columns
+from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout import make_batch
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.spec import FINGERTIPS, PHASE, STATE
@@ -60,7 +61,7 @@ class DynahoiVectorEnv(VectorEnv):
         protocol: str = "observe_before_act",
         capture: str = "attach",
         hand: str = "capsule",
-        renderer: str = "warp",
+        renderer: str = DEFAULT_RENDERER,
         instructions: str = "mixed",
         threads: int = 0,
         render_mode: str | None = "rgb_array",

@@ -14,6 +14,7 @@ import yaml
 from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 
 SPLITS = ("train", "val", "test", "ood_speed", "ood_object", "ood_motion")
 """Disjoint seed streams; ``test_small`` is the first 110 episodes of ``test``."""
@@ -49,7 +50,7 @@ class Recipe:
     expert: str = "intercept"
     instructions: str = "mixed"
     image_size: int = 128
-    renderer: str = "warp"
+    renderer: str = DEFAULT_RENDERER
 
     def __post_init__(self) -> None:
         """Check every name against what exists.

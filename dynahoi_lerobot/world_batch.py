@@ -15,7 +15,7 @@ from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS, PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.drive import drive_for
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.motions import PrescribedMotion
-from dynahoi_lerobot.renderers import RENDERERS, Renderer
+from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS, Renderer
 from dynahoi_lerobot.rotations import matrix_to_rotvec, quat_to_matrix
 from dynahoi_lerobot.rows import Rows
 from dynahoi_lerobot.scene import Scene, compile_scene
@@ -49,7 +49,7 @@ class WorldBatch:
         capture: str = "attach",
         hand: str = "capsule",
         image_size: int = 128,
-        renderer: str = "warp",
+        renderer: str = DEFAULT_RENDERER,
         threads: int = 0,
     ) -> None:
         """Allocate ``size`` worlds; ``threads`` simulate them (0: all cores), without influence on the result.

@@ -1,5 +1,5 @@
 """Renderers of a batch of worlds, one file each."""
 
-from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
+from dynahoi_lerobot.renderers.base import DEFAULT_RENDERER, RENDERERS, Renderer
 
-__all__ = ["RENDERERS", "Renderer"]
+__all__ = ["DEFAULT_RENDERER", "RENDERERS", "Renderer"]

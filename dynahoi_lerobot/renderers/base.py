@@ -11,6 +11,7 @@ from dynahoi_lerobot.registry import Registry
 from dynahoi_lerobot.scene import Scene
 
 RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")
+DEFAULT_RENDERER = "tiles"
 
 
 class Renderer(ABC):

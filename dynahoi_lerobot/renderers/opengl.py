@@ -103,7 +103,7 @@ def _open(model: mujoco.MjModel, image_size: int) -> tuple[Any, mujoco.MjrContex
     except (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError) as error:
         raise RuntimeError(
             f"the renderer 'opengl' finds no OpenGL on this machine ({error}); install it (Debian: apt install libegl1 "
-            "libgl1-mesa-dri) or use the renderer 'warp', which needs none"
+            "libgl1-mesa-dri) or use the renderer 'tiles', which needs none"
         ) from error
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
     return opened, context

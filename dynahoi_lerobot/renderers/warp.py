@@ -1,4 +1,4 @@
-"""Ray casting with mujoco_warp: all worlds in one call, on the CPU without OpenGL or on CUDA, from the same file."""
+"""Ray casting with mujoco_warp, which knows every shape, texture and light of MuJoCo, on the CPU or on CUDA."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ wp.config.log_level = wp.LOG_WARNING  # before mujoco_warp initialises it
 import mujoco_warp as mjw  # noqa: E402
 
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
+from dynahoi_lerobot.renderers.mirror import Mirror  # noqa: E402
 from dynahoi_lerobot.scene import SHOWN_GROUP, Scene  # noqa: E402
 
 LOOK_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
@@ -45,11 +46,9 @@ class WarpRenderer(Renderer):
             for name in LOOK_FIELDS:
                 shared = getattr(self._model, name)
                 setattr(self._model, name, wp.empty(dtype=shared.dtype, shape=(batch.nsim, *shared.shape[1:])))
-        self._sources = {name: batch.expand(name) for name in LOOK_FIELDS}
-        self._sources |= {name: batch.bind(name) for name in POSE_FIELDS}
-        self._targets = {name: getattr(self._model, name) for name in LOOK_FIELDS}
-        self._targets |= {name: getattr(self._data, name) for name in POSE_FIELDS}
-        self._staging = {name: wp.empty_like(array, device="cpu") for name, array in self._targets.items()}
+        sources = {name: batch.expand(name) for name in LOOK_FIELDS} | {name: batch.bind(name) for name in POSE_FIELDS}
+        targets = {name: getattr(self._model, name) for name in LOOK_FIELDS}
+        self._mirror = Mirror(sources, targets | {name: getattr(self._data, name) for name in POSE_FIELDS})
 
     @functools.cached_property
     def _color(self) -> mjw.RenderContext:
@@ -69,7 +68,7 @@ class WarpRenderer(Renderer):
     def segmentation(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""
         self._render(self._labels, ids)
-        labels = self._labels.seg_data[: len(ids)].numpy()[..., 0]
+        labels = self._labels.seg_data[: len(ids)].numpy()[..., 0].copy()  # the next call writes over the original
         return labels.reshape(len(ids), self.image_size, self.image_size)
 
     def _context(self, *, color: bool) -> mjw.RenderContext:
@@ -91,8 +90,7 @@ class WarpRenderer(Renderer):
             )
 
     def _render(self, context: mjw.RenderContext, ids: np.ndarray) -> None:
-        for name, source in self._sources.items():
-            self._copy(name, source, ids)
+        self._mirror.copy(ids)
         self._data.nworld = len(ids)
         with wp.ScopedDevice(self._device):
             mjw.refit_bvh(self._model, self._data, context)
@@ -100,10 +98,3 @@ class WarpRenderer(Renderer):
             context.bvh.rebuild()
             wp.launch(_find_roots, dim=len(ids), inputs=[context.bvh.id, context.group_root])
             mjw.render(self._model, self._data, context)
-
-    def _copy(self, name: str, source: np.ndarray, ids: np.ndarray) -> None:
-        """Move the rows ``ids`` of a field to the first rows of its device array."""
-        staging, target = self._staging[name], self._targets[name]
-        rows = staging.numpy()[: len(ids)]
-        rows[...] = source[ids].reshape(rows.shape)
-        wp.copy(target[: len(ids)], staging[: len(ids)])  # type: ignore[arg-type] - slices of arrays are arrays

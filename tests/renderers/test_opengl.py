@@ -9,7 +9,7 @@ import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.renderers import opengl
+from dynahoi_lerobot.renderers import DEFAULT_RENDERER, opengl
 from dynahoi_lerobot.rollout import make_batch
 from dynahoi_lerobot.world_batch import WorldBatch
 
@@ -48,29 +48,29 @@ def refusal(batch: WorldBatch) -> str:
 def pair(specs: list[EpisodeSpec]) -> tuple[WorldBatch, WorldBatch | None]:
     """The same worlds under both renderers; the second is None, after a clear sentence, where there is no OpenGL."""
     chosen = [plain(spec) for spec in specs[:22:3]]
-    warp, other = batch_of("warp", chosen), batch_of("opengl", chosen)
+    caster, other = batch_of(DEFAULT_RENDERER, chosen), batch_of("opengl", chosen)
     reason = refusal(other)
     assert not reason or "apt install libegl1" in reason
-    return warp, None if reason else other
+    return caster, None if reason else other
 
 
 def test_pictures_agree(pair: tuple[WorldBatch, WorldBatch | None]) -> None:
-    warp, other = pair
+    caster, other = pair
     if other is not None:
-        difference = np.abs(warp.render().astype(int) - other.render()).mean(axis=(1, 2, 3))
+        difference = np.abs(caster.render().astype(int) - other.render()).mean(axis=(1, 2, 3))
         assert difference.max() < LARGEST_DIFFERENCE
-    assert warp.render().std(axis=(1, 2, 3)).min() > 5.0  # and they show something
+    assert caster.render().std(axis=(1, 2, 3)).min() > 5.0  # and they show something
 
 
 def test_geoms_agree_and_have_their_colours(pair: tuple[WorldBatch, WorldBatch | None]) -> None:
-    warp, other = pair
-    labels = warp.segmentation()
+    caster, other = pair
+    labels = caster.segmentation()
     if other is not None:
         assert (labels == other.segmentation()).mean() > LEAST_AGREEMENT
-    pictures = (warp if other is None else other).render()
-    for world, spec in enumerate(warp.specs):
+    pictures = (caster if other is None else other).render()
+    for world, spec in enumerate(caster.specs):
         assert spec is not None
-        shown = pictures[world][np.isin(labels[world], warp.scene.target_geoms)]
+        shown = pictures[world][np.isin(labels[world], caster.scene.target_geoms)]
         if len(shown) > 4:
             shade = np.median(shown, axis=0) / np.linalg.norm(np.median(shown, axis=0))
             wanted = np.asarray(spec.look.target_rgb) / np.linalg.norm(spec.look.target_rgb)
@@ -90,5 +90,5 @@ def test_without_opengl_one_sentence_says_what_to_do(specs: list[EpisodeSpec], m
             raise ImportError("no EGL device")
 
     monkeypatch.setattr(opengl, "_platform_class", lambda: Missing)
-    with pytest.raises(RuntimeError, match=r"no EGL device.*apt install libegl1.*renderer 'warp'"):
+    with pytest.raises(RuntimeError, match=r"no EGL device.*apt install libegl1.*renderer 'tiles'"):
         batch_of("opengl", specs[:1]).render()

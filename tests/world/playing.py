@@ -13,6 +13,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout import evaluate, make_batch
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.world_batch import WorldBatch
@@ -20,9 +21,11 @@ from dynahoi_lerobot.world_batch import WorldBatch
 SMALL = Recipe(split="test", image_size=32)
 
 
-def world(specs: Sequence[EpisodeSpec], *, threads: int = 1, image_size: int = 32) -> WorldBatch:
+def world(
+    specs: Sequence[EpisodeSpec], *, threads: int = 1, image_size: int = 32, renderer: str = DEFAULT_RENDERER
+) -> WorldBatch:
     """A batch with one world for each spec, at the start of its episode."""
-    batch = WorldBatch(len(specs), threads=threads, image_size=image_size)
+    batch = WorldBatch(len(specs), threads=threads, image_size=image_size, renderer=renderer)
     batch.reset(range(len(specs)), specs)
     return batch
 

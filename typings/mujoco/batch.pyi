@@ -5,6 +5,7 @@ import numpy as np
 
 class Batch:
     nsim: int
+    nthread: int
     state: np.ndarray
     def __init__(self, model: Any, nsim: int, nthread: int = 0, persistent: bool = False) -> None: ...
     def bind(self, name: str) -> np.ndarray: ...

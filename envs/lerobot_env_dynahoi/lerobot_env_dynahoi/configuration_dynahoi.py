@@ -14,6 +14,7 @@ from lerobot.envs.configs import EnvConfig
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.spec import ACTION, CAMERA_KEY, FINGERTIPS, PHASE, STATE, camera_feature
 from dynahoi_lerobot.splits import seed_stream
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
@@ -52,7 +53,7 @@ class DynahoiEnvConfig(EnvConfig):
     protocol: str = "observe_before_act"
     capture: str = "attach"
     hand: str = "capsule"
-    renderer: str = "warp"
+    renderer: str = DEFAULT_RENDERER
     instructions: str = "mixed"
     results_dir: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)

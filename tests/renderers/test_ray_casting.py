@@ -1,4 +1,4 @@
-"""What the ray caster shows is what is there, in the colours it has."""
+"""What the ray casters show is what is there, in the colours it has."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ SAME_HUE = 0.95
 """Least cosine between a mean colour and the tint it should have: shading changes its brightness, not its hue."""
 
 
-@pytest.fixture(scope="module")
-def watching(specs: list[EpisodeSpec]) -> WorldBatch:
+@pytest.fixture(scope="module", params=["tiles", "warp"])
+def watching(request: pytest.FixtureRequest, specs: list[EpisodeSpec]) -> WorldBatch:
     """One world for each kind, at the start of its control phase; tests must not step it."""
-    batch = world(specs[:22], image_size=SIZE)
+    batch = world(specs[:22], image_size=SIZE, renderer=request.param)
     wait(batch)
     return batch
 

@@ -1,0 +1,1 @@
+"""Ray casting by tiles, as warp kernels for CPU and CUDA."""
