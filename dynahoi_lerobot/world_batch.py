@@ -75,6 +75,7 @@ class WorldBatch:
         self.palm_distance = np.full(size, np.inf)
         self.executed = np.zeros((size, PALM_DOF + FINGER_DOF))
         self._welded = np.zeros(size, bool)
+        self._tip_distance: np.ndarray | None = None
         self._force: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * size
 
     def reset(
@@ -88,6 +89,7 @@ class WorldBatch:
             attempt: how often each has been begun, for experts that try something else then.
         """
         chosen = np.asarray(ids, int)
+        self._tip_distance = None
         self._rows.reset(chosen)
         for i, spec in zip(chosen, specs, strict=True):
             self._write(int(i), spec)
@@ -113,6 +115,7 @@ class WorldBatch:
         if not len(chosen):
             return
         wanted = np.where(self.acting[chosen, None], wanted, self.executed[chosen])
+        self._tip_distance = None
         previous = self.executed[chosen]
         command = self._servo.clip(wanted, previous)
         control = np.zeros((len(chosen), SUBSTEPS, self._ctrl.shape[1] + self.scene.model.nv))
@@ -158,6 +161,11 @@ class WorldBatch:
 
     def tip_distance(self) -> np.ndarray:
         """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
+        if self._tip_distance is None:  # experts, recordings and contacts ask for the same one
+            self._tip_distance = self._measure_tips()
+        return self._tip_distance
+
+    def _measure_tips(self) -> np.ndarray:
         tips = self._site_xpos[:, self.scene.tip_sites]  # (N, 5, 3)
         nearest = np.full(tips.shape[:2], np.inf)
         alpha, sizes = self._rows.fields["geom_rgba"][..., 3], self._rows.fields["geom_size"]

@@ -26,23 +26,22 @@ class Intercept(Expert):
 
     def __init__(self) -> None:
         """Start with no plans."""
-        self._plans: dict[tuple[int, int], Reach] = {}
+        self._plans: dict[int, tuple[EpisodeSpec, int, Reach]] = {}
 
     def act(self, world: WorldState) -> np.ndarray:
         """Return (N, 18) commands; worlds without an episode get zeros."""
         commands = np.zeros((len(world.specs), HAND_DOF))
         for i, spec in enumerate(world.specs):
             if spec is not None:
-                commands[i] = self._plan(spec, int(world.attempt[i])).command(int(world.frame[i]))
+                commands[i] = self._plan(i, spec, int(world.attempt[i])).command(int(world.frame[i]))
         return commands
 
-    def _plan(self, spec: EpisodeSpec, attempt: int) -> Reach:
-        key = (id(spec), attempt)
-        if key not in self._plans:
-            if len(self._plans) > 4096:
-                self._plans.clear()
-            self._plans[key] = plan_intercept(spec, attempt)
-        return self._plans[key]
+    def _plan(self, i: int, spec: EpisodeSpec, attempt: int) -> Reach:
+        """The approach of world ``i``, planned when its episode or attempt is a new one."""
+        known = self._plans.get(i)
+        if known is None or known[0] is not spec or known[1] != attempt:
+            known = self._plans[i] = spec, attempt, plan_intercept(spec, attempt)
+        return known[2]
 
 
 def plan_intercept(spec: EpisodeSpec, attempt: int = 1) -> Reach:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,18 @@ def test_the_expert_catches_everything_at_the_first_attempt(expert_episodes: lis
     assert mean(expert_episodes, "S_gra") == 1.0
     assert all(episode.success and episode.stage == "captured" for episode in expert_episodes)
     assert {episode.meta.attempts for episode in expert_episodes} == {1}
+
+
+def test_the_expert_plans_each_episode_anew(specs: list[EpisodeSpec]):
+    """Episodes come and go, and later ones may lie where earlier ones lay in memory."""
+    batch, busy = make_batch(Recipe(image_size=32), 1, threads=1), EXPERTS["intercept"]()
+    for spec in specs[:22]:
+        batch.reset([0], [replace(spec)])
+        while not batch.acting.all():
+            batch.step(batch.executed)
+        seen = batch.world_state(batch.observe(images=False))
+        np.testing.assert_array_equal(busy.act(seen), EXPERTS["intercept"]().act(seen))
+        batch.specs[0] = seen = None
 
 
 def test_the_expert_is_straight_smooth_and_early(expert_episodes: list[Episode]):
