@@ -1,0 +1,102 @@
+"""Environment steps per second with images: the native vector env against gymnasium's over one plain env per world.
+
+python benchmarks/env.py [--num-envs 1 8 64] [--image-size 128] [--rounds 2] [--steps 80] [--json FILE]
+
+Every number comes from a process of its own; rounds take turns (A B C, A B C), so that a busy machine slows all alike.
+Episodes begin, end and begin again as in evaluation; actions wander about the measured state.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
+from isolated import measure_apart
+
+WARM_UP_STEPS = 5
+STEPS_AT_LEAST = 640
+"""Environment steps in a measurement, so that few worlds also see episodes end."""
+WANDER = 0.01
+"""Standard deviation of an action around the state [m, rad]."""
+
+
+def native(num_envs: int, image_size: int) -> VectorEnv:
+    from dynahoi_lerobot.env import DynahoiVectorEnv
+
+    return DynahoiVectorEnv(num_envs, image_size=image_size)
+
+
+def one_by_one(num_envs: int, image_size: int) -> VectorEnv:
+    from straightforward import StraightforwardEnv
+
+    return SyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
+
+
+def one_process_each(num_envs: int, image_size: int) -> VectorEnv:
+    from straightforward import StraightforwardEnv
+
+    return AsyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
+
+
+SYSTEMS = {"DynahoiVectorEnv": native, "SyncVectorEnv": one_by_one, "AsyncVectorEnv": one_process_each}
+
+
+def steps_per_second(system: str, num_envs: int, image_size: int, steps: int) -> dict[str, float]:
+    """Step one vector env and time it."""
+    env = SYSTEMS[system](num_envs, image_size)
+    rng = np.random.default_rng(0)
+    seen, _ = env.reset(seed=list(range(num_envs)))
+    begin = time.perf_counter()
+    for step in range(-WARM_UP_STEPS, max(steps, STEPS_AT_LEAST // num_envs)):
+        if step == 0:
+            begin = time.perf_counter()
+        state = seen["agent_pos"]
+        actions = (state + rng.normal(0.0, WANDER, state.shape)).astype(np.float32)
+        seen = env.step(actions)[0]
+        assert seen["pixels"]["ego"].any()
+    seconds = time.perf_counter() - begin
+    env.close()
+    return {"steps_s": max(steps, STEPS_AT_LEAST // num_envs) * num_envs / seconds}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--num-envs", type=int, nargs="+", default=[1, 8, 64])
+    parser.add_argument("--image-size", type=int, default=128)
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--steps", type=int, default=80, help="least number of vector steps in a measurement")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    lines = [line for count in args.num_envs for line in compare(count, args)]
+    if args.json:
+        args.json.write_text(json.dumps({"settings": vars(args), "lines": lines}, indent=2, default=str))
+
+
+def compare(num_envs: int, args: argparse.Namespace) -> list[dict[str, object]]:
+    """Measure the systems in turns, print and return one line each."""
+    rounds = [
+        {name: measure_apart(steps_per_second, name, num_envs, args.image_size, args.steps) for name in SYSTEMS}
+        for _ in range(args.rounds)
+    ]
+    lines = []
+    for name in SYSTEMS:
+        rates = [one[name]["steps_s"] for one in rounds]
+        ratios = [one["DynahoiVectorEnv"]["steps_s"] / one[name]["steps_s"] for one in rounds]
+        line = {"num_envs": num_envs, "system": name, "steps_s": statistics.median(rates), "rates": rates}
+        lines.append(line | {"native_is_faster_by": statistics.median(ratios), "ratios": ratios})
+        print(f"N={num_envs:<3} {name:18} {statistics.median(rates):7.0f} steps/s   native / this {_range(ratios)}")
+    return lines
+
+
+def _range(values: list[float]) -> str:
+    return f"{statistics.median(values):5.2f} ({min(values):.2f} to {max(values):.2f})"
+
+
+if __name__ == "__main__":
+    main()

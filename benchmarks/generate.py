@@ -1,0 +1,109 @@
+"""Frames per second of generation, end to end: ours against the loop that a LeRobot user would write.
+
+python benchmarks/generate.py [--episodes 256] [--image-size 128] [--rounds 2] [--device cpu] [--json FILE]
+
+End to end means simulated, rendered, encoded, with statistics, on disk as a LeRobotDataset. Both play the same seeds in
+the same scene with the same expert, on as many processes; rounds take turns (A B, A B), and each measurement is a
+process of its own. Then the stages of ours are measured alone, on all cores, and the shares of one process profiled.
+With ``--device cuda`` pictures are drawn there (one process, all cores for physics and the encoder).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+from isolated import measure_apart
+from stages import stage_shares, stages_alone
+
+from dynahoi_lerobot.recipe import Recipe
+
+FIRST_SEED = 0
+
+
+def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
+    """Generate a dataset as ``dynahoi generate`` does."""
+    from dynahoi_lerobot.generate.pipeline import generate
+    from dynahoi_lerobot.generate.plan import Plan
+    from dynahoi_lerobot.rollout import record
+
+    plan = Plan(Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=max(1, episodes // processes))
+    with tempfile.TemporaryDirectory() as folder:
+        begin = time.perf_counter()
+        play = partial(record, threads=1 if processes > 1 else 0)
+        manifest = generate(plan, Path(folder) / "dataset", record=play, workers=processes)
+        return {"frames": manifest.frames, "seconds": time.perf_counter() - begin}
+
+
+def theirs(episodes: int, image_size: int, processes: int) -> dict[str, float]:
+    """Record the same seeds with one plain env and one LeRobotDataset per process."""
+    recipe, share = Recipe(image_size=image_size), -(-episodes // processes)
+    seeds = [list(range(k, min(k + share, FIRST_SEED + episodes))) for k in range(FIRST_SEED, episodes, share)]
+    with tempfile.TemporaryDirectory() as folder:
+        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+            roots = [Path(folder) / str(k) for k in range(len(seeds))]
+            frames, seconds = zip(*pool.map(_record_plainly, roots, [recipe] * len(seeds), seeds), strict=True)
+        return {"frames": sum(frames), "seconds": max(seconds)}
+
+
+def _record_plainly(root: Path, recipe: Recipe, seeds: list[int]) -> tuple[int, float]:
+    """Return frames and seconds; imports do not count, as fewer episodes have to carry them than in ours."""
+    from lerobot.datasets import lerobot_dataset  # noqa: F401
+    from straightforward import record
+
+    begin = time.perf_counter()
+    return record(root, recipe, seeds), time.perf_counter() - begin
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--episodes", type=int, default=256)
+    parser.add_argument("--image-size", type=int, default=128)
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--processes", type=int, default=os.cpu_count(), help="of either system on the CPU")
+    parser.add_argument("--plain-episodes", type=int, default=48, help="episodes of the plain loop")
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    if args.device == "cpu":
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""
+    else:
+        args.processes = 1
+    table = {"settings": vars(args), "rounds": compare(args)}
+    table["alone"] = stages_alone(args.image_size)
+    table["shares"] = stage_shares(args.image_size)
+    _print_stages(table)
+    if args.json:
+        args.json.write_text(json.dumps(table, indent=2, default=str))
+
+
+def compare(args: argparse.Namespace) -> list[dict[str, float]]:
+    """Measure both systems in turns and print a line for each, then the ratio."""
+    rounds = []
+    for _ in range(args.rounds):
+        line = {}
+        for name, system, episodes in (("ours", ours, args.episodes), ("plain", theirs, args.plain_episodes)):
+            result = measure_apart(system, episodes, args.image_size, args.processes)
+            line |= {f"{name}_frames_s": result["frames"] / result["seconds"], f"{name}_peak_mb": result["peak_mb"]}
+        rounds.append(line | {"ratio": line["ours_frames_s"] / line["plain_frames_s"]})
+        print("  ".join(f"{key} {value:.2f}" for key, value in rounds[-1].items()), flush=True)
+    print(f"ratio, median of {len(rounds)}: {statistics.median(line['ratio'] for line in rounds):.2f}")
+    return rounds
+
+
+def _print_stages(table: dict) -> None:
+    for name, share in table["shares"].items():
+        alone = table["alone"].get(name)
+        print(f"{name:12} {share:6.1%} of one process" + (f", alone {alone:7.0f} frames/s" if alone else ""))
+
+
+if __name__ == "__main__":
+    main()
