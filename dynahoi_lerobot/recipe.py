@@ -20,6 +20,8 @@ SPLITS = ("train", "val", "test", "ood_speed", "ood_object", "ood_motion")
 """Disjoint seed streams; ``test_small`` is the first 110 episodes of ``test``."""
 PROTOCOLS = ("observe_before_act", "direct_act")
 INSTRUCTIONS = ("reveal", "neutral", "mixed")
+SHORTEST_HOLD_FRAMES = 12
+"""The last retry aims nine frames later than the first attempt, and must still be seen to succeed."""
 OOD_TEMPO = 1.6
 """In ``ood_speed``, speeds begin where training's end and reach this many times as far."""
 
@@ -38,7 +40,9 @@ class Recipe:
         expert: who demonstrates.
         instructions: whether texts name the motion: ``reveal``, ``neutral`` or ``mixed``.
         image_size: side of the square camera images [px].
-        renderer: ``warp`` or ``opengl``.
+        renderer: one of the renderers.
+        hold_frames: frames to record after the intercept, None for all of the L that the episode was drawn with. On
+            average two thirds of those only hold what is already caught; a training set needs few of them.
     """
 
     split: str = "train"
@@ -51,6 +55,7 @@ class Recipe:
     instructions: str = "mixed"
     image_size: int = 128
     renderer: str = DEFAULT_RENDERER
+    hold_frames: int | None = None
 
     def __post_init__(self) -> None:
         """Check every name against what exists.
@@ -71,6 +76,8 @@ class Recipe:
             self._check_held_out("object", name, OBJECTS[name].held_out)
         if not 16 <= self.image_size <= 1024:
             raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")
+        if self.hold_frames is not None and self.hold_frames < SHORTEST_HOLD_FRAMES:
+            raise ValueError(f"hold_frames must be at least {SHORTEST_HOLD_FRAMES}, or null, got {self.hold_frames}")
 
     @property
     def motion_names(self) -> list[str]:

@@ -122,8 +122,16 @@ class _Jobs(Iterator[Job]):
 def _fresh_jobs(recipe: Recipe, seeds: Sequence[int], threads: int) -> Iterator[Job]:
     for block in range(0, len(seeds), DEFAULT_BATCH):
         specs = sample_specs(recipe, seeds[block : block + DEFAULT_BATCH], threads=threads)
-        for offset, spec in enumerate(specs):
+        for offset, drawn in enumerate(specs):
+            spec = _shortened(drawn, recipe.hold_frames)
             yield Job(block + offset, spec, spec.length_frames)
+
+
+def _shortened(spec: EpisodeSpec, hold_frames: int | None) -> EpisodeSpec:
+    """The same episode, over ``hold_frames`` after the intercept."""
+    if hold_frames is None:
+        return spec
+    return replace(spec, length_frames=min(spec.length_frames, spec.intercept_frame + 1 + hold_frames))
 
 
 def _begin(batch: WorldBatch, actor: Agent | Expert, waiting: Iterator[Job], running: dict[int, WorldRecorder]) -> None:

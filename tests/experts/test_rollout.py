@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -88,6 +88,23 @@ def test_recordings_have_the_stated_length_and_images():
         assert episode.images is not None
         assert episode.images.shape == (len(episode), 32, 32, 3)
         assert episode.images.dtype == np.uint8
+
+
+def test_a_short_hold_ends_the_same_episodes_early():
+    whole = list(record(QUICK, range(6), threads=1, images=False))
+    short = list(record(replace(QUICK, hold_frames=12), range(6), threads=1, images=False))
+    assert any(len(a) < len(b) for a, b in zip(short, whole, strict=True))
+    for a, b in zip(short, whole, strict=True):
+        assert a.success
+        assert len(a) == a.meta.length_frames == min(len(b), b.meta.intercept_frame + 13)
+        np.testing.assert_array_equal(a.action, b.action[: len(a)])
+        np.testing.assert_array_equal(a.target_pose, b.target_pose[: len(a)])
+
+
+@pytest.mark.parametrize("batch_size", [1, 32])
+def test_a_retry_still_fits_a_short_hold(clumsy: Recipe, batch_size: int):
+    episodes = record(replace(clumsy, hold_frames=12), SEEDS, batch_size=batch_size, threads=1, images=False)
+    assert [(e.meta.seed, e.meta.attempts) for e in episodes] == [(0, 1), (1, 2), (5, 3), (4, 2), (10, 1)]
 
 
 def test_nothing_to_record_is_nothing():

@@ -17,6 +17,7 @@ BAD_VALUES = [
     ({"motions": ("lateral", "latteral")}, r"unknown motion 'latteral' \(did you mean 'lateral'\?\); known: acc"),
     ({"objects": ("bal",)}, r"unknown object 'bal' \(did you mean 'ball'\?\); known: ball, block"),
     ({"image_size": 8}, "image_size must be 16 to 1024 pixels, got 8"),
+    ({"hold_frames": 3}, "hold_frames must be at least 12, or null, got 3"),
     ({"motions": ("helix",)}, "motion 'helix' is held out for split 'ood_motion', got split 'train'"),
     ({"objects": ("jack",), "split": "test"}, "object 'jack' is held out for split 'ood_object', got split 'test'"),
     (
