@@ -22,6 +22,7 @@ PROTOCOLS = ("observe_before_act", "direct_act")
 INSTRUCTIONS = ("reveal", "neutral", "mixed")
 SHORTEST_HOLD_FRAMES = 12
 """The last retry aims nine frames later than the first attempt, and must still be seen to succeed."""
+LARGEST_PUSH_M = 0.2
 OOD_TEMPO = 1.6
 """In ``ood_speed``, speeds begin where training's end and reach this many times as far."""
 
@@ -43,6 +44,7 @@ class Recipe:
         renderer: one of the renderers.
         hold_frames: frames to record after the intercept, None for all of the L that the episode was drawn with. On
             average two thirds of those only hold what is already caught; a training set needs few of them.
+        disturbance_m: spread of the pushes that make the palm miss its commands on the way [m]; see `disturbance.py`.
     """
 
     split: str = "train"
@@ -56,6 +58,7 @@ class Recipe:
     image_size: int = 128
     renderer: str = DEFAULT_RENDERER
     hold_frames: int | None = None
+    disturbance_m: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every name against what exists.
@@ -76,6 +79,8 @@ class Recipe:
             self._check_held_out("object", name, OBJECTS[name].held_out)
         if not 16 <= self.image_size <= 1024:
             raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")
+        if not 0 <= self.disturbance_m <= LARGEST_PUSH_M:
+            raise ValueError(f"disturbance_m must be 0 to {LARGEST_PUSH_M} m, got {self.disturbance_m}")
         if self.hold_frames is not None and self.hold_frames < SHORTEST_HOLD_FRAMES:
             raise ValueError(f"hold_frames must be at least {SHORTEST_HOLD_FRAMES}, or null, got {self.hold_frames}")
 

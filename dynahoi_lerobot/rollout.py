@@ -90,6 +90,7 @@ def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
         image_size=recipe.image_size,
         renderer=recipe.renderer,
         threads=threads,
+        disturbance_m=recipe.disturbance_m,
     )
 
 

@@ -12,6 +12,7 @@ from mujoco.batch import Batch
 from dynahoi_lerobot.agent import Observation, WorldState
 from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, Substeps
 from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.disturbance import draw_pushes
 from dynahoi_lerobot.drive import drive_for
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.motions import PrescribedMotion
@@ -39,7 +40,7 @@ class WorldBatch:
         frame: (N,) int, current frame of each world's episode; ``attempt``: (N,) int, from 1.
         localized: (N,) bool, the target has been localised in the control phase.
         palm_distance: (N,) [m], least distance of palm and target centre during the last control step.
-        executed: (N, 18) the command last executed, after clipping.
+        executed: (N, 18) the command last given, after clipping; the hand meets it unless it is pushed.
     """
 
     def __init__(
@@ -51,8 +52,11 @@ class WorldBatch:
         image_size: int = 128,
         renderer: str = DEFAULT_RENDERER,
         threads: int = 0,
+        disturbance_m: float = 0.0,
     ) -> None:
         """Allocate ``size`` worlds; ``threads`` simulate them (0: all cores), without influence on the result.
+
+        ``disturbance_m`` is the spread of the pushes that make the palm miss its commands.
 
         Raises:
             ValueError: if ``size`` is not positive or a name is unknown.
@@ -74,6 +78,8 @@ class WorldBatch:
         self.localized = np.zeros(size, bool)
         self.palm_distance = np.full(size, np.inf)
         self.executed = np.zeros((size, PALM_DOF + FINGER_DOF))
+        self._held = self.executed.copy()
+        self._disturbance_m, self._pushes = disturbance_m, [np.zeros((0, PALM_DOF))] * size
         self._welded = np.zeros(size, bool)
         self._tip_distance: np.ndarray | None = None
         self._force: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * size
@@ -95,6 +101,10 @@ class WorldBatch:
             self._write(int(i), spec)
         self._rows.finish(chosen)
         self.frame[chosen], self.attempt[chosen] = 0, attempt
+        self._held[chosen] = self.executed[chosen]
+        if self._disturbance_m:
+            for i, spec in zip(chosen, specs, strict=True):
+                self._pushes[i] = draw_pushes(spec, int(self.attempt[i]), self._disturbance_m)
         self.localized[chosen], self._welded[chosen] = False, False
         self.palm_distance[chosen] = self._center_distance()[chosen]
 
@@ -114,18 +124,26 @@ class WorldBatch:
         wanted = check_command(commands, len(chosen))
         if not len(chosen):
             return
-        wanted = np.where(self.acting[chosen, None], wanted, self.executed[chosen])
+        previous = self._held[chosen]
+        wanted = np.where(self.acting[chosen, None], wanted, previous)
         self._tip_distance = None
-        previous = self.executed[chosen]
         command = self._servo.clip(wanted, previous)
+        reached = self._servo.clip(command + self._pushed(chosen), previous)
         control = np.zeros((len(chosen), SUBSTEPS, self._ctrl.shape[1] + self.scene.model.nv))
-        control[..., : self._ctrl.shape[1]] = self._servo.set_points(command, previous)
+        control[..., : self._ctrl.shape[1]] = self._servo.set_points(reached, previous)
         dof = self._ctrl.shape[1] + self.scene.target_dof
         control[..., dof : dof + 3] = [self._drive_force(int(i)) for i in chosen]
         self._advance(chosen, control)
-        self.executed[chosen] = command
+        self.executed[chosen], self._held[chosen] = command, reached
         self.frame[chosen] += 1
         self._batch.forward(chosen, stage=KINEMATICS)
+
+    def _pushed(self, chosen: np.ndarray) -> np.ndarray:
+        """Return (n, 18) by how much the worlds ``chosen`` miss their commands at this frame."""
+        missed = np.zeros((len(chosen), self.executed.shape[1]))
+        if self._disturbance_m:
+            missed[:, :PALM_DOF] = [self._pushes[i][self.frame[i]] for i in chosen]
+        return missed
 
     def check(self, commands: np.ndarray) -> np.ndarray:
         """Return (N, 18) float64 commands for all worlds; raise ValueError as ``step`` would."""

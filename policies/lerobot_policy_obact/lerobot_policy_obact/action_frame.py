@@ -114,6 +114,10 @@ class ActionFrame(nn.Module):
         normalised = (absolute - self.action_shift) / self.action_scale
         return torch.cat([normalised, chunk[..., self.n_dims :]], dim=-1)
 
+    def normalise_state(self, position: Tensor) -> Tensor:
+        """Map physical positions ``(..., n_dims)`` to where LeRobot's normalisation of the state puts them."""
+        return (position - self.state_shift) / self.state_scale
+
     def _displacement(self, actions: Tensor, state: Tensor) -> Tensor:
         absolute = self.action_scale * actions[..., : self.n_dims] + self.action_shift
         return absolute - self._position(state)[:, None]

@@ -27,11 +27,14 @@ class ObActConfig(PreTrainedConfig):
         image_size: Side to which every image is resized [px]; 0 keeps the size of the dataset.
         horizon: Actions in a predicted chunk.
         n_action_steps: Actions of a chunk that are executed before the policy plans again.
-        replan_key: Observation whose rise (0 -> 1) drops the rest of the chunk; "" never does.
+        replan_key: Observation whose rise (0 -> 1) drops the rest of the chunk; "" never does. Chunks planned
+            before the rise are never executed, so none are learned from.
         action_frame: "absolute", "relative" (the first `relative_dims` actions are predicted as displacements
             from the same entries of the current ``observation.state``) or "auto" (relative where the
             dataset's statistics show that action and state are the same quantity).
         relative_dims: Leading action dimensions that "relative" concerns.
+        relative_weight: Weight of those dimensions in the loss. Three of them are easily drowned by fifteen
+            fingers that move as one.
         n_decisions: Moments per training sample at which the loss is taken, see `windows.py`.
         decision_stride: Distance between those moments [frames].
         backbone: Name of the image encoder, one file each in ``backbones/``.
@@ -43,6 +46,9 @@ class ObActConfig(PreTrainedConfig):
         n_attention_heads: Heads of every attention.
         dropout: Dropout probability in attention blocks and head.
         ema_decay: Decay of the averaged weights used for acting; 0 turns the average off.
+        privileged_key: Column of the dataset with a position in the coordinates of ``observation.state`` that the
+            encoder learns to see in every frame, here "target.pose"; "" learns from actions alone.
+        privileged_weight: Weight of that loss.
         random_shift_px: Augmentation, largest image shift, the same for all frames of a sample [px].
         color_jitter: Augmentation, largest relative change of brightness and contrast.
         noise_seed: Seed of the noise that a chunk starts from while acting, None draws from the global
@@ -62,6 +68,7 @@ class ObActConfig(PreTrainedConfig):
     replan_key: str = "observation.phase"
     action_frame: str = "auto"
     relative_dims: int = 3
+    relative_weight: float = 1.0
 
     n_decisions: int = 1
     decision_stride: int = 4
@@ -76,6 +83,8 @@ class ObActConfig(PreTrainedConfig):
     dropout: float = 0.0
     ema_decay: float = 0.999
 
+    privileged_key: str = ""
+    privileged_weight: float = 1.0
     random_shift_px: int = 0
     color_jitter: float = 0.0
     noise_seed: int | None = 0
@@ -107,6 +116,8 @@ class ObActConfig(PreTrainedConfig):
         self._require(self.fps > 0, "fps", "above 0 Hz")
         self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
         self._require(self.action_frame in ACTION_FRAMES, "action_frame", f"one of {', '.join(ACTION_FRAMES)}")
+        self._require(self.relative_weight > 0, "relative_weight", "above 0")
+        self._require(self.privileged_weight >= 0, "privileged_weight", "0 or more")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 (off) or more and below 1")
         self._require(self.width % (2 * self.n_attention_heads) == 0, "width", "a multiple of 2 x n_attention_heads")
         for name in ("obs_stride", "horizon", "n_decisions", "decision_stride", "relative_dims"):

@@ -10,6 +10,7 @@ from .backbones import backbones
 from .configuration_obact import ObActConfig
 from .heads import ActionSpec, Condition, heads
 from .observation import Observation
+from .privileged import PositionProbe
 from .text import ByteTextEncoder
 
 
@@ -31,19 +32,20 @@ class ObActModel(nn.Module):
         self.attention = SpatioTemporalAttention(width, config.n_attention_layers, n_heads, config.dropout)
         spec = ActionSpec(config.horizon, config.action_feature.shape[0], state_dim, width, n_heads, config.dropout)
         self.head = heads.build(config.head, spec, options=config.head_options)
+        self.probe = PositionProbe(width, config.relative_dims) if config.privileged_key else None
 
-    def conditions(self, observation: Observation, frame_index: Tensor, age_s: Tensor) -> Condition:
-        """Encode every frame once and fuse the window of each decision.
+    def conditions(self, observation: Observation, tokens: Tensor, frame_index: Tensor, age_s: Tensor) -> Condition:
+        """Fuse the window of each decision.
 
         Args:
             observation: Frames of ``B`` samples.
+            tokens: What `encode_frames` made of them, shape ``(B, T, N, D)``.
             frame_index: Frames each of the ``K`` decisions sees, its own last, shape ``(K, s + 1)``.
             age_s: Time of those frames before their decision [s], shape ``(s + 1,)``.
 
         Returns:
             Conditions of ``B * K`` chunks, decisions of one sample in a row.
         """
-        tokens = self.encode_frames(observation)  # (B, T, N, D)
         n_decisions = len(frame_index)
         fused = self.attention(tokens, frame_index, age_s, observation.keep)  # (B*K, N, D)
         state = observation.proprioception[:, frame_index[:, -1]].flatten(0, 1)  # (B, K, S) -> (B*K, S)

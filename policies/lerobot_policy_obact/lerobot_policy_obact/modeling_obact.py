@@ -18,11 +18,12 @@ from torch.optim.swa_utils import AveragedModel
 from .action_frame import ActionFrame, affine_of, looks_absolute
 from .augment import jitter_colors, shift_images
 from .configuration_obact import ObActConfig
-from .heads.base import Guide
+from .heads.base import Condition, Guide
 from .history import ChunkQueue, History
 from .model import ObActModel
 from .model_card import describe
 from .observation import Observation
+from .privileged import FrameColumn
 from .rtc import rtc_guide
 
 
@@ -55,6 +56,7 @@ class ObActPolicy(PreTrainedPolicy):
         if config.action_frame == "auto":
             config.action_frame = _choose_action_frame(config, dataset_stats)
         self.frame = ActionFrame(config.relative_dims if config.action_frame == "relative" else 0)
+        self.labels = _labels(config, dataset_meta)
         self._set_stats(dataset_stats)
         self.model = ObActModel(config)
         if load_pretrained:
@@ -85,19 +87,57 @@ class ObActPolicy(PreTrainedPolicy):
             observation = self._augmented(observation)
         index = torch.tensor(windows.frame_index, device=batch[ACTION].device)  # (K, s+1)
         chunk_index = torch.tensor(windows.action_index, device=batch[ACTION].device)  # (K, H)
-        condition = self._acting_model.conditions(observation, index, self._age_s(index.device))
+        tokens = self._acting_model.encode_frames(observation)  # (B, T, N, D)
+        condition = self._acting_model.conditions(observation, tokens, index, self._age_s(index.device))
 
         actions = batch[ACTION][:, chunk_index].flatten(0, 1)  # (B, L, A) -> (B, K, H, A) -> (B*K, H, A)
         keep = _kept_actions(batch)[:, chunk_index].flatten(0, 1)  # (B, L) -> (B, K, H) -> (B*K, H)
+        keep = keep & self._executed(batch, index[:, -1]).to(keep.device)
         position = observation.position[:, index[:, -1]].flatten(0, 1)  # (B, K, P) -> (B*K, P)
-        if self.training:
-            self.frame.observe(actions, position, keep)
-        error = self._acting_model.head.loss(self.frame.to_model(actions, position), condition)  # (B*K, H, A)
-        loss = _masked_mean(error.mean(-1), keep, len(batch[ACTION]))  # (B,)
+        error = self._chunk_error(actions, position, condition, keep)  # (B*K, H)
+        seen = self._privileged_error(batch, observation, tokens)  # (B, T)
+        losses = _masked_mean(error, keep, len(tokens)), _masked_mean(seen, observation.keep, len(tokens))  # (B,) each
+        loss = losses[0] + self.config.privileged_weight * losses[1]
         if reduction == "none":
             return loss, {"loss": loss.mean().item()}
-        loss = (error.mean(-1) * keep).sum() / keep.sum().clamp_min(1)
-        return loss, {}
+        losses = (error * keep).sum() / keep.sum().clamp_min(1), losses[1].mean()
+        return losses[0] + self.config.privileged_weight * losses[1], {}
+
+    def _chunk_error(self, actions: Tensor, position: Tensor, condition: Condition, keep: Tensor) -> Tensor:
+        """Return the head's loss of every action, ``(B*K, H)``; chunks without any action to keep are skipped."""
+        if self.training:
+            self.frame.observe(actions, position, keep)
+        rows, error = keep.any(-1), keep.new_zeros(keep.shape, dtype=actions.dtype)
+        if rows.any():
+            target = self.frame.to_model(actions[rows], position[rows])
+            losses = self._acting_model.head.loss(target, condition.rows(rows))  # (rows, H, A)
+            error[rows] = (losses * self._dimension_weights(losses)).mean(-1).to(error.dtype)
+        return error
+
+    def _dimension_weights(self, losses: Tensor) -> Tensor:
+        """Return the weight of each action dimension, ``(A,)`` with mean 1."""
+        weights = losses.new_ones(losses.shape[-1])
+        weights[: self.frame.n_dims] = self.config.relative_weight
+        return weights / weights.mean()
+
+    def _executed(self, batch: dict[str, Tensor], moments: Tensor) -> Tensor:
+        """Tell which decisions are ever executed, shape ``(B*K, 1)``: those after the rise of ``replan_key``.
+
+        A normalised indicator is negative before its rise, and zero where it never changes.
+        """
+        value = batch.get(self.config.replan_key)
+        if value is None:
+            return torch.ones(1, 1, dtype=torch.bool)
+        value = value if value.dim() == 3 else value.unsqueeze(1)  # (B, D) -> (B, 1, D)
+        return (value[:, moments, -1] >= 0).reshape(-1, 1)  # (B, K) -> (B*K, 1)
+
+    def _privileged_error(self, batch: dict[str, Tensor], observation: Observation, tokens: Tensor) -> Tensor:
+        """Return how far off the probe is in every frame, in units of the normalised state, ``(B, T)``."""
+        if self.labels is None:
+            return torch.zeros_like(observation.keep, dtype=tokens.dtype)
+        place = self.labels(batch["index"], self.config.windows.observation_offsets)  # (B, T, P)
+        offset = self.frame.normalise_state(place) - observation.position[..., : place.shape[-1]]
+        return (self._acting_model.probe(tokens) - offset).abs().mean(-1)
 
     def _augmented(self, observation: Observation) -> Observation:
         shape = observation.images.shape
@@ -180,7 +220,8 @@ class ObActPolicy(PreTrainedPolicy):
 
     def _plan(self, window: Observation, noise: Tensor, guide: Guide | None = None) -> Tensor:
         index = torch.arange(window.keep.shape[1], device=noise.device)[None]  # (1, s+1)
-        condition = self._acting_model.conditions(window, index, self._age_s(noise.device))
+        tokens = self._acting_model.encode_frames(window)
+        condition = self._acting_model.conditions(window, tokens, index, self._age_s(noise.device))
         chunk = self._acting_model.head.sample(condition, noise, guide)  # (B, H, A)
         return self.frame.to_actions(chunk, window.position[:, -1])
 
@@ -278,6 +319,18 @@ def _choose_action_frame(config: ObActConfig, stats: dict[str, dict[str, Any]] |
     if not config.can_be_relative or not stats or ACTION not in stats or OBS_STATE not in stats:
         return "absolute"
     return "relative" if looks_absolute(stats[ACTION], stats[OBS_STATE], config.relative_dims) else "absolute"
+
+
+def _labels(config: ObActConfig, meta: Any | None) -> FrameColumn | None:
+    """Open the privileged column while training, where the config names one."""
+    if not config.privileged_key or meta is None:
+        return None
+    if config.action_frame != "relative":
+        raise ValueError(
+            f"privileged_key is {config.privileged_key!r}, but only action_frame='relative' knows the coordinates of "
+            f"'observation.state'; action_frame is {config.action_frame!r}, so privileged_key must be ''."
+        )
+    return FrameColumn(meta, config.privileged_key, config.relative_dims)
 
 
 def _kept_actions(batch: dict[str, Tensor]) -> Tensor:

@@ -81,11 +81,13 @@ def policy_features(features: dict) -> tuple[dict[str, PolicyFeature], dict[str,
     return inputs, outputs
 
 
-def make_policy(features: dict = HAND_FEATURES, stats: dict | None = None, **changes: object) -> ObActPolicy:
+def make_policy(
+    features: dict = HAND_FEATURES, stats: dict | None = None, meta: object = None, **changes: object
+) -> ObActPolicy:
     inputs, outputs = policy_features(features)
     torch.manual_seed(0)
     config = ObActConfig(input_features=inputs, output_features=outputs, **{**TINY, **changes})
-    return ObActPolicy(config, dataset_stats=stats)
+    return ObActPolicy(config, dataset_stats=stats, dataset_meta=meta)
 
 
 def make_batch(policy: ObActPolicy, n: int = 3, seed: int = 0) -> dict[str, object]:

@@ -19,13 +19,18 @@ class ConvBackbone(Backbone):
         n_keypoints: Spatial-softmax tokens.
         grid: Side of the grid of pooled tokens.
         channels: Channels at 1/4 resolution, a multiple of 8; twice as many at 1/8.
+        saturation: Add a fourth input channel, how colourful a pixel is. Things are more so than walls and floors, and
+            a linear first layer cannot compute it.
     """
 
-    def __init__(self, width: int, *, n_keypoints: int = 16, grid: int = 2, channels: int = 32) -> None:
+    def __init__(
+        self, width: int, *, n_keypoints: int = 16, grid: int = 2, channels: int = 32, saturation: bool = True
+    ) -> None:
         super().__init__(width, mean=(0.5, 0.5, 0.5), std=(0.25, 0.25, 0.25))
-        self.grid = grid
+        self.grid, self.saturation = grid, saturation
         # Reading 4 x 4 patches at once costs a fraction of two strided convolutions at full resolution.
-        self.stem = nn.Sequential(nn.Conv2d(3, channels, kernel_size=4, stride=4), _conv(channels, channels))
+        patches = nn.Conv2d(4 if saturation else 3, channels, kernel_size=4, stride=4)
+        self.stem = nn.Sequential(patches, _conv(channels, channels))
         self.deep = nn.Sequential(_conv(channels, 2 * channels, stride=2), _conv(2 * channels, 2 * channels))
         self.lateral = nn.Conv2d(2 * channels, channels, kernel_size=1)
         self.keypoints = KeypointTokens(channels, n_keypoints, width)
@@ -34,13 +39,21 @@ class ConvBackbone(Backbone):
 
     def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
         """See `Backbone.forward`; ``N = n_keypoints + grid ** 2``."""
-        images = _pad_to_multiple(self.standardise(images), 8)
+        pixels = self.standardise(images)
+        if self.saturation:
+            pixels = torch.cat([pixels, saturation(images)], dim=1)
+        images = _pad_to_multiple(pixels, 8)
         # Channels last makes convolutions on a CPU a third faster and their maps token-shaped without a copy.
         fine = self.stem(images.contiguous(memory_format=torch.channels_last))  # (F, C, H/4, W/4)
         coarse = self.deep(fine)  # (F, 2C, H/8, W/8)
         features = fine + F.interpolate(self.lateral(coarse), scale_factor=2.0)  # (F, C, H/4, W/4)
         pooled = F.adaptive_avg_pool2d(coarse, self.grid).flatten(2).transpose(1, 2)  # (F, grid^2, 2C)
         return torch.cat([self.keypoints(features), self.grid_token(pooled)], dim=1) + self.slot  # (F, N, D)
+
+
+def saturation(images: Tensor) -> Tensor:
+    """Return the distance between the strongest and the weakest primary, in [-1, 3], shape ``(F, 1, H, W)``."""
+    return 4 * (images.amax(1, keepdim=True) - images.amin(1, keepdim=True)) - 1
 
 
 def _conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:

@@ -6,6 +6,11 @@ Time runs from noise to data: t = 0 is noise, t = 1 is the chunk.
     v*  = a - eps                    its velocity, which the network learns to predict from (x_t, t,
     condition)
 
+Where the condition nearly decides the chunk, as with a deterministic demonstrator, the network may predict the chunk
+itself instead ("chunk"; Li and He, 2025, argue for it in general): it can then ignore x_t, and its velocity follows as
+
+    v = (a - x_t) / (1 - t)
+
 Training times are skewed towards noise, where the decision is made: ``t = 0.999 (1 - u)`` with ``u ~
 Beta(1.5, 1)``, as in GR00T-N1.5. Acting integrates the velocity from 0 to 1 with a few Euler steps.
 """
@@ -21,6 +26,7 @@ from .base import ActionHead, ActionSpec, Condition, Guide, heads
 from .dit import DiT
 
 MAX_TIME = 0.999
+PREDICTS = ("velocity", "chunk")
 
 
 def sample_flow_times(n: int, device: torch.device, skew: float = 1.5) -> Tensor:
@@ -59,13 +65,21 @@ class FlowHead(ActionHead):
         n_layers: Transformer blocks.
         n_steps: Euler steps of a chunk.
         n_draws: Noise draws per chunk in training; where encoding images costs most, several use each frame better.
+        predicts: "velocity" or "chunk", what the network's output is.
+
+    Raises:
+        ValueError: If ``predicts`` is neither.
     """
 
     accepts_guide = True
 
-    def __init__(self, spec: ActionSpec, *, n_layers: int = 4, n_steps: int = 4, n_draws: int = 1) -> None:
+    def __init__(
+        self, spec: ActionSpec, *, n_layers: int = 4, n_steps: int = 4, n_draws: int = 1, predicts: str = "velocity"
+    ) -> None:
         super().__init__(spec)
-        self.n_steps, self.n_draws = n_steps, n_draws
+        if predicts not in PREDICTS:
+            raise ValueError(f"predicts is {predicts!r}, but must be one of {', '.join(PREDICTS)}.")
+        self.n_steps, self.n_draws, self.predicts = n_steps, n_draws, predicts
         self.net = DiT(spec, n_layers)
 
     def loss(self, actions: Tensor, condition: Condition) -> Tensor:
@@ -74,9 +88,13 @@ class FlowHead(ActionHead):
         t = sample_flow_times(len(target), target.device)
         noise = torch.randn_like(target)
         x_t = torch.lerp(noise, target, t[:, None, None])
-        error = self.net(x_t, t, condition) - (target - noise)
+        error = self.net(x_t, t, condition) - (target if self.predicts == "chunk" else target - noise)
         return error.square().unflatten(0, (-1, self.n_draws)).mean(1)  # (B * draws, H, A) -> (B, H, A)
 
     def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
         """See `ActionHead.sample`."""
-        return integrate(lambda x, t: self.net(x, t, condition), noise, self.n_steps, guide)
+        return integrate(lambda x, t: self._velocity(x, t, condition), noise, self.n_steps, guide)
+
+    def _velocity(self, x: Tensor, t: Tensor, condition: Condition) -> Tensor:
+        predicted = self.net(x, t, condition)  # (B, H, A)
+        return (predicted - x) / (1 - t)[:, None, None] if self.predicts == "chunk" else predicted
