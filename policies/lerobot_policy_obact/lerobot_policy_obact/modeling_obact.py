@@ -104,14 +104,16 @@ class ObActPolicy(PreTrainedPolicy):
         return losses[0] + self.config.privileged_weight * losses[1], {}
 
     def _chunk_error(self, actions: Tensor, position: Tensor, condition: Condition, keep: Tensor) -> Tensor:
-        """Return the head's loss of every action, ``(B*K, H)``; chunks without any action to keep are skipped."""
+        """Return the head's loss of every action, ``(B*K, H)``; chunks without any action to keep are skipped.
+
+        Where that is all of them they stay, masked, because every weight needs a gradient, if only a zero one.
+        """
         if self.training:
             self.frame.observe(actions, position, keep)
-        rows, error = keep.any(-1), keep.new_zeros(keep.shape, dtype=actions.dtype)
-        if rows.any():
-            target = self.frame.to_model(actions[rows], position[rows])
-            losses = self._acting_model.head.loss(target, condition.rows(rows))  # (rows, H, A)
-            error[rows] = (losses * self._dimension_weights(losses)).mean(-1).to(error.dtype)
+        rows, error = keep.any(-1) | ~keep.any(), keep.new_zeros(keep.shape, dtype=actions.dtype)
+        target = self.frame.to_model(actions[rows], position[rows])
+        losses = self._acting_model.head.loss(target, condition.rows(rows))  # (rows, H, A)
+        error[rows] = (losses * self._dimension_weights(losses)).mean(-1).to(error.dtype)
         return error
 
     def _dimension_weights(self, losses: Tensor) -> Tensor:
@@ -128,7 +130,8 @@ class ObActPolicy(PreTrainedPolicy):
         value = batch.get(self.config.replan_key)
         if value is None:
             return torch.ones(1, 1, dtype=torch.bool)
-        value = value if value.dim() == 3 else value.unsqueeze(1)  # (B, D) -> (B, 1, D)
+        n_frames = len(self.config.windows.observation_offsets)
+        value = value.reshape(len(value), n_frames, -1)  # (B, T, D), or (B, T) as LeRobot stores single numbers
         return (value[:, moments, -1] >= 0).reshape(-1, 1)  # (B, K) -> (B*K, 1)
 
     def _privileged_error(self, batch: dict[str, Tensor], observation: Observation, tokens: Tensor) -> Tensor:

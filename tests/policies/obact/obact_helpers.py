@@ -99,6 +99,8 @@ def make_batch(policy: ObActPolicy, n: int = 3, seed: int = 0) -> dict[str, obje
         draw = torch.rand if feature.type is FeatureType.VISUAL else torch.randn
         batch[key] = draw(n, n_frames, *feature.shape, generator=generator)
         batch[f"{key}_is_pad"] = torch.zeros(n, n_frames, dtype=torch.bool)
+    if "observation.phase" in batch:  # the hand may move: chunks planned before it may are not learned from
+        batch["observation.phase"] = torch.ones(n, n_frames, 1)
     batch["action"] = torch.randn(n, n_actions, *config.action_feature.shape, generator=generator)
     batch["action_is_pad"] = torch.zeros(n, n_actions, dtype=torch.bool)
     batch["task"] = ["catch the ball"] * n

@@ -125,10 +125,17 @@ def test_chunks_planned_while_observing_are_not_learned_from(reduction: str) -> 
     assert (loss(wrong) - loss(batch)).min() > 1
 
 
+def test_a_batch_that_only_observes_gives_every_weight_a_zero_gradient() -> None:
+    policy = make_policy(ema_decay=0.0)
+    batch = make_batch(policy)
+    batch["observation.phase"][:] = -0.5
+    policy.train()(batch)[0].backward()
+    assert all(p.grad is not None and not p.grad.any() for p in policy.model.head.parameters())
+
+
 def test_the_weight_of_relative_dimensions_shifts_the_loss_without_scaling_it() -> None:
     policy = randomise(make_policy(**RELATIVE, ema_decay=0.0)).eval()
     batch = make_batch(policy)
-    batch["observation.phase"][:] = 1.0
 
     def loss(weight: float, changed: slice) -> float:
         policy.config.relative_weight = weight
@@ -147,7 +154,6 @@ def test_a_chunk_predicting_flow_learns_one_chunk_and_returns_it() -> None:
     options = {"n_layers": 1, "predicts": "chunk"}
     policy = make_policy(head_options=options, ema_decay=0.0, action_frame="absolute")
     batch = make_batch(policy, 1)
-    batch["observation.phase"][:] = 1.0
     fit(policy, batch, 300, 1e-2)
     chunk = policy.predict_action_chunk(batch)
     assert (chunk - batch["action"][:, : policy.config.horizon]).abs().mean() < 0.2
