@@ -70,7 +70,7 @@ def _announce(number: int, count: int, what: str, start: float, *, done: bool) -
 
 def _generate(out: Path, episodes: int) -> None:
     words = ["--root", str(out / "dataset"), "--episodes", str(episodes), "--image-size", str(IMAGE_SIZE)]
-    if cli.main(["generate", *words, "--workers", str(os.cpu_count() or 1), "--shard-episodes", "66"]):
+    if cli.main(["generate", *words, "--workers", str(os.cpu_count() or 1)]):
         raise StageError("the dataset could not be generated; the sentence above says why")
 
 

@@ -16,7 +16,7 @@ from dynahoi_lerobot.generate.codecs.base import CODECS, Encoding
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, Executor, Fleet
 from dynahoi_lerobot.generate.manifest import Manifest
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record
+from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record, shard_size
 
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--image-size", type=int, help="side of the square frames [pixels]; 0 for no camera")
     parser.add_argument("--motions", help="comma-separated kinds of motion")
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
-    parser.add_argument("--shard-episodes", type=int, default=256, help="episodes per unit of work")
+    parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
     parser.add_argument("--crf", type=int, help="rate factor; lower is better and larger")
     parser.add_argument("--preset", help="the encoder's speed setting")
@@ -92,7 +92,7 @@ def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
         args.seed,
         args.image_size != 0,
         Encoding(args.codec, args.crf, args.preset, args.gop),
-        args.shard_episodes,
+        shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
     )
 
 

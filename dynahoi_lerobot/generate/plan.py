@@ -46,6 +46,15 @@ class GenerationError(RuntimeError):
     """The expert cannot make the episodes that the recipe asks for."""
 
 
+LARGEST_SHARD = 256
+"""Episodes: large enough that starting a shard costs nothing, small enough to redo."""
+
+
+def shard_size(episodes: int) -> int:
+    """Return how many episodes a shard holds where nothing is said: small datasets, too, keep eight workers busy."""
+    return max(1, min(LARGEST_SHARD, -(-episodes // 8)))
+
+
 @dataclass(frozen=True)
 class Plan:
     """A dataset to be made.
@@ -69,7 +78,7 @@ class Plan:
     seed: int = 0
     camera: bool = True
     encoding: Encoding = field(default_factory=Encoding)
-    shard_episodes: int = 256
+    shard_episodes: int = LARGEST_SHARD
     layout: Layout = field(default_factory=Layout)
     code: str = field(default_factory=code_fingerprint)
 

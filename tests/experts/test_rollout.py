@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from dynahoi_lerobot.agent import Agent, Expert, Observation, WorldState
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.generate.resimulate import simulator
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.recorder import Job
 from dynahoi_lerobot.rollout import evaluate, make_batch, play, record
@@ -99,6 +100,31 @@ def test_a_short_hold_ends_the_same_episodes_early():
         assert len(a) == a.meta.length_frames == min(len(b), b.meta.intercept_frame + 13)
         np.testing.assert_array_equal(a.action, b.action[: len(a)])
         np.testing.assert_array_equal(a.target_pose, b.target_pose[: len(a)])
+
+
+@pytest.mark.parametrize("batch_size", [1, 4])
+def test_pushes_move_the_hand_and_not_what_is_recorded_as_its_command(batch_size: int):
+    plain = list(record(QUICK, range(6), threads=1, images=False))
+    pushed = list(record(replace(QUICK, disturbance_m=0.02), range(6), batch_size=batch_size, threads=1, images=False))
+    reference = record(replace(QUICK, disturbance_m=0.02), range(6), batch_size=3, threads=1, images=False)
+    farthest_m = []
+    for a, b, c in zip(plain, pushed, reference, strict=True):
+        window, intercept = b.meta.window_frames, b.meta.intercept_frame
+        np.testing.assert_array_equal(b.state, c.state)
+        np.testing.assert_array_equal(b.state[: window + 1], a.state[: window + 1])
+        missed = np.linalg.norm(b.state[1:, :3] - b.action[:-1, :3], axis=1)  # [m]
+        farthest_m.append(missed[window : intercept - 1].max())
+        assert missed[intercept - 1 :].max() < 0.002
+        assert np.linalg.norm(a.state[1:, :3] - a.action[:-1, :3], axis=1).max() < 0.002
+        assert b.success, "the expert finds its way back"
+    assert max(farthest_m) > 0.02
+
+
+def test_a_pushed_episode_plays_again_from_its_commands():
+    recipe = replace(QUICK, disturbance_m=0.02)
+    (episode,) = record(recipe, [3], threads=1, images=False)
+    state, _ = simulator(asdict(recipe), images=False)(episode.meta, episode.action)
+    np.testing.assert_allclose(state, episode.state, atol=1e-6)
 
 
 @pytest.mark.parametrize("batch_size", [1, 32])

@@ -11,7 +11,7 @@ from dynahoi_lerobot.generate import workers
 from dynahoi_lerobot.generate.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate.merge import merge
 from dynahoi_lerobot.generate.pipeline import generate, workspace_path
-from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan
+from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, shard_size
 from dynahoi_lerobot.generate.writer import DatasetWriter
 from tests.generate import recorder
 from tests.generate.conftest import write
@@ -32,6 +32,11 @@ def reference(tmp_path_factory):
 
 def same(first, second) -> bool:
     return hash_files(first) == hash_files(second) and Manifest.read(first) == Manifest.read(second)
+
+
+@pytest.mark.parametrize(("episodes", "size"), [(1, 1), (5, 1), (80, 10), (81, 11), (2048, 256), (10**6, 256)])
+def test_shards_grow_with_the_dataset_up_to_a_size_that_is_cheap_to_redo(episodes: int, size: int):
+    assert shard_size(episodes) == size
 
 
 def test_slots_follow_the_seed(reference):

@@ -18,6 +18,7 @@ BAD_VALUES = [
     ({"objects": ("bal",)}, r"unknown object 'bal' \(did you mean 'ball'\?\); known: ball, block"),
     ({"image_size": 8}, "image_size must be 16 to 1024 pixels, got 8"),
     ({"hold_frames": 3}, "hold_frames must be at least 12, or null, got 3"),
+    ({"disturbance_m": 0.5}, "disturbance_m must be 0 to 0.2 m, got 0.5"),
     ({"motions": ("helix",)}, "motion 'helix' is held out for split 'ood_motion', got split 'train'"),
     ({"objects": ("jack",), "split": "test"}, "object 'jack' is held out for split 'ood_object', got split 'test'"),
     (
