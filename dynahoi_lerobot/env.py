@@ -60,7 +60,7 @@ class DynahoiVectorEnv(VectorEnv):
         images: bool = True,
         protocol: str = "observe_before_act",
         capture: str = "attach",
-        hand: str = "capsule",
+        hand: str = "",
         renderer: str = DEFAULT_RENDERER,
         instructions: str = "mixed",
         threads: int = 0,

@@ -84,6 +84,8 @@ class Episode:
         success: the capture rule's verdict on the whole episode.
         stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or ``missed``, ``touched``,
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
+        touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
+            zero where the capture rule asks for no contact.
     """
 
     meta: EpisodeMeta
@@ -105,6 +107,7 @@ class Episode:
     reference_joints: np.ndarray = field(repr=False)
     success: bool
     stage: str
+    touch: np.ndarray | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return T, the number of frames."""

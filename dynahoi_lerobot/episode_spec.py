@@ -26,6 +26,7 @@ class EpisodeSpec:
         look: textures, colours, light.
         task: the instruction.
         protocol: ``observe_before_act`` or ``direct_act``.
+        hand: the embodiment.
         window_frames: length of the observation window.
         length_frames: L, length of the expert's recording; a policy gets L control steps.
         home_pos_w: (3,) palm centre at the start [m].
@@ -44,6 +45,7 @@ class EpisodeSpec:
     look: Look
     task: str
     protocol: str
+    hand: str
     window_frames: int
     length_frames: int
     home_pos_w: np.ndarray

@@ -11,6 +11,7 @@ from pathlib import Path
 import draccus
 import yaml
 
+from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
@@ -37,8 +38,8 @@ class Recipe:
         objects: objects to draw from; empty means all that the split allows.
         protocol: ``observe_before_act`` or ``direct_act``.
         capture: capture rule.
-        hand: embodiment.
-        expert: who demonstrates.
+        hand: embodiment; the capture rule's own if empty.
+        expert: who demonstrates; likewise.
         instructions: whether texts name the motion: ``reveal``, ``neutral`` or ``mixed``.
         image_size: side of the square camera images [px].
         renderer: one of the renderers.
@@ -52,8 +53,8 @@ class Recipe:
     objects: tuple[str, ...] = ()
     protocol: str = "observe_before_act"
     capture: str = "attach"
-    hand: str = "capsule"
-    expert: str = "intercept"
+    hand: str = ""
+    expert: str = ""
     instructions: str = "mixed"
     image_size: int = 128
     renderer: str = DEFAULT_RENDERER
@@ -73,6 +74,9 @@ class Recipe:
         ):
             if value not in allowed:
                 raise ValueError(f"unknown {noun} {value!r}; known: {', '.join(allowed)}")
+        rule = CAPTURES[self.capture]
+        object.__setattr__(self, "hand", self.hand or rule.hand)
+        object.__setattr__(self, "expert", self.expert or rule.expert)
         for name in self.motions:
             self._check_held_out("motion", name, MOTIONS[name].held_out)
         for name in self.objects:

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.captures import CaptureRule, Track
-from dynahoi_lerobot.conventions import PALM_DOF
+from dynahoi_lerobot.conventions import FINGERS, PALM_DOF
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import open_hand, reference_grasp
@@ -49,8 +49,9 @@ COLUMNS = (
     "palm_distance",
     "fingertip_distance",
     "localized",
+    "touch",
 )
-"""What is copied of every frame, by its name in ``Episode``."""
+"""What is copied of every frame, by its name in ``Episode``; of ``touch`` it keeps the fingers."""
 
 
 def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
@@ -66,6 +67,7 @@ def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.n
         batch.palm_distance.copy(),
         np.maximum(tips.min(axis=1), 0.0),
         batch.localized.copy(),
+        batch.touch.copy(),
     )
     return dict(zip(COLUMNS, values, strict=True))
 
@@ -109,6 +111,7 @@ class WorldRecorder:
         track = self._track(columns)
         captured = np.zeros(len(self.frames), bool)
         captured[spec.window_frames :] = rule.captured(track)
+        columns["touch"] = columns["touch"][:, : len(FINGERS)]
         floats = {name: values.astype(np.float32) for name, values in columns.items() if name != "localized"}
         return Episode(
             meta=_meta(self.job, rule.name, agent),
@@ -138,8 +141,9 @@ class WorldRecorder:
             open_joints=open_hand(),
             reference_joints=reference_grasp(spec),
             localized=columns["localized"][control],
-            contacts=columns["target_contacts"][control],
+            touch=columns["touch"][control],
             palm_distance=columns["palm_distance"][control],
+            palm_pos_w=columns["state"][control, :PALM_DOF],
         )
 
 

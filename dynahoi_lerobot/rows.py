@@ -127,6 +127,7 @@ class Rows:
             fields["geom_pos"][i, geom], fields["geom_quat"][i, geom] = primitive.pos, primitive.quat
             fields["geom_rgba"][i, geom, 3] = 1.0
         fields["geom_friction"][i, geoms, 0] = target.friction if launch.friction is None else launch.friction
+        fields["geom_friction"][i, self._scene.hand_geoms, 0] = target.friction  # of two frictions the greater counts
         fields["geom_solref"][i, geoms] = (
             1 / (CONTACT_RATE_RAD_S * launch.damping_ratio),
             launch.damping_ratio,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.conventions import CONTROL_DT
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.looks import Look
@@ -59,7 +60,7 @@ def sample_specs(recipe: Recipe, seeds: Sequence[int], *, threads: int = 1) -> l
             return [done[i] for i in range(len(drafts))]
         if attempt % PATIENCE == 0:
             for i in pending:
-                drafts[i].timing = draw_timing(drafts[i].kind.name, recipe.protocol, drafts[i].rng)
+                drafts[i].timing = _timing(recipe, drafts[i].kind, drafts[i].rng)
     stuck = drafts[pending[0]]
     raise ValueError(f"motion {stuck.kind.name!r} never came into reach and view for seed {stuck.seed}")
 
@@ -75,7 +76,14 @@ def _start(recipe: Recipe, seed: int) -> _Draft:
     rng = np.random.default_rng([zlib.crc32(recipe.split.encode()), seed])
     names = recipe.motion_names
     kind = MOTIONS[names[seed % len(names)]]
-    return _Draft(seed, rng, kind, draw_timing(kind.name, recipe.protocol, rng))
+    return _Draft(seed, rng, kind, _timing(recipe, kind, rng))
+
+
+def _timing(recipe: Recipe, kind: type[Motion], rng: np.random.Generator) -> Timing:
+    """Draw a timing, and leave the capture rule the time it needs after the intercept."""
+    timing = draw_timing(kind.name, recipe.protocol, rng)
+    meeting, hold = timing.window_frames + timing.approach_frames, CAPTURES[recipe.capture].hold_frames
+    return replace(timing, length_frames=max(timing.length_frames, meeting + 1 + hold))
 
 
 def _round(
@@ -143,6 +151,7 @@ def _finish(recipe: Recipe, draft: _Draft, path: np.ndarray, home: np.ndarray) -
         look=Look.sample(rng),
         task=_instruction(recipe.instructions, draft.motion, draft.target.name, rng),
         protocol=recipe.protocol,
+        hand=recipe.hand,
         window_frames=timing.window_frames,
         length_frames=timing.length_frames,
         home_pos_w=home,

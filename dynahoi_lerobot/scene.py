@@ -19,6 +19,7 @@ from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, 
 from dynahoi_lerobot.looks import PATTERNS, texture_pixels
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
+from dynahoi_lerobot.touch import add_touch_sensors
 
 SHAPES = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -29,6 +30,11 @@ SHAPES = {
 }
 ENVIRONMENT, HAND_BIT = 1, 2
 """Collision bits: surfaces and striker answer to the first, the hand to the second; the target asks for either."""
+
+PAD_RATE_RAD_S = 300.0
+"""Natural frequency of the hand's skin, which is critically damped: nothing rebounds from it."""
+PAD_SOLMIX = 1e4
+"""In a contact of hand and target, the hand's skin decides how stiff it is, however the target rebounds elsewhere."""
 
 SURFACE_FRICTION = (1.0, TORSIONAL_FRICTION_M, ROLLING_FRICTION_M)
 FIXTURE_BOXES = ("box_a", "box_b")
@@ -116,6 +122,8 @@ def compile_scene(hand: str | None = "capsule") -> Scene:
         _set_hand_collisions(spec)
     _add_target(spec)
     _add_fixtures(spec)
+    if embodiment:
+        add_touch_sensors(spec)
     return _index(spec.compile(), embodiment)
 
 
@@ -183,7 +191,8 @@ def _set_hand_collisions(spec: mujoco.MjSpec) -> None:
     """Let the hand answer to targets that ask for it, and to nothing else."""
     for geom in spec.geoms:
         if geom.name.startswith(HAND_GEOM_PREFIX):
-            geom.contype, geom.conaffinity, geom.condim = 0, HAND_BIT, 4
+            geom.contype, geom.conaffinity, geom.condim = 0, HAND_BIT, 6
+            geom.priority, geom.solmix, geom.solref = 1, PAD_SOLMIX, (1 / PAD_RATE_RAD_S, 1.0)
 
 
 def _add_target(spec: mujoco.MjSpec) -> None:
@@ -271,7 +280,7 @@ def _index(model: mujoco.MjModel, hand: Hand | None) -> Scene:
         tip_sites=np.array([_find(model, mujoco.mjtObj.mjOBJ_SITE, f"{finger}_tip") for finger in FINGERS]),
         camera=_find(model, mujoco.mjtObj.mjOBJ_CAMERA, EGO_CAMERA),
         materials={model.mat(i).name: i for i in range(model.nmat)},
-        hand_geoms=np.array([i for name, i in geoms.items() if name.startswith(HAND_GEOM_PREFIX)]),
+        hand_geoms=np.array([i for name, i in geoms.items() if name.startswith(HAND_GEOM_PREFIX)], dtype=int),
         finger_geoms=np.array(fingers),
     )
 

@@ -58,7 +58,7 @@ def _played(args: argparse.Namespace) -> Shown:
     """Play an episode; frames (T, H, W, 3), a caption, and the phase of every frame."""
     if args.motion is None:
         raise ValueError("say what to watch: --motion KIND, or --dataset DIR --episode I")
-    actor = make_actor(args.policy)
+    actor = make_actor(args.policy, args.capture)
     size = args.image_size or getattr(actor, "image_size", None) or 256
     recipe = Recipe(split=seed_stream(args.split), image_size=size, capture=args.capture)
     spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]

@@ -11,7 +11,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.agent import Observation, WorldState
 from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, Substeps
-from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.disturbance import draw_pushes
 from dynahoi_lerobot.drive import drive_for
 from dynahoi_lerobot.episode_spec import EpisodeSpec
@@ -22,6 +22,7 @@ from dynahoi_lerobot.rows import Rows
 from dynahoi_lerobot.scene import Scene, compile_scene
 from dynahoi_lerobot.servo import Servo, check_command
 from dynahoi_lerobot.surface import signed_distance
+from dynahoi_lerobot.touch import TOUCHING, read_touch
 
 CONTROL_SPEC = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
@@ -40,6 +41,8 @@ class WorldBatch:
         frame: (N,) int, current frame of each world's episode; ``attempt``: (N,) int, from 1.
         localized: (N,) bool, the target has been localised in the control phase.
         palm_distance: (N,) [m], least distance of palm and target centre during the last control step.
+        touch: (N, 7) what touched the target in the last control step, see ``touch.TOUCHING``; mean forces [N]. Zero if
+            the capture rule does not ask for it.
         executed: (N, 18) the command last given, after clipping; the hand meets it unless it is pushed.
     """
 
@@ -80,7 +83,8 @@ class WorldBatch:
         self.executed = np.zeros((size, PALM_DOF + FINGER_DOF))
         self._held = self.executed.copy()
         self._disturbance_m, self._pushes = disturbance_m, [np.zeros((0, PALM_DOF))] * size
-        self._welded = np.zeros(size, bool)
+        self.touch = np.zeros((size, len(TOUCHING)))
+        self._let_go = np.zeros(size, bool)
         self._tip_distance: np.ndarray | None = None
         self._force: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * size
 
@@ -105,7 +109,7 @@ class WorldBatch:
         if self._disturbance_m:
             for i, spec in zip(chosen, specs, strict=True):
                 self._pushes[i] = draw_pushes(spec, int(self.attempt[i]), self._disturbance_m)
-        self.localized[chosen], self._welded[chosen] = False, False
+        self.localized[chosen], self._let_go[chosen], self.touch[chosen] = False, False, 0.0
         self.palm_distance[chosen] = self._center_distance()[chosen]
 
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> None:
@@ -232,7 +236,9 @@ class WorldBatch:
         )
 
     def contacts(self) -> np.ndarray:
-        """Return (N, 5) bool, the fingers that touch the target."""
+        """Return (N, 5) bool, the fingers that touch the target, or would if they collided."""
+        if self.rule.feels:
+            return self.touch[:, : len(FINGERS)] > 0
         return self.tip_distance() <= TOUCH_M
 
     def render(self, ids: np.ndarray | None = None) -> np.ndarray:
@@ -265,7 +271,18 @@ class WorldBatch:
         dof = scene.target_dof
         rows.qvel[i, dof : dof + 3] = rows.qvel[i, scene.hand_dof[:PALM_DOF]]
         rows.qvel[i, dof + 3 : dof + 6] = 0.0
-        self._welded[i] = True
+        self._let_go[i] = True
+
+    def release_target(self, i: int, collides_with: int) -> None:
+        """Stop driving the target of world ``i`` and cut its string; it keeps its velocity.
+
+        Args:
+            i: the world.
+            collides_with: collision bits that the target asks for from now on.
+        """
+        self._rows.free_target(i)
+        self._rows.set_collisions(i, collides_with)
+        self._let_go[i] = True
 
     @functools.cached_property
     def _renderer(self) -> Renderer:
@@ -286,7 +303,7 @@ class WorldBatch:
 
     def _drive_force(self, i: int) -> np.ndarray:
         """(25, 3) force [N] on the target of world ``i`` during its next frame."""
-        if self._welded[i] or self.frame[i] >= len(self._force[i]):
+        if self._let_go[i] or self.frame[i] >= len(self._force[i]):
             return np.zeros((SUBSTEPS, 3))
         return self._force[i][self.frame[i]]
 
@@ -295,7 +312,8 @@ class WorldBatch:
         before = self._batch.state[ids].copy()
         substeps = self._roll(ids, control)
         self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
-        events = np.where(self.acting[ids] & ~self.localized[ids], self.rule.events(substeps), NO_EVENT)
+        self.localized[ids] |= substeps.acting & (self.palm_distance[ids] < LOCALIZATION_RADIUS_M)
+        events = np.where(self._let_go[ids], NO_EVENT, self.rule.events(substeps))
         for row in np.flatnonzero(events != NO_EVENT):
             self._batch.state[ids[row]] = before[row]
             self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1)
@@ -304,7 +322,6 @@ class WorldBatch:
         """Roll world ``i`` for ``steps`` physics steps, apply the capture rule, and finish the control step."""
         one = np.array([i])
         self._roll(one, control[:, :steps])
-        self.localized[i] = True
         self.rule.apply(self, i)
         if steps < SUBSTEPS:
             rest = control[:, steps:].copy()
@@ -312,11 +329,16 @@ class WorldBatch:
             self._roll(one, rest)
 
     def _roll(self, ids: np.ndarray, control: np.ndarray) -> Substeps:
-        record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC, record=("qpos",), ids=ids)
+        """Roll physics steps, and keep what touched the target in them: forces on average, anything else at all."""
+        names = ("qpos", "sensordata") if self.rule.feels else ("qpos",)
+        record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC, record=names, ids=ids)
         qpos = record["qpos"]
         target = qpos[..., self.scene.target_qpos : self.scene.target_qpos + 3]
         distance = np.linalg.norm(target - qpos[..., self.scene.hand_qpos[:PALM_DOF]], axis=-1)
-        return Substeps(ids, distance, np.zeros((*distance.shape, len(FINGERS))))
+        touch = read_touch(record["sensordata"]) if self.rule.feels else None
+        if touch is not None:
+            self.touch[ids] = touch.mean(axis=1)
+        return Substeps(self.acting[ids], distance, touch)
 
     def _center_distance(self) -> np.ndarray:
         return np.linalg.norm(self.target_pose[:, :3] - self.state[:, :PALM_DOF], axis=1)

@@ -21,6 +21,8 @@ class Attach(CaptureRule):
     """Localised means within 3 cm; captured means localised with all 15 joints at 0.9 of the reference grasp."""
 
     name = "attach"
+    expert = "intercept"
+    hand = "capsule"
 
     def collisions(self, motion: Motion) -> int:
         """Return the environment's bit for real dynamics, none for a prescribed path."""
@@ -30,7 +32,7 @@ class Attach(CaptureRule):
         """Return the closest physics step where it is within the localisation radius."""
         closest = substeps.palm_distance.argmin(axis=1)
         inside = substeps.palm_distance.min(axis=1) < LOCALIZATION_RADIUS_M
-        return np.where(inside, closest, NO_EVENT)
+        return np.where(inside & substeps.acting, closest, NO_EVENT)
 
     def apply(self, world: WorldBatch, i: int) -> None:
         """Weld the target to the palm as it is, and let it pass through everything else."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -24,14 +24,14 @@ class Substeps:
     """What n worlds did in the 25 physics steps of one control step.
 
     Attributes:
-        ids: (n,) worlds.
+        acting: (n,) bool, whether the hand may move.
         palm_distance: (n, 25) palm centre to target centre [m].
-        contacts: (n, 25, 5) force of each finger on the target [N].
+        touch: (n, 25, 7) what touches the target, as ``touch.read_touch`` tells; None if the rule asks for none.
     """
 
-    ids: np.ndarray
+    acting: np.ndarray
     palm_distance: np.ndarray
-    contacts: np.ndarray
+    touch: np.ndarray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,23 +41,33 @@ class Track:
     Attributes:
         joints: (T, 15) [rad]; ``open_joints`` and ``reference_joints`` (15,) [rad].
         localized: (T,) bool.
-        contacts: (T, 5) bool, fingers that touch the target.
+        touch: (T, 7) what touches the target, as ``touch.read_touch`` tells; zero if the rule asks for none.
         palm_distance: (T,) [m].
+        palm_pos_w: (T, 3) palm centre [m], world.
     """
 
     joints: np.ndarray
     open_joints: np.ndarray
     reference_joints: np.ndarray
     localized: np.ndarray
-    contacts: np.ndarray
+    touch: np.ndarray
     palm_distance: np.ndarray
+    palm_pos_w: np.ndarray
 
 
 class CaptureRule(ABC):
     """A rule; it has no state of its own, worlds keep theirs."""
 
     name: str
-    settle_frames: int = 10
+    expert: ClassVar[str]
+    """Who demonstrates under this rule, unless a recipe says otherwise."""
+    hand: ClassVar[str]
+    """The embodiment that plays under it, likewise."""
+    feels: ClassVar[bool] = False
+    """Whether it needs to know what touches the target."""
+    hold_frames: ClassVar[int] = 0
+    """Frames that every episode has left after the intercept, at least."""
+    settle_frames: ClassVar[int] = 10
     """Frames after the first localisation in which the verdict falls; then an evaluated episode may end."""
 
     @abstractmethod
@@ -66,7 +76,10 @@ class CaptureRule(ABC):
 
     @abstractmethod
     def events(self, substeps: Substeps) -> np.ndarray:
-        """Return (n,) the physics step within the control step after which ``apply`` is due, or ``NO_EVENT``."""
+        """Return (n,) the physics step within the control step after which ``apply`` is due, or ``NO_EVENT``.
+
+        Worlds whose event has been are asked again, in vain.
+        """
 
     @abstractmethod
     def apply(self, world: WorldBatch, i: int) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Agent, Expert
+from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.gif import episode_gif
@@ -24,7 +25,8 @@ from dynahoi_lerobot.rollout import evaluate, make_batch
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.splits import SMALL_TEST, seed_stream, split_seeds
 
-EXPERT_ALIAS = {"expert": "intercept"}
+EXPERT_ALIAS = "expert"
+"""The capture rule's own demonstrator."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, help="only the first so many episodes of the split")
     parser.add_argument("--motions", help="comma-separated kinds of motion; all of the split by default")
     parser.add_argument("--capture", default="attach", help="capture rule")
+    parser.add_argument("--hand", default="", help="embodiment; the capture rule's own by default")
     parser.add_argument("--protocol", default="observe_before_act", help="or direct_act")
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
@@ -45,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play, write and print; return the exit code."""
-    actor = make_actor(args.policy, args.device)
+    actor = make_actor(args.policy, args.capture, args.device)
     recipe = _recipe(args, actor)
     recorder = Recorder.resume(args.out) if args.out else Recorder()
     specs = _specs(args, recipe, recorder)
@@ -61,9 +64,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def make_actor(name: str, device: str | None = None) -> Agent | Expert:
-    """Return the expert called ``name``, or else load it as a policy."""
-    key = EXPERT_ALIAS.get(name, name)
+def make_actor(name: str, capture: str = "attach", device: str | None = None) -> Agent | Expert:
+    """Return the expert called ``name``, the capture rule's own for "expert", or else load it as a policy."""
+    key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
     return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device)
 
 
@@ -74,6 +77,7 @@ def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
         split=seed_stream(args.split),
         motions=motions,
         capture=args.capture,
+        hand=args.hand,
         protocol=args.protocol,
         image_size=size,
     )

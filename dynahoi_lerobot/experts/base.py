@@ -46,9 +46,9 @@ class Reach:
         return np.concatenate([self.start_pos_w + progress * (self.goal_pos_w - self.start_pos_w), joints])
 
 
-def reference_grasp(spec: EpisodeSpec, hand: str = "capsule") -> np.ndarray:
+def reference_grasp(spec: EpisodeSpec) -> np.ndarray:
     """Return (15,) the joint angles [rad] that close the hand around the episode's object."""
-    return HANDS[hand]().reference_joints(spec.target.grasp_radius_m)
+    return HANDS[spec.hand]().reference_joints(spec.target.grasp_radius_m)
 
 
 def first_contact_frame(reach_path: np.ndarray, target_path: np.ndarray, start_frame: int) -> int:

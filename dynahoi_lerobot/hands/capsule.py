@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -79,6 +80,8 @@ JOINT_SUFFIXES = ("base", "middle", "tip")
 class CapsuleHand(Hand):
     """Eighteen degrees of freedom: three slides of the palm and three flexion joints in each of five fingers."""
 
+    fingers: ClassVar[dict[str, Finger]] = HAND
+
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add palm, fingers, servos, sites and the ego camera to ``spec``."""
         palm = spec.worldbody.add_body(name=PALM_BODY, gravcomp=1.0)
@@ -99,7 +102,7 @@ class CapsuleHand(Hand):
         )  # fmt: skip
         palm.add_site(name=PALM_SITE, pos=(0.0, 0.0, 0.0))
         for name in FINGERS:
-            self._add_finger(spec, palm, name, HAND[name])
+            self._add_finger(spec, palm, name, self.fingers[name])
         c, s = np.cos(CAMERA_PITCH_RAD), np.sin(CAMERA_PITCH_RAD)
         right, up = (0.0, -1.0, 0.0), (s, 0.0, c)
         palm.add_camera(name=EGO_CAMERA, pos=CAMERA_POS, quat=_camera_quat(right, up), fovy=CAMERA_FOVY_DEG)
@@ -114,12 +117,29 @@ class CapsuleHand(Hand):
         Larger objects give smaller rotations (Figure 3b of the paper). Fingers that cannot come that close stop at
         full closure.
         """
-        closure, distance = _closure_table()
+        closure, distance = self._closure_table()
         joints = [
-            np.asarray(HAND[name].share) * np.interp(-grasp_radius_m, -distance[i], closure)
+            np.asarray(self.fingers[name].share) * np.interp(-grasp_radius_m, -distance[i], closure)
             for i, name in enumerate(FINGERS)
         ]
         return np.concatenate(joints)
+
+    @classmethod
+    @functools.cache
+    def _closure_table(cls) -> tuple[np.ndarray, np.ndarray]:
+        """Closure fractions (K,) and, per finger, the pad's distance (5, K) [m] from the middle of the grasp volume."""
+        closure = np.linspace(0.0, 1.0, 101)
+        distance = np.array([[cls._pad_distance(name, c) for c in closure] for name in FINGERS])
+        return closure, np.minimum.accumulate(distance, axis=1)
+
+    @classmethod
+    def _pad_distance(cls, name: str, closure: float) -> float:
+        """Distance [m] to the axis through the palm centre, along z: fingers close around an upright object.
+
+        The thumb's is to the palm centre itself, as it comes from above.
+        """
+        pad = pad_position(cls.fingers[name], closure)
+        return float(np.linalg.norm(pad if name == "thumb" else pad[:2]))
 
     def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, finger: Finger) -> None:
         parent, pos = palm, np.asarray(finger.base)
@@ -166,27 +186,14 @@ def _z_to(direction: np.ndarray) -> np.ndarray:
     return quat
 
 
-@functools.cache
-def _closure_table() -> tuple[np.ndarray, np.ndarray]:
-    """Closure fractions (K,) and, per finger, the pad's distance (5, K) [m] from the axis of the grasp volume.
-
-    The axis runs through the palm centre along the thumb's direction (z): fingers close around an upright object. The
-    thumb's distance is to the palm centre itself, as it comes from above.
-    """
-    closure = np.linspace(0.0, 1.0, 101)
-    distance = np.array([[_pad_distance(name, c) for c in closure] for name in FINGERS])
-    return closure, np.minimum.accumulate(distance, axis=1)
-
-
-def _pad_distance(name: str, closure: float) -> float:
-    finger = HAND[name]
+def pad_position(finger: Finger, closure: float) -> np.ndarray:
+    """Return (3,) the fingertip pad [m], palm frame, at a fraction of full closure."""
     pos, rotation = np.asarray(finger.base, float), np.eye(3)
     along = np.asarray(finger.along)
     for share, length in zip(finger.share, finger.lengths, strict=True):
         rotation = rotation @ _turn(np.asarray(finger.axis), share * closure)
         pos = pos + rotation @ along * length
-    pad = pos + rotation @ np.cross(finger.axis, along) * finger.radius
-    return float(np.linalg.norm(pad if name == "thumb" else pad[:2]))
+    return pos + rotation @ np.cross(finger.axis, along) * finger.radius
 
 
 def _turn(axis: np.ndarray, angle: float) -> np.ndarray:

@@ -102,7 +102,7 @@ def test_the_grasp_is_judged_at_the_first_localised_frame_by_nine_tenths_of_the_
     joints[3, 11] *= share  # one joint short, at the frame that counts; full everywhere else
     localized = np.arange(6) >= 3
     rule = CAPTURES["attach"]()
-    track = Track(joints, np.zeros(15), reference, localized, np.zeros((6, 5), bool), np.zeros(6))
+    track = Track(joints, np.zeros(15), reference, localized, np.zeros((6, 7)), np.zeros(6), np.zeros((6, 3)))
     assert rule.success(track) is verdict
     np.testing.assert_array_equal(rule.captured(track), localized & verdict)
     assert rule.stage(track) == ("captured" if verdict else "localized")

@@ -52,7 +52,7 @@ class DynahoiEnvConfig(EnvConfig):
     image_size: int = 128
     protocol: str = "observe_before_act"
     capture: str = "attach"
-    hand: str = "capsule"
+    hand: str = ""
     renderer: str = DEFAULT_RENDERER
     instructions: str = "mixed"
     results_dir: str | None = None

@@ -1,0 +1,176 @@
+"""Catching for real: meet the target at its own velocity, close on contact, regulate the grip, brake, lift, shake."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.agent import Expert, WorldState
+from dynahoi_lerobot.conventions import CONTROL_DT, FINGER_DOF, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts.base import EXPERTS
+from dynahoi_lerobot.servo import MAX_PALM_SPEED_M_S
+
+PALM_FACE_M = -0.036
+"""The palm's surface, from the palm centre along x."""
+SEAT_Y_M, SEAT_Z_M = 0.0, 0.004
+"""Where a target sits in the hand, from the palm centre."""
+CLOSING_SPEED_M_S = 0.3
+"""At contact the palm moves this much faster than the target, along its normal."""
+FOLLOW_FRAMES = 2
+"""The palm follows the untouched path a little longer, while the fingers close."""
+LEAD_FRAMES = 1
+"""The fingers begin to close this long before the palm touches."""
+FAST_RAD, GRIP_RAD = 0.5, 0.2
+"""How far a joint is commanded beyond where it is: while closing, and while holding (0.2 rad are 0.6 N m)."""
+BRAKE_FRAMES = 10
+LIFT_M = 0.06
+SHAKE_M, SHAKE_FRAMES, LONGEST_SHAKE_FRAMES = 0.015, 12, 120
+MAX_PALM_ACCELERATION_M_S2 = 60.0
+"""Half of what the servos' 120 N give."""
+SHORTEST_APPROACH_FRAMES, LONGEST_SEARCH_FRAMES = 4, 60
+NEAR_M, BEHIND_MARGIN_M = 0.2, 0.004
+"""Within the first distance of its seat a target may be no further than the second behind the palm's surface."""
+RETRY_SPACING = 3
+"""Each further attempt takes the moment that many places down the ranking."""
+
+
+@dataclass(frozen=True, eq=False)
+class Catch:
+    """A planned catch.
+
+    Attributes:
+        palm_w: (K, 3) palm centre at every frame from control start [m], world.
+        start_frame: of ``palm_w[0]``.
+        contact_frame: when the target reaches the palm.
+    """
+
+    palm_w: np.ndarray
+    start_frame: int
+    contact_frame: int
+
+    def command(self, frame: int, joints: np.ndarray) -> np.ndarray:
+        """Return (18,) the command of ``frame``, which is where the hand should be one frame later.
+
+        Args:
+            frame: of the episode.
+            joints: (15,) measured angles [rad].
+        """
+        ahead = np.clip(frame + 1 - self.start_frame, 0, len(self.palm_w) - 1)
+        since = frame + 1 - self.contact_frame
+        if since < -LEAD_FRAMES:
+            closing = np.zeros(FINGER_DOF)
+        else:
+            closing = joints + (FAST_RAD if since <= FOLLOW_FRAMES else GRIP_RAD)
+        return np.concatenate([self.palm_w[ahead], closing])
+
+
+@EXPERTS.register("match")
+class Match(Expert):
+    """Velocity-matched interception with a power grasp, for the capture rule ``contact``."""
+
+    name = "match"
+    retries = 3
+
+    def __init__(self) -> None:
+        """Start with no plans."""
+        self._plans: dict[int, tuple[EpisodeSpec, int, Catch]] = {}
+
+    def act(self, world: WorldState) -> np.ndarray:
+        """Return (N, 18) commands; worlds without an episode get zeros."""
+        commands = np.zeros((len(world.specs), HAND_DOF))
+        for i, spec in enumerate(world.specs):
+            if spec is not None:
+                catch = self._plan(i, spec, int(world.attempt[i]))
+                joints = world.observation.state[i, PALM_DOF:].astype(np.float64)
+                commands[i] = catch.command(int(world.frame[i]), joints)
+        return commands
+
+    def _plan(self, i: int, spec: EpisodeSpec, attempt: int) -> Catch:
+        """The catch of world ``i``, planned when its episode or attempt is a new one."""
+        known = self._plans.get(i)
+        if known is None or known[0] is not spec or known[1] != attempt:
+            known = self._plans[i] = spec, attempt, plan_catch(spec, attempt)
+        return known[2]
+
+
+def plan_catch(spec: EpisodeSpec, attempt: int = 1) -> Catch:
+    """Return the catch of the ``attempt``-th try (from 1): the easiest moments that the hand can make, in turn."""
+    seat = np.array([PALM_FACE_M + spec.target.grasp_radius_m, SEAT_Y_M, SEAT_Z_M])
+    goal = spec.oracle_path - seat  # (F, 3) where the palm must be for the target to sit in it
+    moments = _ranked_moments(spec, goal)
+    moment = moments[min((attempt - 1) * RETRY_SPACING, len(moments) - 1)]
+    approach = _approach(spec, goal, moment)
+    path = _carry_away(np.concatenate([approach, goal[moment + 1 : moment + 1 + FOLLOW_FRAMES]]))
+    return Catch(path, spec.window_frames, moment)
+
+
+def _ranked_moments(spec: EpisodeSpec, goal: np.ndarray) -> list[int]:
+    """Return frames at which the target can be caught, easiest first."""
+    first = spec.window_frames + SHORTEST_APPROACH_FRAMES
+    last = min(len(goal) - 2 - FOLLOW_FRAMES - BRAKE_FRAMES - SHAKE_FRAMES, spec.window_frames + LONGEST_SEARCH_FRAMES)
+    moments = range(first, max(last, first) + 1)
+    return sorted(moments, key=lambda moment: _difficulty(spec, goal, moment))
+
+
+def _difficulty(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> float:
+    """How hard a catch is: beyond the hand's limits, into the back of the hand, fast, jerky, far from the intercept."""
+    palm = _approach(spec, goal, moment)
+    velocity = np.diff(palm, axis=0) / CONTROL_DT
+    push = np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / CONTROL_DT
+    excess = max(np.abs(velocity).max() / MAX_PALM_SPEED_M_S - 1, 0) + max(push / MAX_PALM_ACCELERATION_M_S2 - 1, 0)
+    offset = goal[spec.window_frames : moment + 1] - palm  # (K, 3) of the target from its seat
+    near = np.linalg.norm(offset, axis=1) < NEAR_M
+    behind = np.maximum(-offset[near, 0] - BEHIND_MARGIN_M, 0.0).sum()
+    speed = np.linalg.norm(goal[moment + 1] - goal[moment - 1]) / (2 * CONTROL_DT)
+    carried = goal[moment : moment + FOLLOW_FRAMES + 1]
+    jolt = np.linalg.norm(np.diff(carried, n=2, axis=0), axis=1).max() / CONTROL_DT**2
+    late = abs(moment - spec.intercept_frame)
+    return float(100 * (excess + behind) + speed + 0.02 * jolt + 0.05 * late)
+
+
+def _approach(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> np.ndarray:
+    """Return (K, 3) from rest at home to the target's position, velocity and acceleration at ``moment``."""
+    before, at, after = goal[moment - 1 : moment + 2]
+    velocity = (after - before) / (2 * CONTROL_DT) + [CLOSING_SPEED_M_S, 0.0, 0.0]
+    velocity = np.clip(velocity, -MAX_PALM_SPEED_M_S, MAX_PALM_SPEED_M_S)  # a limit of each axis of the gantry
+    acceleration = (after - 2 * at + before) / CONTROL_DT**2
+    still = np.zeros(3)
+    return _quintic((spec.home_pos_w, still, still), (at, velocity, acceleration), moment - spec.window_frames)
+
+
+def _carry_away(path: np.ndarray) -> np.ndarray:
+    """Append braking with a lift, and a gentle shake, to the path (K, 3) of a palm with a target in it."""
+    velocity, still = (path[-1] - path[-2]) / CONTROL_DT, np.zeros(3)
+    rest = path[-1] + velocity * BRAKE_FRAMES * CONTROL_DT / 2 + [0.0, 0.0, LIFT_M]
+    braking = _quintic((path[-1], velocity, still), (rest, still, still), BRAKE_FRAMES)
+    phase = 2 * np.pi * np.arange(1, LONGEST_SHAKE_FRAMES)[:, None] / SHAKE_FRAMES
+    shaking = rest + SHAKE_M * np.sin(phase) * [0.0, 1.0, 1.0]
+    return np.concatenate([path, braking[1:], shaking])
+
+
+State = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Position [m], velocity [m/s] and acceleration [m/s^2], (3,) each."""
+
+
+def _quintic(start: State, end: State, frames: int) -> np.ndarray:
+    """Return (frames + 1, 3) the fifth-order polynomial that joins two states."""
+    scale = np.array([1.0, frames * CONTROL_DT, (frames * CONTROL_DT) ** 2])[:, None]
+    boundary = np.concatenate([np.stack(start) * scale, np.stack(end) * scale])
+    progress = np.linspace(0.0, 1.0, frames + 1)
+    return np.vander(progress, 6, increasing=True) @ (QUINTIC @ boundary)
+
+
+def _quintic_basis() -> np.ndarray:
+    """(6, 6) from position, velocity and acceleration at both ends of [0, 1] to coefficients."""
+    powers = np.arange(6)
+    rows = []
+    for end in (0.0, 1.0):
+        rows.append(end**powers)
+        rows.append(powers * end ** np.maximum(powers - 1, 0))
+        rows.append(powers * (powers - 1) * end ** np.maximum(powers - 2, 0))
+    return np.linalg.inv(np.stack(rows))
+
+
+QUINTIC = _quintic_basis()
