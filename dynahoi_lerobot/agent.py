@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -59,6 +59,10 @@ class Agent(ABC):
 
     name: str = "agent"
     sees_images: bool = False
+
+    def report(self) -> dict[str, Any]:
+        """Return what else a result should say about the run, as JSON values."""
+        return {}
 
     def reset(self, count: int) -> None:  # noqa: B027 - an agent without memory has nothing to forget
         """Forget everything; ``count`` new episodes begin."""

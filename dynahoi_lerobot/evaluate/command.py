@@ -25,13 +25,16 @@ from dynahoi_lerobot.rollout import evaluate, make_batch
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.splits import SMALL_TEST, seed_stream, split_seeds
 
+VLM = "vlm"
 EXPERT_ALIAS = "expert"
 """The capture rule's own demonstrator."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi evaluate``."""
-    parser.add_argument("--policy", required=True, help=f"a checkpoint folder, expert, or {', '.join(EXPERTS.names())}")
+    parser.add_argument(
+        "--policy", required=True, help=f"a checkpoint folder, vlm, expert, or {', '.join(EXPERTS.names())}"
+    )
     parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val or one of the ood_ splits")
     parser.add_argument("--out", type=Path, help="result folder; goes on where an earlier run stopped")
     parser.add_argument("--episodes", type=int, help="only the first so many episodes of the split")
@@ -42,26 +45,57 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
     parser.add_argument("--device", help="torch device of the policy")
+    parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
+    parser.add_argument("--base-url", help="of an OpenAI-compatible endpoint; the key is taken from OPENAI_API_KEY")
+    parser.add_argument("--request-timeout", type=float, default=60.0, help="of one request to it [s]")
+    parser.add_argument(
+        "--prices", type=float, nargs=2, default=(0.0, 0.0), help="of a million prompt and completion tokens"
+    )
     parser.add_argument("--gifs", type=int, default=0, help="how many episodes to keep as GIFs in --out")
     parser.add_argument("--per-kind", action="store_true", help="print a row per kind of motion, too")
 
 
 def run(args: argparse.Namespace) -> int:
     """Play, write and print; return the exit code."""
-    actor = make_actor(args.policy, args.capture, args.device)
+    actor = _vlm(args) if args.policy == VLM else make_actor(args.policy, args.capture, args.device)
     recipe = _recipe(args, actor)
     recorder = Recorder.resume(args.out) if args.out else Recorder()
     specs = _specs(args, recipe, recorder)
-    info = RunInfo(args.policy, args.split, args.capture, " ".join(sys.argv), recipe.fingerprint())
+    info = RunInfo(
+        actor.name if args.policy == VLM else args.policy,
+        args.split,
+        args.capture,
+        " ".join(sys.argv),
+        recipe.fingerprint(),
+    )
     for episodes in _played(args, recipe, actor, specs):
         recorder.extend(episodes)
+        info.extra.update(actor.report() if isinstance(actor, Agent) else {})
         if args.out:
             recorder.write(args.out, info)
     results = recorder.write(args.out, info) if args.out else recorder.results(info)
     print(results_table([results]))
+    if args.policy == VLM:
+        print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
     if args.per_kind:
         print("\n" + stratum_table(results))
     return 0
+
+
+def _vlm(args: argparse.Namespace) -> Agent:
+    """Return the vision-language model that the arguments name."""
+    from dynahoi_lerobot.vlm.agent import VlmAgent
+    from dynahoi_lerobot.vlm.client import VlmClient
+
+    if not args.model:
+        raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+    audit = args.out / "vlm.jsonl" if args.out else None
+    client = VlmClient(
+        args.model, args.base_url, timeout_s=args.request_timeout, prices=tuple(args.prices), audit=audit
+    )
+    return VlmAgent(client, name=f"vlm:{args.model}", concurrency=args.batch_size)
 
 
 def make_actor(name: str, capture: str = "attach", device: str | None = None) -> Agent | Expert:

@@ -1,0 +1,1 @@
+"""Vision-language models as controllers: the paper's prompt protocol over any OpenAI-compatible endpoint."""

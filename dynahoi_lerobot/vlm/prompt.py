@@ -1,0 +1,83 @@
+"""What a vision-language model is asked (Appendix "Details for Evaluating VLMs"), and the shape of a valid answer."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from dynahoi_lerobot.conventions import HAND_DOF
+from dynahoi_lerobot.spec import HAND_NAMES
+
+HORIZON = 10
+"""T, the frames that one answer commands."""
+SKILLS = ("WAIT", "APPROACH", "INTERCEPT", "GRASP", "LIFT", "ADJUST")
+
+SYSTEM = "You are a Vision-Language-Action agent for dynamic hand-object interaction."
+REQUEST = """Task: {task}
+Input: the RGB image of the camera on the hand, and the current hand state s_t, 18 numbers \
+[x, y, z in metres (world, z up), 15 joint angles in radians, 0 open to 1.6 closed]: {state}
+The order of the joints is {names}. The palm faces +x; one frame lasts 0.05 s; the palm moves at most 0.1 m a frame.
+Skill set: {{{skills}}}.
+Output: (i) a parameterized skill program whose durations sum to {horizon}, and (ii) an explicit low-level rollout of \
+the next {horizon} frames, each with 18 values in the same order.
+Return only the following JSON:
+{{"action_sequence": [{{"skill": "APPROACH", "params": {{"target": "object"}}, "duration": 4}}, ...],
+ "predicted_motion": [{{"frame_index": 1, "hand_params": [18 values]}}, ..., \
+{{"frame_index": {horizon}, "hand_params": [18 values]}}]}}"""
+
+
+def messages(task: str, state: np.ndarray, image: np.ndarray, horizon: int = HORIZON) -> list[dict[str, Any]]:
+    """Return the chat messages of one request.
+
+    Args:
+        task: the instruction.
+        state: (18,) palm centre position [m] world and joint angles [rad].
+        image: (H, W, 3) uint8 RGB.
+        horizon: T [frames].
+    """
+    text = REQUEST.format(
+        task=task,
+        state=np.round(state.astype(float), 4).tolist(),
+        names=", ".join(HAND_NAMES[3:]),
+        skills=", ".join(SKILLS),
+        horizon=horizon,
+    )
+    content = [{"type": "text", "text": text}, {"type": "image_url", "image_url": {"url": _data_url(image)}}]
+    return [{"role": "system", "content": SYSTEM}, {"role": "user", "content": content}]
+
+
+def answer_schema(horizon: int = HORIZON) -> dict[str, Any]:
+    """Return the JSON schema of an answer, for servers that offer structured output."""
+    skill = {
+        "type": "object",
+        "properties": {
+            "skill": {"type": "string", "enum": list(SKILLS)},
+            "params": {"type": "object"},
+            "duration": {"type": "integer", "minimum": 1, "maximum": horizon},
+        },
+        "required": ["skill", "duration"],
+    }
+    values = {"type": "array", "items": {"type": "number"}, "minItems": HAND_DOF, "maxItems": HAND_DOF}
+    frame = {
+        "type": "object",
+        "properties": {"frame_index": {"type": "integer"}, "hand_params": values},
+        "required": ["frame_index", "hand_params"],
+    }
+    return {
+        "type": "object",
+        "properties": {
+            "action_sequence": {"type": "array", "items": skill, "minItems": 1},
+            "predicted_motion": {"type": "array", "items": frame, "minItems": horizon, "maxItems": horizon},
+        },
+        "required": ["action_sequence", "predicted_motion"],
+    }
+
+
+def _data_url(image: np.ndarray) -> str:
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, "JPEG", quality=85)  # as the paper's logger encodes
+    return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode()

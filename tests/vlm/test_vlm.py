@@ -1,0 +1,231 @@
+"""Vision-language models: the protocol, every kind of bad answer, the account, and whole episodes."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dynahoi_lerobot.agent import Observation
+from dynahoi_lerobot.cli import main
+from dynahoi_lerobot.vlm.agent import VlmAgent
+from dynahoi_lerobot.vlm.client import VlmClient
+from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, answer_schema, messages
+from dynahoi_lerobot.vlm.reply import ReplyError, parse_reply
+from tests.vlm.server import Exchange, serving
+
+STATE = np.arange(18) / 10
+IMAGE = np.full((32, 32, 3), 200, np.uint8)
+
+
+def answer(motion: list | None = None, durations: tuple[int, ...] = (4, 6), skill: str = "APPROACH", **extra) -> str:
+    rows = [STATE.tolist()] * HORIZON if motion is None else motion
+    frames = [{"frame_index": i + 1, "hand_params": row} for i, row in enumerate(rows)]
+    program = [{"skill": skill, "params": {}, "duration": duration} for duration in durations]
+    return json.dumps({"action_sequence": program, "predicted_motion": frames, **extra})
+
+
+# -- reading answers -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wrap", ["{}", "```json\n{}\n```", "```\n{}```", "  {}\n"])
+def test_a_good_answer_is_read(wrap: str):
+    np.testing.assert_allclose(parse_reply(wrap.replace("{}", answer())), np.tile(STATE, (HORIZON, 1)))
+
+
+WRONG_LENGTH = [STATE.tolist()] * 9
+SHORT_FRAME = [STATE.tolist()] * 9 + [[0.0] * 17]
+BAD_ANSWERS = {
+    "empty": ("", "is empty"),
+    "none": (None, "is empty"),
+    "refusal": ("I'm sorry, I cannot control a robot.", "not JSON"),
+    "truncated": (answer()[:200], "not JSON"),
+    "chatter": ("Sure! " + answer(), "not JSON"),
+    "array": ("[1, 2]", "not an object"),
+    "nothing": ("{}", "action_sequence is missing"),
+    "unknown skill": (answer(skill="TELEPORT"), "unknown skill 'TELEPORT'"),
+    "too long": (answer(durations=(4, 7)), "sum to 11"),
+    "zero": (answer(durations=(10, 0)), "one is below 1"),
+    "fraction": (answer().replace('"duration": 4', '"duration": 4.0'), "duration is missing or not a int"),
+    "no skills": (answer(durations=()), "sum to 0"),
+    "nine frames": (answer(WRONG_LENGTH), "has 9 frames, not 10"),
+    "short frame": (answer(SHORT_FRAME), "frame 10 has 17 values"),
+    "NaN": (answer().replace("0.1", "NaN", 1), "not a finite number"),
+    "infinity": (answer().replace("0.1", "1e999", 1), "not a finite number"),
+    "text": (answer().replace("0.1", '"0.1"', 1), "not a finite number"),
+    "flag": (answer().replace("0.1", "true", 1), "not a finite number"),
+    "deep": ("[" * 30_000, "not JSON"),
+    "bomb": ('{"a": ' + "[" * 30_000 + "]" * 30_000 + "}", "not JSON"),
+    "huge": ("x" * (1 << 20), "more than 65536"),
+    "frames of numbers": (json.dumps({**json.loads(answer()), "predicted_motion": [1] * 10}), "hand_params is missing"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_ANSWERS)
+def test_a_bad_answer_is_refused_with_the_reason(name: str):
+    text, reason = BAD_ANSWERS[name]
+    with pytest.raises(ReplyError, match=reason) as error:
+        parse_reply(text)
+    assert len(str(error.value)) < 300
+
+
+def test_the_request_holds_what_the_paper_says():
+    system, user = messages("Catch the ball.", STATE, IMAGE)
+    assert system["role"] == "system"
+    text, picture = user["content"]
+    for word in ("Catch the ball.", "1.7", "action_sequence", "predicted_motion", f"sum to {HORIZON}", *SKILLS):
+        assert word in text["text"]
+    data = base64.b64decode(picture["image_url"]["url"].removeprefix("data:image/jpeg;base64,"))
+    assert np.abs(np.asarray(Image.open(io.BytesIO(data))).astype(int) - 200).max() <= 2
+    assert answer_schema()["properties"]["predicted_motion"]["minItems"] == HORIZON
+
+
+# -- the client ----------------------------------------------------------------------------------------------------
+
+
+def test_a_plan_and_its_account(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OPENAI_API_KEY", "sk-secret")
+    audit = tmp_path / "vlm.jsonl"
+    with serving(lambda exchange: exchange.say(answer())) as (url, seen):
+        client = VlmClient("tiny", url, prices=(1.0, 2.0), audit=audit)
+        np.testing.assert_allclose(client.plan("Catch it.", STATE, IMAGE), np.tile(STATE, (HORIZON, 1)))
+    report = client.report()
+    assert (report["model"], report["decisions"], report["requests"], report["failed"]) == ("tiny", 1, 1, 0)
+    assert (report["prompt_tokens"], report["completion_tokens"]) == (100, 10)
+    assert report["cost"] == pytest.approx(120e-6)
+    assert seen[0].key == "Bearer sk-secret"
+    assert seen[0].body["response_format"]["type"] == "json_schema"
+    logged = audit.read_text()
+    assert json.loads(logged)["answer"] == answer()
+    assert "sk-secret" not in logged + json.dumps(report)
+
+
+def test_a_server_without_structured_output_is_asked_without(monkeypatch: pytest.MonkeyPatch):
+    def handler(exchange: Exchange) -> None:
+        if "response_format" in exchange.body:
+            exchange.send({"error": {"message": "unsupported"}}, 400)
+        else:
+            exchange.say(answer())
+
+    with serving(handler) as (url, seen):
+        client = VlmClient("tiny", url)
+        assert client.plan("", STATE, IMAGE) is not None
+        assert client.plan("", STATE, IMAGE) is not None
+    assert ["response_format" in exchange.body for exchange in seen] == [True, False, False]
+
+
+def test_a_broken_answer_is_asked_for_again():
+    def handler(exchange: Exchange) -> None:
+        exchange.say(answer() if exchange.number == 1 else "no")
+
+    with serving(handler) as (url, _):
+        client = VlmClient("tiny", url)
+        assert client.plan("", STATE, IMAGE) is not None
+    assert (client.account.requests, client.account.refused, client.account.failed) == (2, 1, 0)
+
+
+HOSTILE = {
+    "refusal": (lambda e: e.say("I'm sorry, I can't."), "refused"),
+    "content is null": (lambda e: e.say(None), "errors"),
+    "no choices": (lambda e: e.send({"id": "1", "object": "x", "choices": []}), "errors"),
+    "not the protocol": (lambda e: e.send([1, 2, 3]), "errors"),
+    "not JSON": (lambda e: e.raw(b"<html>"), "errors"),
+    "server error": (lambda e: e.send({"error": "down"}, 500), "errors"),
+    "rate limit": (lambda e: e.send({"error": "slow down"}, 429), "errors"),
+    "cut off": (lambda e: e.raw(b'{"id": ', promised=5000), "errors"),
+    "10 MB": (lambda e: e.say("x" * 10_000_000), "errors"),
+    "silence": (lambda e: time.sleep(2.0), "errors"),
+    "drip": (lambda e: e.drip(3.0), "errors"),
+    "NaN": (lambda e: e.say(answer().replace("0.1", "NaN", 1)), "refused"),
+    "bomb": (lambda e: e.say("[" * 60_000), "refused"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_servers_fail_the_decision_and_nothing_else(name: str):
+    handler, counted = HOSTILE[name]
+    with serving(handler) as (url, seen):
+        client = VlmClient("tiny", url, timeout_s=0.5, retries=1)
+        assert client.plan("", STATE, IMAGE) is None
+    assert len(seen) == 2
+    assert (client.account.decisions, client.account.failed) == (1, 1)
+    assert getattr(client.account, counted) == 2
+
+
+def test_without_a_key_or_an_address_nothing_is_sent(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    with pytest.raises(ValueError, match="OPENAI_API_KEY must be set"):
+        VlmClient("gpt")
+
+
+# -- playing -------------------------------------------------------------------------------------------------------
+
+
+class Remembered:
+    """A client that counts, and moves up by a centimetre a frame, or fails."""
+
+    def __init__(self, fails: bool = False) -> None:
+        self.asked, self.fails = [], fails
+
+    def plan(self, task: str, state: np.ndarray, image: np.ndarray) -> np.ndarray | None:
+        self.asked.append(task)
+        return None if self.fails else state + np.arange(1, HORIZON + 1)[:, None] * np.eye(18)[2] * 0.01
+
+
+def observe(phase: list[float], idle: tuple[int, ...] = ()) -> Observation:
+    n = len(phase)
+    images = np.full((n, 8, 8, 3), 9, np.uint8)
+    images[list(idle)] = 0
+    state = np.ones((n, 18), np.float32)
+    return Observation(images, state, np.zeros((n, 30), np.float32), np.array(phase)[:, None], ("a", "b", "c")[:n])
+
+
+def test_one_request_for_ten_frames_of_each_acting_world():
+    client = Remembered()
+    agent = VlmAgent(client)
+    agent.reset(3)
+    np.testing.assert_array_equal(agent.act(observe([0, 0, 0])), 1.0)
+    assert client.asked == []
+    heights = [agent.act(observe([1, 0, 1], idle=(2,)))[:, 2] for _ in range(HORIZON + 1)]
+    assert client.asked == ["a", "a"]
+    np.testing.assert_allclose([h[0] for h in heights], [*(1 + 0.01 * np.arange(1, 11)), 1.01])
+    np.testing.assert_array_equal([h[1:] for h in heights], 1.0)
+
+
+def test_a_failed_decision_holds_still_for_ten_frames():
+    client = Remembered(fails=True)
+    agent = VlmAgent(client)
+    agent.reset(1)
+    for _ in range(HORIZON):
+        np.testing.assert_array_equal(agent.act(observe([1])), 1.0)
+    assert len(client.asked) == 1
+
+
+def test_evaluating_a_model_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture):
+    def handler(exchange: Exchange) -> None:
+        text = exchange.body["messages"][1]["content"][0]["text"]
+        state = json.loads(text[text.index("closed]: ") + 9 :].split("\n")[0])
+        exchange.say("no" if exchange.number == 0 else answer([state] * HORIZON))
+
+    out = tmp_path / "results"
+    with serving(handler) as (url, _):
+        words = ["--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant"]
+        assert main(["evaluate", *words, "--episodes", "2", "--image-size", "32", "--out", str(out)]) == 0
+    head = json.loads((out / "metrics.json").read_text())
+    assert head["policy"] == "vlm:tiny"
+    account = head["extra"]["vlm"]
+    assert account["refused"] == 1
+    assert account["failed"] == 0
+    assert account["requests"] == len((out / "vlm.jsonl").read_text().splitlines()) > 4
+    assert "refused 1" in capsys.readouterr().out
+
+
+def test_a_model_must_be_named(capsys: pytest.CaptureFixture):
+    assert main(["evaluate", "--policy", "vlm"]) == 2
+    assert "--policy vlm needs --model NAME" in capsys.readouterr().err
