@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import argparse
 import base64
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import draccus
 import numpy as np
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
+from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.command import make_actor
 from dynahoi_lerobot.evaluate.gif import phases_of, write_gif
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.generate.resimulate import replay
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.rollout import evaluate, make_batch
 from dynahoi_lerobot.sampling import sample_specs
@@ -26,12 +31,15 @@ PAGE = """<!doctype html><meta charset="utf-8"><title>{caption}</title>
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi view``."""
     parser.add_argument("--motion", help="kind of motion to play")
-    parser.add_argument("--seed", type=int, default=0, help="number of the episode within split and kind")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="number of the episode within split and kind; with --results, its seed"
+    )
     parser.add_argument("--split", default="test", help="seed stream")
     parser.add_argument("--policy", default="expert", help="who moves the hand: a checkpoint folder or an expert")
     parser.add_argument("--capture", default="attach", help="capture rule")
     parser.add_argument("--dataset", type=Path, help="show an episode of this dataset instead")
     parser.add_argument("--episode", type=int, default=0, help="its index in the dataset")
+    parser.add_argument("--results", type=Path, help="play an evaluated episode of this result folder again")
     parser.add_argument("--image-size", type=int, help="side of the images [px]")
     parser.add_argument("--out", type=Path, default=Path("episode.gif"), help="a .gif, .mp4 or .html file")
 
@@ -44,7 +52,8 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.out.suffix not in WRITERS:
         raise ValueError(f"cannot write {args.out.suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
-    frames, caption, phases = _from_dataset(args) if args.dataset else _played(args)
+    source = _from_dataset if args.dataset else _replayed if args.results else _played
+    frames, caption, phases = source(args)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     WRITERS[args.out.suffix](args.out, frames, caption, phases)
     print(f"{caption}: {args.out}")
@@ -57,15 +66,34 @@ Shown = tuple[np.ndarray, str, list[str]]
 def _played(args: argparse.Namespace) -> Shown:
     """Play an episode; frames (T, H, W, 3), a caption, and the phase of every frame."""
     if args.motion is None:
-        raise ValueError("say what to watch: --motion KIND, or --dataset DIR --episode I")
+        raise ValueError("say what to watch: --motion KIND, --dataset DIR --episode I, or --results DIR --seed S")
     actor = make_actor(args.policy, args.capture)
     size = args.image_size or getattr(actor, "image_size", None) or 256
     recipe = Recipe(split=seed_stream(args.split), image_size=size, capture=args.capture)
     spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]
-    episode = next(evaluate(make_batch(recipe, 1), actor, [spec], images=True))
+    return _shown(next(evaluate(make_batch(recipe, 1), actor, [spec], images=True)))
+
+
+def _replayed(args: argparse.Namespace) -> Shown:
+    """Play the commands of an evaluated episode again, from its seed; at any image size."""
+    results = read_results(args.results)
+    seeds = [row["seed"] for row in results.rows]
+    if args.seed not in seeds:
+        raise ValueError(f"{args.results} has no episode with seed {args.seed}; it has {min(seeds)} to {max(seeds)}")
+    if "recipe" not in results.info.extra:
+        raise ValueError(f"{args.results} does not say what was played; evaluate again with this version")
+    recipe = draccus.decode(Recipe, results.info.extra["recipe"])
+    if recipe.fingerprint() != results.info.fingerprint:
+        print("these results are of other code: the replay may differ from what was graded")
+    index = seeds.index(args.seed)
+    large, attempt = replace(recipe, image_size=args.image_size or 256), results.rows[index]["attempts"]
+    return _shown(replay(large, args.seed, results.actions[index], attempt=attempt), results.info.policy)
+
+
+def _shown(episode: Episode, agent: str = "") -> Shown:
     assert episode.images is not None
     meta = episode.meta
-    return episode.images, f"{meta.agent}: {meta.task} {episode.stage}", phases_of(episode)
+    return episode.images, f"{agent or meta.agent}: {meta.task} {episode.stage}", phases_of(episode)
 
 
 def _from_dataset(args: argparse.Namespace) -> Shown:

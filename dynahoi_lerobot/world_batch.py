@@ -131,7 +131,8 @@ class WorldBatch:
         previous = self._held[chosen]
         wanted = np.where(self.acting[chosen, None], wanted, previous)
         self._tip_distance = None
-        command = self._servo.clip(wanted, previous)
+        # executed as it is stored, in single precision: where there is contact, a rounding error grows
+        command = self._servo.clip(wanted, previous).astype(np.float32).astype(np.float64)
         reached = self._servo.clip(command + self._pushed(chosen), previous)
         control = np.zeros((len(chosen), SUBSTEPS, self._ctrl.shape[1] + self.scene.model.nv))
         control[..., : self._ctrl.shape[1]] = self._servo.set_points(reached, previous)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
 
@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         args.capture,
         " ".join(sys.argv),
         recipe.fingerprint(),
+        {"recipe": asdict(recipe)},
     )
     for episodes in _played(args, recipe, actor, specs):
         recorder.extend(episodes)

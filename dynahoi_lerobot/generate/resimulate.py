@@ -8,7 +8,7 @@ import draccus
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
-from dynahoi_lerobot.episode import EpisodeMeta
+from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.generate.replay import Resimulate
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.rollout import Job, make_batch, play
@@ -46,8 +46,22 @@ def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
     played = draccus.decode(Recipe, recipe)
 
     def resimulate(meta: EpisodeMeta, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        job = Job(0, sample_spec(played, meta.seed), len(actions), meta.attempts)
-        ((_, episode),) = play(make_batch(played, 1), Player(actions), [job], images=images)
+        episode = replay(played, meta.seed, actions, attempt=meta.attempts, images=images)
         return episode.state, episode.images
 
     return resimulate
+
+
+def replay(recipe: Recipe, seed: int, actions: np.ndarray, *, attempt: int = 1, images: bool = True) -> Episode:
+    """Return the episode that commands (T, 18) lead to, played again from its seed.
+
+    Args:
+        recipe: what was played.
+        seed: of the episode.
+        actions: palm positions [m] world and joint angles [rad].
+        attempt: the try that was recorded.
+        images: whether to render.
+    """
+    job = Job(0, sample_spec(recipe, seed), len(actions), attempt)
+    ((_, episode),) = play(make_batch(recipe, 1), Player(actions), [job], images=images)
+    return episode

@@ -6,13 +6,17 @@ import json
 from pathlib import Path
 
 import av
+import draccus
 import pytest
 from PIL import Image
 
 from dynahoi_lerobot import cli
 from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.generate.resimulate import replay
 from dynahoi_lerobot.listing import LISTS
+from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.recipe import Recipe
 
 
 @pytest.mark.parametrize("what", sorted(LISTS))
@@ -89,3 +93,24 @@ def test_view_writes_the_episode(suffix: str, tmp_path: Path) -> None:
     else:
         assert out.stat().st_size > 2000
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
+
+
+@pytest.mark.parametrize("capture", ["attach", "contact"])
+def test_an_evaluated_episode_plays_again_from_its_results(
+    capture: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    out, film = tmp_path / "r", tmp_path / "again.gif"
+    words = ["--policy", "constant_velocity", "--capture", capture, "--motions", "planar,constant", "--episodes", "3"]
+    assert cli.main(["evaluate", *words, "--out", str(out)]) == 0
+    results = read_results(out)
+    recipe = draccus.decode(Recipe, results.info.extra["recipe"])
+    for row, actions in zip(results.rows, results.actions, strict=True):
+        episode = replay(recipe, row["seed"], actions, images=False)
+        assert (episode.stage, episode.success) == (row["stage"], row["success"])
+        assert measure(episode)["E_loc"] == pytest.approx(row["E_loc"], abs=1e-4)
+    capsys.readouterr()
+    assert cli.main(["view", "--results", str(out), "--seed", "1", "--image-size", "32", "--out", str(film)]) == 0
+    stage = next(row["stage"] for row in results.rows if row["seed"] == 1)
+    assert f"{stage}: {film}" in capsys.readouterr().out
+    assert cli.main(["view", "--results", str(out), "--seed", "7", "--out", str(film)]) == 2
+    assert "has no episode with seed 7; it has 0 to 2" in capsys.readouterr().err

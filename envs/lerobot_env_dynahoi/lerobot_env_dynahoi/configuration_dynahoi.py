@@ -84,7 +84,8 @@ class DynahoiEnvConfig(EnvConfig):
         """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async."""
         del use_async_envs
         kinds = kinds_of(self.task, Recipe(split=seed_stream(self.split)).motion_names)
-        log = ResultsLog(self._results_folder(), self.split, self.capture)
+        recipe = Recipe(**{**self.gym_kwargs, "split": seed_stream(self.split)})
+        log = ResultsLog(self._results_folder(), self.split, recipe)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})

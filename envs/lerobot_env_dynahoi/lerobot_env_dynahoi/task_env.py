@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,15 @@ from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.recipe import Recipe
 
 
 class ResultsLog:
     """Collects the finished episodes of all tasks of one evaluation and writes them as one result folder."""
 
-    def __init__(self, folder: Path, split: str, capture: str) -> None:
-        """Write into ``folder`` whenever a task ends."""
-        self.folder, self._split, self._capture = folder, split, capture
+    def __init__(self, folder: Path, split: str, recipe: Recipe) -> None:
+        """Write episodes of ``recipe`` into ``folder`` whenever a task ends."""
+        self.folder, self._split, self._recipe = folder, split, recipe
         self._recorder = Recorder()
         self._known: set[tuple[str, int]] = set()
         self._unwritten = 0
@@ -43,7 +45,9 @@ class ResultsLog:
         """Write the folder if there is anything new, and print the table."""
         if not self._unwritten:
             return
-        info = RunInfo(policy_name(sys.argv), self._split, self._capture, " ".join(sys.argv), self._fingerprint)
+        extra = {"recipe": asdict(self._recipe)}
+        name, command = policy_name(sys.argv), " ".join(sys.argv)
+        info = RunInfo(name, self._split, self._recipe.capture, command, self._fingerprint, extra)
         results = self._recorder.write(self.folder, info)
         self._unwritten = 0
         print(f"{results_table([results])}\nmetrics so far: {self.folder}", flush=True)
