@@ -11,7 +11,7 @@ import numpy as np
 from dynahoi_lerobot.conventions import PALM_DOF
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 
-PUSHED_SHARE = 0.2
+PUSHED_SHARE = 0.3
 """Share of the frames of the control phase that are pushed."""
 
 

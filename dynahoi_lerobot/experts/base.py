@@ -23,27 +23,33 @@ class Reach:
     """A straight constant-speed approach that ends with closed fingers.
 
     Attributes:
-        start_pos_w: (3,) palm centre when it sets out [m], world.
         goal_pos_w: (3,) palm centre when it arrives [m], world.
         start_frame, arrival_frame: when.
         closed_frame: first frame with closed fingers.
         closed_joints: (15,) joint angles [rad].
     """
 
-    start_pos_w: np.ndarray
     goal_pos_w: np.ndarray
     start_frame: int
     arrival_frame: int
     closed_frame: int
     closed_joints: np.ndarray
 
-    def command(self, frame: int) -> np.ndarray:
-        """Return (18,) the command of ``frame``, which is where the hand should be one frame later."""
+    def command(self, frame: int, palm_pos_w: np.ndarray) -> np.ndarray:
+        """Return (18,) the command of ``frame``, which is where the hand should be one frame later.
+
+        A hand that strayed goes straight on from where it is, at the speed that still arrives in time; so what it
+        does depends on where it is and where it must be, and on nothing that an observer cannot see.
+
+        Args:
+            frame: of the episode.
+            palm_pos_w: (3,) where the palm is now [m], world.
+        """
         ahead = frame + 1
-        progress = _ramp(ahead, self.start_frame, self.arrival_frame)
+        left = max(self.arrival_frame - max(frame, self.start_frame), 1)
         begin = max(self.start_frame, self.closed_frame - CLOSING_FRAMES)
         joints = _ramp(ahead, begin, self.closed_frame) * self.closed_joints
-        return np.concatenate([self.start_pos_w + progress * (self.goal_pos_w - self.start_pos_w), joints])
+        return np.concatenate([palm_pos_w + (self.goal_pos_w - palm_pos_w) / left, joints])
 
 
 def reference_grasp(spec: EpisodeSpec) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynahoi_lerobot.agent import Expert, WorldState
-from dynahoi_lerobot.conventions import HAND_DOF
+from dynahoi_lerobot.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS, Reach, first_contact_frame, reference_grasp
 
@@ -33,7 +33,8 @@ class Intercept(Expert):
         commands = np.zeros((len(world.specs), HAND_DOF))
         for i, spec in enumerate(world.specs):
             if spec is not None:
-                commands[i] = self._plan(i, spec, int(world.attempt[i])).command(int(world.frame[i]))
+                palm_pos_w = world.observation.state[i, :PALM_DOF].astype(np.float64)
+                commands[i] = self._plan(i, spec, int(world.attempt[i])).command(int(world.frame[i]), palm_pos_w)
         return commands
 
     def _plan(self, i: int, spec: EpisodeSpec, attempt: int) -> Reach:
@@ -53,4 +54,4 @@ def plan_intercept(spec: EpisodeSpec, attempt: int = 1) -> Reach:
     progress = np.linspace(0.0, 1.0, arrival - start + 1)[:, None]
     reach_path = spec.home_pos_w + progress * (goal - spec.home_pos_w)
     closed = first_contact_frame(reach_path, spec.oracle_path[start : arrival + 1], start)
-    return Reach(spec.home_pos_w, goal, start, arrival, closed, reference_grasp(spec))
+    return Reach(goal, start, arrival, closed, reference_grasp(spec))

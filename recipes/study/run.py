@@ -1,0 +1,129 @@
+"""Train and evaluate every variant of a study under one protocol, and report them together.
+
+    python recipes/study/run.py recipes/study/cpu.yaml --out outputs/study
+
+Variants run one after another through ``lerobot-train`` and ``dynahoi evaluate``; those that are done are skipped, so
+the same command goes on after an interruption. Each result folder says what the variant was (``extra`` in
+``metrics.json``), which is what the report's figures on observed frames and data scaling read.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One row of the study.
+
+    Attributes:
+        name: of its folder.
+        config: a training recipe, relative to the repository.
+        options: what it changes, as ``lerobot-train`` options.
+        extra: what its results say about it.
+    """
+
+    name: str
+    config: str
+    options: dict[str, Any] = field(default_factory=dict)
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+def main() -> None:
+    """Run the study that the arguments name."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("study", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("outputs/study"))
+    parser.add_argument("--data", type=Path, help="training data; generated in OUT if there is none")
+    parser.add_argument("--only", help="comma-separated names of variants")
+    args = parser.parse_args()
+    study = yaml.safe_load(args.study.read_text())
+    variants = [Variant(**{**study["defaults"], **row}) for row in study["variants"]]
+    if args.only:
+        variants = [variant for variant in variants if variant.name in args.only.split(",")]
+    data = args.data or args.out / "data"
+    if not data.exists():
+        generate(study["data"], data)
+    for variant in variants:
+        train(variant, study["common"], data, args.out / variant.name)
+        for split in study["splits"]:
+            evaluate(variant, split, args.out / variant.name)
+    for name in study["baselines"]:
+        for split in study["splits"]:
+            play(name, split, args.out / "results" / f"{name}-{split}")
+    folders = sorted((args.out / "results").iterdir())
+    dynahoi("report", *map(str, folders), "--out", str(args.out / "report.html"))
+
+
+def generate(data: dict[str, Any], root: Path) -> None:
+    """Write the training data."""
+    words = ["--recipe", str(ROOT / data["recipe"]), "--episodes", str(data["episodes"])]
+    dynahoi("generate", *words, "--workers", str(os.cpu_count() or 1), "--root", str(root))
+
+
+def train(variant: Variant, common: dict[str, Any], data: Path, out: Path) -> None:
+    """Train one variant unless its last checkpoint is there."""
+    if checkpoint(out).exists():
+        return
+    options = {**common, "dataset.root": data, "output_dir": out / "training", **variant.options}
+    words = [f"--{key}={json.dumps(value, default=str).strip(chr(34))}" for key, value in options.items()]
+    start = time.monotonic()
+    config = f"--config_path={ROOT / variant.config}"
+    run([sys.executable, "-m", "lerobot.scripts.lerobot_train", config, *words], out.with_suffix(".log"))
+    (out / "seconds.json").write_text(json.dumps(round(time.monotonic() - start)))
+
+
+def evaluate(variant: Variant, split: str, out: Path) -> None:
+    """Evaluate one trained variant on a split, and write down what it was."""
+    folder = out.parent / "results" / f"{variant.name}-{split}"
+    if not folder.exists():
+        play(str(checkpoint(out)), split, folder)
+    path = folder / "metrics.json"
+    head = json.loads(path.read_text())
+    head["policy"] = variant.name
+    head["extra"] |= {**variant.extra, "training_seconds": json.loads((out / "seconds.json").read_text())}
+    path.write_text(json.dumps(head, indent=2) + "\n")
+
+
+def play(policy: str, split: str, folder: Path) -> None:
+    """Play a split, unless it has been played."""
+    if not folder.exists():
+        dynahoi("evaluate", "--policy", policy, "--split", split, "--out", str(folder), "--image-size", "64")
+
+
+def checkpoint(out: Path) -> Path:
+    """Return where the last checkpoint of a variant is."""
+    return out / "training" / "checkpoints" / "last" / "pretrained_model"
+
+
+def dynahoi(*words: str) -> None:
+    """Run one of our commands."""
+    run([sys.executable, "-m", "dynahoi_lerobot.cli", *words])
+
+
+def run(command: list[str], log: Path | None = None) -> None:
+    """Run a command, into a log if one is given; stop the study if it fails."""
+    print(" ".join(command[2:]), flush=True)
+    if log is None:
+        subprocess.run(command, env=ENVIRONMENT, check=True)
+        return
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("w") as stream:
+        subprocess.run(command, env=ENVIRONMENT, check=True, stdout=stream, stderr=subprocess.STDOUT)
+
+
+if __name__ == "__main__":
+    main()
