@@ -36,7 +36,8 @@ def follow_expert(env: DynahoiVectorEnv, steps: int) -> list[tuple]:
     plans = [plan_intercept(spec) for spec in env._batch.specs if spec is not None]
     results = []
     for _ in range(steps):
-        commands = np.stack([plan.command(int(f)) for plan, f in zip(plans, env._batch.frame, strict=True)])
+        rows = zip(plans, env._batch.frame, env._batch.state[:, :3], strict=True)
+        commands = np.stack([plan.command(int(frame), palm) for plan, frame, palm in rows])
         results.append(env.step(commands.astype(np.float32)))
     return results
 
@@ -108,7 +109,8 @@ def test_env_and_rollout_play_the_same_episode() -> None:
         name = "replay"
 
         def act(self, world) -> np.ndarray:
-            return np.stack([plan_intercept(s).command(int(f)) for s, f in zip(world.specs, world.frame, strict=True)])
+            rows = zip(world.specs, world.frame, world.observation.state[:, :3], strict=True)
+            return np.stack([plan_intercept(spec).command(int(frame), palm) for spec, frame, palm in rows])
 
     env = DynahoiVectorEnv(1, images=False, **SMALL)
     kept = []

@@ -110,3 +110,17 @@ def test_retries_aim_later(specs: list[EpisodeSpec]):
         assert [plan.arrival_frame for plan in plans] == expected
         for plan in plans:
             np.testing.assert_array_equal(plan.goal_pos_w, spec.oracle_path[plan.arrival_frame])
+
+
+def test_a_hand_that_strayed_goes_straight_on_and_arrives_in_time(specs: list[EpisodeSpec]):
+    spec = specs[0]
+    reach = plan_intercept(spec)
+    palm = spec.home_pos_w + [0.03, -0.05, 0.02]
+    start, steps = spec.window_frames, []
+    for frame in range(start, spec.intercept_frame):
+        command = reach.command(frame, palm)[:3]
+        steps.append(command - palm)
+        palm = command
+    np.testing.assert_allclose(palm, spec.intercept_pos_w, atol=1e-12)
+    np.testing.assert_allclose(steps, np.tile(steps[0], (len(steps), 1)), atol=1e-12)
+    np.testing.assert_array_equal(reach.command(spec.intercept_frame + 3, palm)[:3], spec.intercept_pos_w)
