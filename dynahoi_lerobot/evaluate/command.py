@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Agent, Expert
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.delay import DelayedAgent
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.gif import episode_gif
@@ -45,6 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
     parser.add_argument("--device", help="torch device of the policy")
+    parser.add_argument(
+        "--delay-ms", type=float, default=0.0, help="inference time to pretend [ms]; the world moves on"
+    )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
     parser.add_argument("--base-url", help="of an OpenAI-compatible endpoint; the key is taken from OPENAI_API_KEY")
     parser.add_argument("--request-timeout", type=float, default=60.0, help="of one request to it [s]")
@@ -57,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play, write and print; return the exit code."""
-    actor = _vlm(args) if args.policy == VLM else make_actor(args.policy, args.capture, args.device)
+    actor = _delayed(_vlm(args) if args.policy == VLM else make_actor(args.policy, args.capture, args.device), args)
     recipe = _recipe(args, actor)
     recorder = Recorder.resume(args.out) if args.out else Recorder()
     specs = _specs(args, recipe, recorder)
@@ -81,6 +85,14 @@ def run(args: argparse.Namespace) -> int:
     if args.per_kind:
         print("\n" + stratum_table(results))
     return 0
+
+
+def _delayed(actor: Agent | Expert, args: argparse.Namespace) -> Agent | Expert:
+    if not args.delay_ms:
+        return actor
+    if isinstance(actor, Expert):
+        raise ValueError(f"--delay-ms concerns policies; {args.policy!r} is an expert")
+    return DelayedAgent(actor, args.delay_ms)
 
 
 def _vlm(args: argparse.Namespace) -> Agent:
