@@ -15,8 +15,8 @@ from dynahoi_lerobot.conventions import CONTROL_DT
 class DelayedAgent(Agent):
     """Executes every command a whole number of frames after the observation that it answers.
 
-    Until the first one arrives the hand holds still. A command is due at the first frame at which it is there, so 150 ms
-    are three frames and 370 ms are eight.
+    Until the first one arrives the hand holds still. A command is due at the first frame at which it is there: 150 ms
+    are three frames, 370 ms are eight.
     """
 
     def __init__(self, agent: Agent, delay_ms: float) -> None:
