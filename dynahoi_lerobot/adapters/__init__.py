@@ -1,0 +1,1 @@
+"""The benchmark inside other evaluation harnesses, one file each."""

@@ -1,0 +1,138 @@
+"""The benchmark for ``vla-eval``, whose model servers play OpenVLA, OpenVLA-OFT, pi0 and others.
+
+benchmarks:
+  - benchmark: "dynahoi_lerobot.adapters.vla_eval:DynahoiBenchmark"
+    episodes_per_task: 5
+    params: {split: test_small, image_size: 224}
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from vla_eval.benchmarks.base import StepBenchmark, StepResult, repeat_last_hold
+from vla_eval.specs import DimSpec
+from vla_eval.types import Action, EpisodeResult, Observation, Task
+
+from dynahoi_lerobot.conventions import HAND_DOF
+from dynahoi_lerobot.env import DynahoiVectorEnv
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.metrics import METRICS, measure
+from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.splits import seed_stream
+
+
+class DynahoiBenchmark(StepBenchmark):
+    """One task per kind of motion; results carry every metric of the benchmark."""
+
+    render_backends: ClassVar[frozenset[str]] = frozenset({"cpu", "gpu"})
+
+    @classmethod
+    def configure_render(cls, mode: str) -> dict[str, str]:
+        """Need nothing: the renderer uses no OpenGL."""
+        del mode
+        return {}
+
+    def __init__(
+        self,
+        *,
+        split: str = "test_small",
+        image_size: int = 224,
+        kinds: list[str] | None = None,
+        capture: str = "attach",
+        protocol: str = "observe_before_act",
+        send_state: bool = True,
+    ) -> None:
+        """Take what to play.
+
+        Args:
+            split: ``test``, ``test_small``, ``val`` or ``ood_*``.
+            image_size: side of the images [px].
+            kinds: of motion; all of the split if None.
+            capture, protocol: see ``Recipe``.
+            send_state: whether observations contain the hand's state.
+        """
+        super().__init__()
+        self._split, self._kinds, self._send_state = split, kinds, send_state
+        self._options: dict[str, Any] = {
+            "split": split,
+            "image_size": image_size,
+            "capture": capture,
+            "protocol": protocol,
+        }
+        self._env: DynahoiVectorEnv | None = None
+        self._episode: Episode | None = None
+
+    def get_tasks(self) -> list[Task]:
+        """Return one task per kind."""
+        kinds = self._kinds or Recipe(split=seed_stream(self._split)).motion_names
+        return [{"name": kind, "suite": MOTIONS[kind].category} for kind in kinds]
+
+    def reset(self, task: Task) -> dict[str, Any]:
+        """Begin the task's episode number ``episode_idx``; return what the hand sees."""
+        if self._env is None or self._env.kind != task["name"]:
+            self.cleanup()
+            self._env = DynahoiVectorEnv(1, kind=task["name"], on_episode=self._keep, **self._options)
+        self._episode = None
+        observation, _ = self._env.reset(seed=[int(task.get("episode_idx", 0))])
+        return observation
+
+    def step(self, action: Action) -> StepResult:
+        """Advance by one frame, 0.05 s."""
+        assert self._env is not None, "start an episode first"
+        command = np.asarray(action.get("actions", action.get("action")), np.float64).reshape(1, -1)
+        observation, reward, terminated, truncated, info = self._env.step(command)
+        return StepResult(observation, float(reward[0]), bool(terminated[0] or truncated[0]), info)
+
+    def make_obs(self, raw_obs: dict[str, Any], task: Task) -> Observation:
+        """Return the image, the instruction and the state in the harness's convention."""
+        assert self._env is not None
+        observation: Observation = {
+            "images": {"ego": raw_obs["pixels"]["ego"][0]},
+            "task_description": self._env.task_description[0],
+        }
+        return observation | ({"states": raw_obs["agent_pos"][0]} if self._send_state else {})
+
+    def get_step_result(self, step_result: StepResult) -> EpisodeResult:
+        """Return success and every metric that applies to the episode."""
+        if self._episode is None:  # the harness gave up before the episode ended
+            return {"success": False}
+        values = {name: value for name, value in measure(self._episode).items() if value is not None}
+        return {"success": self._episode.success, **values}
+
+    def get_metric_keys(self) -> dict[str, str]:
+        """Return how to aggregate: rates and means alike are averages over the episodes they apply to."""
+        return dict.fromkeys(("success", *METRICS.names()), "mean")
+
+    def get_metadata(self) -> dict[str, Any]:
+        """Return the longest episode, window included."""
+        return {"max_steps": 256, "action_dim": HAND_DOF}
+
+    def get_action_spec(self) -> dict[str, DimSpec]:
+        """Return what an action is: absolute palm position [m] and joint angles [rad]."""
+        return {"position": DimSpec("position", 3, "absolute_xyz"), "joints": DimSpec("joints", 15, "absolute_rad")}
+
+    def get_observation_spec(self) -> dict[str, DimSpec]:
+        """Return what an observation holds."""
+        spec = {"image": DimSpec("image", 0, "rgb_hwc_uint8"), "language": DimSpec("language", 0, "language")}
+        return spec | ({"state": DimSpec("state", HAND_DOF, "palm_xyz_joint_rad")} if self._send_state else {})
+
+    def get_hold_action(self, last_action: Action | None) -> Action:
+        """Return the last target, which is absolute."""
+        return repeat_last_hold(last_action, HAND_DOF)
+
+    def cleanup(self) -> None:
+        """Close the env."""
+        if self._env is not None:
+            self._env.close()
+            self._env = None
+
+    def render(self) -> np.ndarray | None:
+        """Return what the hand sees now, (H, W, 3) uint8."""
+        frames = None if self._env is None else self._env.render()
+        return None if frames is None else np.asarray(frames[0])
+
+    def _keep(self, episode: Episode) -> None:
+        self._episode = episode
