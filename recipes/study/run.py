@@ -33,12 +33,14 @@ class Variant:
         name: of its folder.
         config: a training recipe, relative to the repository.
         options: what it changes, as ``lerobot-train`` options.
+        data_fraction: share of the episodes it learns from, the first ones.
         extra: what its results say about it.
     """
 
     name: str
     config: str
     options: dict[str, Any] = field(default_factory=dict)
+    data_fraction: float = 1.0
     extra: dict[str, Any] = field(default_factory=dict)
 
 
@@ -79,6 +81,9 @@ def train(variant: Variant, common: dict[str, Any], data: Path, out: Path) -> No
     if checkpoint(out).exists():
         return
     options = {**common, "dataset.root": data, "output_dir": out / "training", **variant.options}
+    if variant.data_fraction < 1:
+        episodes = json.loads((data / "meta" / "info.json").read_text())["total_episodes"]
+        options["dataset.episodes"] = list(range(round(variant.data_fraction * episodes)))
     words = [f"--{key}={json.dumps(value, default=str).strip(chr(34))}" for key, value in options.items()]
     start = time.monotonic()
     config = f"--config_path={ROOT / variant.config}"
@@ -94,7 +99,11 @@ def evaluate(variant: Variant, split: str, out: Path) -> None:
     path = folder / "metrics.json"
     head = json.loads(path.read_text())
     head["policy"] = variant.name
-    head["extra"] |= {**variant.extra, "training_seconds": json.loads((out / "seconds.json").read_text())}
+    head["extra"] |= {
+        **variant.extra,
+        "data_fraction": variant.data_fraction,
+        "training_seconds": json.loads((out / "seconds.json").read_text()),
+    }
     path.write_text(json.dumps(head, indent=2) + "\n")
 
 
