@@ -99,7 +99,8 @@ def evaluate(variant: Variant, split: str, out: Path) -> None:
     path = folder / "metrics.json"
     head = json.loads(path.read_text())
     head["policy"] = variant.name
-    head["extra"] |= {
+    seconds = json.loads((out / "seconds.json").read_text())
+    head["extra"] |= {**variant.extra, "data_fraction": variant.data_fraction, "training_seconds": seconds}
         **variant.extra,
         "data_fraction": variant.data_fraction,
         "training_seconds": json.loads((out / "seconds.json").read_text()),
