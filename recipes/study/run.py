@@ -101,10 +101,6 @@ def evaluate(variant: Variant, split: str, out: Path) -> None:
     head["policy"] = variant.name
     seconds = json.loads((out / "seconds.json").read_text())
     head["extra"] |= {**variant.extra, "data_fraction": variant.data_fraction, "training_seconds": seconds}
-        **variant.extra,
-        "data_fraction": variant.data_fraction,
-        "training_seconds": json.loads((out / "seconds.json").read_text()),
-    }
     path.write_text(json.dumps(head, indent=2) + "\n")
 
 
