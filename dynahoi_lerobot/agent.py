@@ -22,6 +22,7 @@ class Observation:
         fingertips: (N, 30) float32, 5 x (position [m], rotation vector [rad]), world.
         phase: (N, 1) float32, 0 observing, 1 acting.
         tasks: N instructions.
+        touch: (N, 5) float32 force on each finger [N], None unless the capture rule feels.
     """
 
     images: np.ndarray | None
@@ -29,6 +30,7 @@ class Observation:
     fingertips: np.ndarray
     phase: np.ndarray
     tasks: tuple[str, ...]
+    touch: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,9 +21,10 @@ from dynahoi_lerobot.recorder import Job, WorldRecorder, frame_columns
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout import make_batch
 from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.spec import FINGERTIPS, PHASE, STATE
+from dynahoi_lerobot.spec import FINGERTIPS, PHASE, STATE, TOUCH
 from dynahoi_lerobot.splits import kind_seed, seed_stream
 
+LARGEST_TOUCH_N = 1000.0
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
 """Reset option: play one episode in every world, then stand still until the next reset."""
 POLICY_NAME = "policy"
@@ -93,7 +94,7 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self._images, self._threads, self._on_episode = images, threads, on_episode
         self._batch = make_batch(self.recipe, num_envs, threads)
-        self.single_observation_space = observation_space(image_size if images else None)
+        self.single_observation_space = observation_space(image_size if images else None, touch=self._batch.rule.feels)
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -265,7 +266,7 @@ class DynahoiEnv(gym.Env):
         return self._vector.task_description[0]
 
 
-def observation_space(image_size: int | None) -> spaces.Dict:
+def observation_space(image_size: int | None, *, touch: bool = False) -> spaces.Dict:
     """Return the space of one world's observations, in the names LeRobot's preprocessing expects."""
     entries: dict[str, gym.Space] = {}
     if image_size is not None:
@@ -273,12 +274,15 @@ def observation_space(image_size: int | None) -> spaces.Dict:
         entries["pixels"] = spaces.Dict({"ego": camera})
     for key, feature, bound in (("agent_pos", STATE, 10.0), ("fingertips", FINGERTIPS, 10.0), ("phase", PHASE, 1.0)):
         entries[key] = spaces.Box(-bound, bound, feature.shape, np.float32)
+    if touch:
+        entries["touch"] = spaces.Box(0.0, LARGEST_TOUCH_N, TOUCH.shape, np.float32)
     return spaces.Dict(entries)
 
 
 def as_gym(observation: Observation) -> dict[str, Any]:
     """Return an Observation under the keys of ``observation_space``."""
     entries: dict[str, Any] = {} if observation.images is None else {"pixels": {"ego": observation.images}}
+    entries |= {} if observation.touch is None else {"touch": np.minimum(observation.touch, LARGEST_TOUCH_N)}
     return {**entries, "agent_pos": observation.state, "fingertips": observation.fingertips, "phase": observation.phase}
 
 

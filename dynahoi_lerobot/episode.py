@@ -85,7 +85,7 @@ class Episode:
         stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or ``missed``, ``touched``,
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
         touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
-            zero where the capture rule asks for no contact.
+            None where the capture rule does not feel.
     """
 
     meta: EpisodeMeta

@@ -111,8 +111,8 @@ class WorldRecorder:
         track = self._track(columns)
         captured = np.zeros(len(self.frames), bool)
         captured[spec.window_frames :] = rule.captured(track)
-        columns["touch"] = columns["touch"][:, : len(FINGERS)]
-        floats = {name: values.astype(np.float32) for name, values in columns.items() if name != "localized"}
+        touch = columns.pop("touch")[:, : len(FINGERS)].astype(np.float32) if rule.feels else None
+        floats = {n: values.astype(np.float32) for n, values in columns.items() if n not in ("localized", "touch")}
         return Episode(
             meta=_meta(self.job, rule.name, agent),
             images=np.stack(self.images) if self.images else None,
@@ -125,6 +125,7 @@ class WorldRecorder:
             reference_joints=track.reference_joints.astype(np.float32),
             success=rule.success(track),
             stage=rule.stage(track),
+            touch=touch,
             **floats,
         )
 

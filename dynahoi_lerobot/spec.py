@@ -30,6 +30,8 @@ class Feature:
 
 STATE = Feature("observation.state", (HAND_DOF,), "float32", HAND_NAMES, "m, rad")
 FINGERTIPS = Feature("observation.fingertips", (6 * len(FINGERS),), "float32", FINGERTIP_NAMES, "m, rad")
+TOUCH = Feature("observation.touch", (len(FINGERS),), "float32", FINGERS, "N")
+"""Only where the capture rule feels."""
 PHASE = Feature("observation.phase", (1,), "float32", ("phase",), "0 observing, 1 acting")
 ACTION = Feature("action", (HAND_DOF,), "float32", HAND_NAMES, "m, rad")
 CAMERA_KEY = "observation.images.ego"
@@ -56,6 +58,7 @@ __all__ = [
     "PHASE",
     "PRIVILEGED",
     "STATE",
+    "TOUCH",
     "Feature",
 ]
 
@@ -65,7 +68,7 @@ def camera_feature(image_size: int) -> Feature:
     return Feature(CAMERA_KEY, (image_size, image_size, 3), "uint8", ("height", "width", "channels"), "RGB 0-255")
 
 
-def columns(image_size: int | None) -> tuple[Feature, ...]:
+def columns(image_size: int | None, *, touch: bool = False) -> tuple[Feature, ...]:
     """Return every per-frame column in the dataset's order; None leaves the camera out."""
     camera = () if image_size is None else (camera_feature(image_size),)
-    return (*camera, *OBSERVATIONS, ACTION, *PRIVILEGED)
+    return (*camera, *OBSERVATIONS, *((TOUCH,) if touch else ()), ACTION, *PRIVILEGED)

@@ -222,6 +222,7 @@ class WorldBatch:
             fingertips=self.fingertips().astype(np.float32),
             phase=self.acting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
+            touch=self.touch[:, : len(FINGERS)].astype(np.float32) if self.rule.feels else None,
         )
 
     def world_state(self, observation: Observation) -> WorldState:

@@ -13,7 +13,7 @@ from PIL import Image
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.generate.codecs.base import Encoding
-from dynahoi_lerobot.spec import CAMERA_KEY, columns
+from dynahoi_lerobot.spec import CAMERA_KEY, TOUCH, columns
 
 Features = dict[str, dict[str, Any]]
 
@@ -27,10 +27,10 @@ BOOKKEEPING = {
 """LeRobot's own columns."""
 
 
-def info_features(image_size: int | None, encoding: Encoding) -> Features:
+def info_features(image_size: int | None, encoding: Encoding, *, touch: bool = False) -> Features:
     """Return ``info.json``'s feature table: every column of the spec, then LeRobot's own."""
     features: Features = {}
-    for column in columns(image_size):
+    for column in columns(image_size, touch=touch):
         features[column.key] = {
             "dtype": column.dtype,
             "shape": list(column.shape),
@@ -57,7 +57,8 @@ def content_keys(features: Features) -> list[str]:
 def content_arrays(episode: Episode) -> dict[str, np.ndarray]:
     """Return the episode's numeric columns under their keys, each (T, D)."""
     frames = len(episode)
-    return {
+    touch = {} if episode.touch is None else {TOUCH.key: episode.touch}
+    return touch | {
         "observation.state": episode.state,
         "observation.fingertips": episode.fingertips,
         "observation.phase": episode.phase,

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
+from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.generate.codecs.base import Encoding
 from dynahoi_lerobot.generate.fingerprint import code_fingerprint
@@ -28,6 +29,7 @@ class Recipe(Protocol):
     """What generation needs to know of a recipe, a frozen dataclass."""
 
     image_size: int
+    capture: str
 
 
 class Record(Protocol):
@@ -102,6 +104,11 @@ class Plan:
     def image_size(self) -> int | None:
         """Side of the pictures [pixels], None without a camera."""
         return self.recipe.image_size if self.camera else None
+
+    @property
+    def touch(self) -> bool:
+        """Whether the recipe's capture rule records the fingers' forces."""
+        return CAPTURES[self.recipe.capture].feels
 
     @property
     def shards(self) -> int:

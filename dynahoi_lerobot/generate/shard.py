@@ -63,7 +63,8 @@ class ShardMaker:
             return target
         shutil.rmtree(target, ignore_errors=True)
         with temporary_sibling(target) as temporary:
-            writer = DatasetWriter(temporary, self.plan.image_size, self.plan.encoding, self.plan.layout)
+            plan = self.plan
+            writer = DatasetWriter(temporary, plan.image_size, plan.encoding, plan.layout, touch=plan.touch)
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
                 writer.finish(yields=tally)

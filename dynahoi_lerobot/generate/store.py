@@ -22,7 +22,7 @@ from dynahoi_lerobot.generate.layout import DATA_PATH, INFO_PATH, TASKS_PATH, VI
 from dynahoi_lerobot.generate.rows import META_COLUMNS, TRACES, Row
 from dynahoi_lerobot.generate.tables import read_tasks
 from dynahoi_lerobot.generate.video import decode
-from dynahoi_lerobot.spec import CAMERA_KEY
+from dynahoi_lerobot.spec import CAMERA_KEY, TOUCH
 
 
 class Store:
@@ -138,5 +138,6 @@ class Store:
             intercept_time=float(column_array(table, "intercept.time")[0, 0]),
             success=row["success"],
             stage=row["stage"],
+            touch=column_array(table, TOUCH.key) if TOUCH.key in table.column_names else None,
             **flat,
         )

@@ -44,6 +44,8 @@ class DatasetWriter:
         image_size: int | None,
         encoding: Encoding | None = None,
         layout: Layout | None = None,
+        *,
+        touch: bool = False,
     ) -> None:
         """Make the folder ``root``.
 
@@ -52,6 +54,7 @@ class DatasetWriter:
             image_size: side of the square frames [pixels], None for a dataset without a camera.
             encoding: how pictures are stored.
             layout: file size limits.
+            touch: whether episodes hold the fingers' forces.
 
         Raises:
             FileExistsError: if ``root`` exists.
@@ -64,7 +67,7 @@ class DatasetWriter:
             raise ValueError(f"image size is {image_size} pixels; video needs an even number")
         root.mkdir()
         self.root = root
-        features = info_features(image_size, self.encoding)
+        features = info_features(image_size, self.encoding, touch=touch)
         self._schema = arrow_schema(features)
         self._catalog = Catalog(root, features, self.layout)
         self._data = RollingParquet(root, DATA_PATH, self._schema, self.layout)

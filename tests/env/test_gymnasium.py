@@ -10,6 +10,7 @@ from gymnasium.vector import AutoresetMode
 
 from dynahoi_lerobot.agent import Expert
 from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
+from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import plan_intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
@@ -155,3 +156,24 @@ def test_without_images_nothing_is_rendered() -> None:
     observation, _ = env.reset(seed=[0])
     assert "pixels" not in observation
     assert "_renderer" not in env._batch.__dict__
+
+
+def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:
+    env = DynahoiVectorEnv(1, kind="constant", images=False, capture="contact", image_size=32)
+    kept = []
+    env._on_episode = kept.append
+    observation, _ = env.reset(seed=[0])
+    assert observation["touch"].shape == (1, 5)
+    expert, strongest = EXPERTS["match"](), 0.0
+    while not kept:
+        batch = env._batch
+        commands = expert.act(batch.world_state(batch.observe(images=False)))
+        observation, _, _, _, info = env.step(commands.astype(np.float32))
+        assert env.observation_space.contains(observation)
+        strongest = max(strongest, float(observation["touch"].max()))
+    assert strongest > 1.0
+    assert kept[0].stage == "held"
+    assert info["is_success"][0]
+    plain = DynahoiVectorEnv(1, kind="constant", images=False, image_size=32)
+    assert "touch" not in plain.reset(seed=[0])[0]
+    check_env(gym.make("dynahoi/lob-v0", capture="contact", image_size=32).unwrapped)

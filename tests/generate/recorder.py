@@ -18,6 +18,7 @@ from tests.generate.episodes import varied_episode
 @dataclass(frozen=True)
 class FakeRecipe:
     image_size: int = 16
+    capture: str = "attach"
     name: str = "fake"
     miss_every: int = 0
     """Every first draw that this divides is missed by the expert; 0 for none."""

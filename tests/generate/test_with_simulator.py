@@ -4,8 +4,11 @@ import argparse
 import json
 from functools import partial
 
+import numpy as np
 import pytest
+from lerobot.datasets import LeRobotDataset
 
+from dynahoi_lerobot.conventions import FINGERS
 from dynahoi_lerobot.generate import command, verify_command
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
@@ -13,6 +16,7 @@ from dynahoi_lerobot.generate.resimulate import simulator
 from dynahoi_lerobot.generate.verify import verify
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.rollout import record
+from dynahoi_lerobot.spec import TOUCH
 
 
 def run(module, *words) -> int:
@@ -68,3 +72,21 @@ def test_edited_actions_do_not_replay(tmp_path):
     assert verify(tmp_path / "d", resimulate=replay) == []
     (finding,) = verify(tmp_path / "d", resimulate=edited)
     assert "replays to other states from frame" in finding.message
+
+
+def test_a_physical_dataset_holds_forces_and_replays(tmp_path, capsys):
+    root = tmp_path / "contact"
+    words = ("--root", root, "--episodes", 3, "--image-size", 32, "--motions", "constant,planar,struck")
+    assert run(command, *words, "--capture", "contact") == 0
+    assert run(verify_command, root, "--replay", 3, "--decode", "all") == 0
+    assert "3 episodes, all sound" in capsys.readouterr().out
+    dataset = LeRobotDataset("local/contact", root=root)
+    assert dataset.meta.features[TOUCH.key]["names"] == list(FINGERS)
+    touch = np.stack([dataset[i][TOUCH.key].numpy() for i in range(len(dataset))])
+    assert touch.shape[1:] == (5,)
+    assert (touch.max(axis=0) > 0.5).all(), "every finger has held something [N]"
+    assert dataset.meta.stats[TOUCH.key]["max"].max() == pytest.approx(touch.max())
+    rows = dataset.meta.episodes
+    assert set(rows["capture"]) == {"contact"}
+    assert set(rows["agent"] if "agent" in rows.column_names else rows["expert"]) == {"match"}
+    assert set(rows["stage"]) == {"held"}

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import pyarrow.parquet as pq
 
+from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Evidence
 from dynahoi_lerobot.generate.codecs.base import Encoding
@@ -37,7 +38,9 @@ class Schema(Check):
     def _features(self, evidence: Evidence) -> Iterator[str]:
         camera = evidence.features.get(CAMERA_KEY)
         size = None if camera is None else camera["shape"][0]
-        wanted = info_features(size, Encoding(codec="h264" if evidence.has_video else "images"))
+        encoding = Encoding(codec="h264" if evidence.has_video else "images")
+        touch = CAPTURES[evidence.rows[0]["capture"]].feels
+        wanted = info_features(size, encoding, touch=touch)
         for key in sorted(wanted.keys() | evidence.features.keys()):
             found = {name: value for name, value in evidence.features.get(key, {}).items() if name != "info"}
             if found != {name: value for name, value in wanted.get(key, {}).items() if name != "info"}:

@@ -11,11 +11,12 @@ import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
+from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.spec import ACTION, CAMERA_KEY, FINGERTIPS, PHASE, STATE, camera_feature
+from dynahoi_lerobot.spec import ACTION, CAMERA_KEY, FINGERTIPS, PHASE, STATE, TOUCH, camera_feature
 from dynahoi_lerobot.splits import seed_stream
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
@@ -24,6 +25,7 @@ RAW_KEYS = {
     "agent_pos": STATE.key,
     "fingertips": FINGERTIPS.key,
     "phase": PHASE.key,
+    "touch": TOUCH.key,
     "action": ACTION.key,
 }
 """Keys of the gymnasium observations and actions, and what policies call them."""
@@ -67,11 +69,12 @@ class DynahoiEnvConfig(EnvConfig):
         """
         kinds_of(self.task, Recipe(split=seed_stream(self.split)).motion_names)
         camera = camera_feature(self.image_size)
-        shapes = {feature.key: feature.shape for feature in (camera, STATE, FINGERTIPS, PHASE, ACTION)}
+        shapes = {feature.key: feature.shape for feature in (camera, STATE, FINGERTIPS, PHASE, TOUCH, ACTION)}
         types = {CAMERA_KEY: FeatureType.VISUAL, ACTION.key: FeatureType.ACTION}
         self.features = {
             raw: PolicyFeature(type=types.get(key, FeatureType.STATE), shape=shapes[key])
             for raw, key in RAW_KEYS.items()
+            if raw != "touch" or CAPTURES[self.capture].feels
         }
 
     @property
