@@ -15,15 +15,21 @@ from dynahoi_lerobot.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[3] / "recipes"
 STUDY = RECIPES / "study" / "cpu.yaml"
-TRAINING = sorted([*RECIPES.glob("train/*.yaml"), *(path for path in RECIPES.glob("study/*.yaml") if path != STUDY)])
+TRAINING = sorted(
+    [
+        *RECIPES.glob("train/*.yaml"),
+        *RECIPES.glob("zoo/*.yaml"),
+        *(p for p in RECIPES.glob("study/*.yaml") if p != STUDY),
+    ]
+)
 
 
-@pytest.mark.parametrize("path", sorted(RECIPES.glob("generate/*.yaml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sorted(RECIPES.glob("generate/*.yaml")), ids=str)
 def test_a_generation_recipe_is_read(path: Path) -> None:
     assert load_recipe(path).split == "train"
 
 
-@pytest.mark.parametrize("path", TRAINING, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", TRAINING, ids=str)
 def test_a_training_recipe_is_read(path: Path) -> None:
     register_third_party_plugins()
     config = draccus.parse(TrainPipelineConfig, config_path=path, args=["--policy.device=cpu"])
