@@ -17,6 +17,8 @@ from transformers import (
 )
 
 WORDS = ["catch", "the", "moving", "ball", "that", "is", "being", "."]
+FILLERS = [f"w{i}" for i in range(300)]
+"""Rare words, whose tokens may be given another meaning."""
 TOWER = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2}
 
 
@@ -35,7 +37,7 @@ def save_smolvlm(folder: Path) -> None:
     """Write a SmolVLM2 with its processor."""
     special = ["<fake_token_around_image>", "<image>", "<end_of_utterance>", "<global-img>"]
     tokenizer = PreTrainedTokenizerFast(
-        tokenizer_object=_words(["<pad>", "<unk>", *special, *WORDS]),
+        tokenizer_object=_words(["<pad>", "<unk>", *special, *WORDS, *FILLERS]),
         unk_token="<unk>",
         pad_token="<pad>",
         eos_token="<end_of_utterance>",
@@ -51,7 +53,10 @@ def save_smolvlm(folder: Path) -> None:
     vision = {**TOWER, "image_size": 32, "patch_size": 8}
     config = SmolVLMConfig(vision_config=vision, text_config=text, scale_factor=2, image_token_id=3)
     SmolVLMForConditionalGeneration(config).save_pretrained(folder)
-    SmolVLMProcessor(SmolVLMImageProcessor(), tokenizer, SmolVLMVideoProcessor()).save_pretrained(folder)
+    small = {"longest_edge": vision["image_size"]}
+    images = SmolVLMImageProcessor(size=small, max_image_size=small, do_image_splitting=False)
+    length = (vision["image_size"] // vision["patch_size"]) ** 2 // config.scale_factor**2  # tokens of an image
+    SmolVLMProcessor(images, tokenizer, SmolVLMVideoProcessor(), image_seq_len=length).save_pretrained(folder)
 
 
 def _words(vocabulary: list[str]) -> Tokenizer:

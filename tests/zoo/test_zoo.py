@@ -27,6 +27,7 @@ SMALL = {
         "num_heads": 2,
         "num_inference_steps": 2,
     },
+    "actiontokens": {"vlm_name": "SMOLVLM", "load_vlm_weights": False},
     "smolvla": {
         "vlm_model_name": "SMOLVLM",
         "load_vlm_weights": False,

@@ -1,0 +1,7 @@
+"""Actions as tokens of a vision-language model, as a LeRobot policy: ``lerobot-train --policy.type=actiontokens``."""
+
+from .configuration_actiontokens import ActionTokensConfig
+from .modeling_actiontokens import ActionTokensPolicy
+from .processor_actiontokens import make_actiontokens_pre_post_processors
+
+__all__ = ["ActionTokensConfig", "ActionTokensPolicy", "make_actiontokens_pre_post_processors"]

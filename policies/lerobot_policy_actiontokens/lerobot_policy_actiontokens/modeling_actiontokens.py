@@ -1,0 +1,142 @@
+"""The policy: images and instruction in, action tokens out, one after the other."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+from lerobot.policies.pretrained import PreTrainedPolicy
+from lerobot.utils.constants import ACTION
+from torch import Tensor
+from transformers import AutoConfig, AutoModelForImageTextToText, AutoProcessor, LogitsProcessor
+
+from .bins import N_BINS, decode, encode, token_ids
+from .configuration_actiontokens import ActionTokensConfig
+
+PROMPT = "{image}In: What action should the robot take to {instruction}?\nOut: "
+
+
+class ActionTokensPolicy(PreTrainedPolicy):
+    """A vision-language model that writes each action dimension as one of 256 tokens (OpenVLA, Section 3).
+
+    Args:
+        config: The policy's config, with its features filled in.
+        **kwargs: What else LeRobot may pass, unused.
+
+    Raises:
+        ValueError: If the tokenizer has too few tokens to give 256 of them another meaning.
+    """
+
+    config_class = ActionTokensConfig
+    name = "actiontokens"
+
+    def __init__(self, config: ActionTokensConfig, **kwargs: Any) -> None:
+        super().__init__(config)
+        config.validate_features()
+        dtype = getattr(torch, config.dtype)
+        if config.load_vlm_weights:
+            self.vlm = AutoModelForImageTextToText.from_pretrained(config.vlm_name, dtype=dtype)
+        else:
+            self.vlm = AutoModelForImageTextToText.from_config(AutoConfig.from_pretrained(config.vlm_name), dtype=dtype)
+        self.processor = AutoProcessor.from_pretrained(config.vlm_name)
+        self.processor.tokenizer.padding_side = "left"  # actions follow the prompt without a gap
+        self.vocabulary = self.processor.tokenizer.vocab_size
+        if self.vocabulary <= N_BINS:
+            raise ValueError(f"{config.vlm_name} has {self.vocabulary} tokens, but must have more than {N_BINS}.")
+        if config.freeze_vision:
+            self._vision().requires_grad_(False)
+        self.reset()
+
+    def forward(self, batch: dict[str, Any], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
+        """Return the cross-entropy of the action tokens.
+
+        Args:
+            batch: preprocessed LeRobot batch.
+            reduction: "mean" for a scalar, "none" for one loss per sample, shape ``(B,)``.
+        """
+        prompt = self._prompt(batch)
+        actions = batch[ACTION].reshape(len(batch[ACTION]), self.config.chunk_size, -1)  # (B, H, A)
+        written = encode(actions, self.vocabulary).flatten(1)  # (B, H*A)
+        mask = torch.cat([prompt["attention_mask"], torch.ones_like(written)], dim=1)
+        inputs = {**prompt, "input_ids": torch.cat([prompt["input_ids"], written], dim=1), "attention_mask": mask}
+        logits = self.vlm(**inputs, position_ids=(mask.cumsum(1) - 1).clamp_min(0)).logits
+        logits = logits[:, -written.shape[1] - 1 : -1].float()  # (B, H*A, V): each position tells the next token
+        losses = torch.nn.functional.cross_entropy(logits.transpose(1, 2), written, reduction="none")  # (B, H*A)
+        losses = (losses * self._kept(batch, actions)).mean(1)  # (B,)
+        return (losses if reduction == "none" else losses.mean()), {}
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
+        """Return a chunk, shape ``(B, H, A)``, normalised; greedy, and of action tokens alone."""
+        self.eval()
+        size = self.config.action_feature.shape[0]
+        count = self.config.chunk_size * size
+        prompt = self._prompt(batch)
+        written = self.vlm.generate(
+            **prompt,
+            min_new_tokens=count,
+            max_new_tokens=count,
+            do_sample=False,
+            logits_processor=[_ActionsOnly(self.vocabulary)],
+        )[:, -count:]
+        return decode(written, self.vocabulary).reshape(len(written), -1, size)
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
+        """Return the next action, shape ``(B, A)``, normalised; a chunk is written when the last one is used up."""
+        if not self._queue:
+            chunk = self.predict_action_chunk(batch)[:, : self.config.n_action_steps]
+            self._queue.extend(chunk.transpose(0, 1))
+        return self._queue.popleft()
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self._queue: deque[Tensor] = deque()
+
+    def get_optim_params(self) -> list[Tensor]:
+        """Return what is trained."""
+        return [p for p in self.parameters() if p.requires_grad]
+
+    @classmethod
+    def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
+        """Open a checkpoint, which carries its own weights."""
+        config = kwargs.pop("config", None) or ActionTokensConfig.from_pretrained(pretrained_name_or_path)
+        config.load_vlm_weights = False
+        return super().from_pretrained(pretrained_name_or_path, config=config, **kwargs)
+
+    def _prompt(self, batch: dict[str, Any]) -> dict[str, Tensor]:
+        """Return the model's inputs: one image and one instruction per sample."""
+        images = batch[next(iter(self.config.image_features))]  # (B, 3, H, W) in [0, 1]
+        pictures = [[image] for image in (images.clamp(0, 1) * 255).round().to(torch.uint8).cpu()]
+        tasks = [batch["task"]] * len(images) if isinstance(batch["task"], str) else batch["task"]
+        token = str(getattr(self.processor, "image_token", "<image>"))
+        texts = [PROMPT.format(image=token, instruction=task.rstrip(".").lower()) for task in tasks]
+        inputs = self.processor(images=pictures, text=texts, padding=True, return_tensors="pt")
+        inputs["pixel_values"] = inputs["pixel_values"].to(self.vlm.dtype)
+        return {key: value.to(images.device) for key, value in inputs.items()}
+
+    def _kept(self, batch: dict[str, Any], actions: Tensor) -> Tensor:
+        """(B, H*A) 1 for tokens of actions within the episode."""
+        pad = batch.get(f"{ACTION}_is_pad")
+        keep = torch.ones_like(actions[..., 0]) if pad is None else (~pad.bool()).to(actions.dtype)
+        return keep.reshape(len(actions), -1, 1).expand_as(actions).flatten(1)
+
+    def _vision(self) -> torch.nn.Module:
+        named = dict(self.vlm.named_modules())
+        return next(named[name] for name in named if name.endswith(("vision_model", "vision_tower", "visual")))
+
+
+class _ActionsOnly(LogitsProcessor):
+    """Forbids every token that is not an action."""
+
+    def __init__(self, vocabulary: int) -> None:
+        ids = token_ids(vocabulary)
+        self._allowed = slice(ids.start, ids.stop)
+
+    def __call__(self, input_ids: Tensor, scores: Tensor) -> Tensor:
+        """Return the scores with everything else at minus infinity."""
+        masked = torch.full_like(scores, -torch.inf)
+        masked[:, self._allowed] = scores[:, self._allowed]
+        return masked
