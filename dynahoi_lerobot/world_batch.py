@@ -299,7 +299,8 @@ class WorldBatch:
             self._rows.turn_target(i, spec.yaw_rad, spec.spin_rad_s)
         self._rows.write_look(i, spec.look)
         assert self.scene.hand is not None
-        self.executed[i] = np.concatenate([spec.home_pos_w, self.scene.hand.open_joints()])
+        # rounded as commands are, or the hand would creep to its home and, by rounding, disturb what slides or rests
+        self.executed[i] = np.concatenate([spec.home_pos_w, self.scene.hand.open_joints()]).astype(np.float32)
         self._rows.qpos[i, self.scene.hand_qpos] = self.executed[i]
         self.specs[i], self._force[i] = spec, drive.force_w
 

@@ -16,6 +16,8 @@ EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
 
 CLOSING_FRAMES = 8
 """Fingers close within at most this many frames."""
+CLOSED_EARLY_M = 0.0005
+"""Fingers are closed this much before the localisation radius, or a rounding error would catch them open."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ def first_contact_frame(reach_path: np.ndarray, target_path: np.ndarray, start_f
     fine = np.arange(0, len(reach_path) - 1 + 1e-9, 0.2)
     frames = np.arange(len(reach_path))
     gap = [np.interp(fine, frames, (reach_path - target_path)[:, axis]) for axis in range(3)]
-    inside = np.flatnonzero(np.linalg.norm(gap, axis=0) < LOCALIZATION_RADIUS_M)
+    inside = np.flatnonzero(np.linalg.norm(gap, axis=0) < LOCALIZATION_RADIUS_M + CLOSED_EARLY_M)
     steps = int(np.ceil(fine[inside[0]])) if inside.size else len(reach_path) - 1
     return start_frame + max(steps, 1)
 
