@@ -171,7 +171,7 @@ def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec, attempt: int
     """Add the frames of one episode; tell whether it succeeded."""
     seen, reach = env.begin(spec), plan_intercept(spec, attempt)
     for frame in range(spec.length_frames):
-        action, target = reach.command(frame, seen["agent_pos"][:PALM_DOF].astype(float)), env.target_state()
+        action, target = reach.command(frame, seen["agent_pos"].astype(float)), env.target_state()
         before = seen
         seen = env.step(action)[0]
         dataset.add_frame(_frame(before, env.executed, target, spec.task))

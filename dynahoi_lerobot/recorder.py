@@ -111,13 +111,13 @@ class WorldRecorder:
         track = self._track(columns)
         captured = np.zeros(len(self.frames), bool)
         captured[spec.window_frames :] = rule.captured(track)
-        touch = columns.pop("touch")[:, : len(FINGERS)].astype(np.float32) if rule.feels else None
-        floats = {n: values.astype(np.float32) for n, values in columns.items() if n not in ("localized", "touch")}
+        touch, localized = columns.pop("touch")[:, : len(FINGERS)], columns.pop("localized")
+        floats = {name: values.astype(np.float32) for name, values in columns.items()}
         return Episode(
             meta=_meta(self.job, rule.name, agent),
             images=np.stack(self.images) if self.images else None,
             action=np.stack(self.actions).astype(np.float32),
-            localized=columns["localized"],
+            localized=localized,
             captured=captured,
             intercept_position=spec.intercept_pos_w.astype(np.float32),
             intercept_time=spec.intercept_time_s,
@@ -125,7 +125,7 @@ class WorldRecorder:
             reference_joints=track.reference_joints.astype(np.float32),
             success=rule.success(track),
             stage=rule.stage(track),
-            touch=touch,
+            touch=touch.astype(np.float32) if rule.feels else None,
             **floats,
         )
 

@@ -11,10 +11,8 @@ from dynahoi_lerobot.looks import Look
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.motions.base import Box, Launch, Striker, Tether, yaw_quat
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.scene import HIDDEN_POS, Scene
+from dynahoi_lerobot.scene import CONTACT_RATE_RAD_S, HIDDEN_POS, Scene
 
-CONTACT_RATE_RAD_S = 300.0
-"""Natural frequency of the target's contacts: the stiffest spring that 500 Hz resolves well (five steps a bounce)."""
 HIDDEN_SIZE = (1e-4, 1e-4, 1e-4)
 FIELDS = (
     "body_inertia",

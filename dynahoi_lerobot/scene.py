@@ -31,10 +31,11 @@ SHAPES = {
 ENVIRONMENT, HAND_BIT = 1, 2
 """Collision bits: surfaces and striker answer to the first, the hand to the second; the target asks for either."""
 
-PAD_RATE_RAD_S = 300.0
-"""Natural frequency of the hand's skin, which is critically damped: nothing rebounds from it."""
+CONTACT_RATE_RAD_S = 300.0
+"""Natural frequency of contacts: the stiffest spring that 500 Hz resolves well (five steps a bounce)."""
 PAD_SOLMIX = 1e4
-"""In a contact of hand and target, the hand's skin decides how stiff it is, however the target rebounds elsewhere."""
+"""The hand's skin decides how a contact of hand and target behaves: critically damped, so that nothing rebounds from it,
+however the target rebounds elsewhere."""
 
 SURFACE_FRICTION = (1.0, TORSIONAL_FRICTION_M, ROLLING_FRICTION_M)
 FIXTURE_BOXES = ("box_a", "box_b")
@@ -192,7 +193,7 @@ def _set_hand_collisions(spec: mujoco.MjSpec) -> None:
     for geom in spec.geoms:
         if geom.name.startswith(HAND_GEOM_PREFIX):
             geom.contype, geom.conaffinity, geom.condim = 0, HAND_BIT, 6
-            geom.priority, geom.solmix, geom.solref = 1, PAD_SOLMIX, (1 / PAD_RATE_RAD_S, 1.0)
+            geom.priority, geom.solmix, geom.solref = 1, PAD_SOLMIX, (1 / CONTACT_RATE_RAD_S, 1.0)
 
 
 def _add_target(spec: mujoco.MjSpec) -> None:

@@ -1,4 +1,4 @@
-"""``dynahoi view``: watch one episode, played anew or read from a dataset, as GIF, MP4 or a page with both."""
+"""``dynahoi view``: watch one episode, played anew, from a dataset or from results, as GIF, MP4 or a page with both."""
 
 from __future__ import annotations
 

@@ -257,9 +257,8 @@ class WorldBatch:
 
     def weld_target(self, i: int) -> None:
         """Fix the target of world ``i`` to the palm as it lies, at the palm's velocity, free of everything else."""
+        self.release_target(i, 0)
         scene, rows = self.scene, self._rows
-        rows.free_target(i)
-        rows.set_collisions(i, 0)
         position = rows.qpos[i, scene.target_qpos : scene.target_qpos + 3]
         quat = rows.qpos[i, scene.target_qpos + 3 : scene.target_qpos + 7]
         inverse, offset = np.zeros(4), np.zeros(3)
@@ -273,7 +272,6 @@ class WorldBatch:
         dof = scene.target_dof
         rows.qvel[i, dof : dof + 3] = rows.qvel[i, scene.hand_dof[:PALM_DOF]]
         rows.qvel[i, dof + 3 : dof + 6] = 0.0
-        self._let_go[i] = True
 
     def release_target(self, i: int, collides_with: int) -> None:
         """Stop driving the target of world ``i`` and cut its string; it keeps its velocity.

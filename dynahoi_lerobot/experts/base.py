@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.agent import Expert
-from dynahoi_lerobot.conventions import FINGER_DOF, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.conventions import FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.registry import Registry
@@ -37,17 +37,13 @@ class Reach:
     closed_frame: int
     closed_joints: np.ndarray
 
-    def command(self, frame: int, palm_pos_w: np.ndarray) -> np.ndarray:
-        """Return (18,) the command of ``frame``, which is where the hand should be one frame later.
+    def command(self, frame: int, state: np.ndarray) -> np.ndarray:
+        """Return (18,) the command of ``frame``, as a ``Plan`` does.
 
         A hand that strayed goes straight on from where it is, at the speed that still arrives in time; so what it
         does depends on where it is and where it must be, and on nothing that an observer cannot see.
-
-        Args:
-            frame: of the episode.
-            palm_pos_w: (3,) where the palm is now [m], world.
         """
-        ahead = frame + 1
+        ahead, palm_pos_w = frame + 1, state[:PALM_DOF]
         left = max(self.arrival_frame - max(frame, self.start_frame), 1)
         begin = max(self.start_frame, self.closed_frame - CLOSING_FRAMES)
         joints = _ramp(ahead, begin, self.closed_frame) * self.closed_joints

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Expert, WorldState
-from dynahoi_lerobot.conventions import CONTROL_DT, FINGER_DOF, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.conventions import CONTROL_DT, FINGER_DOF, PALM_DOF
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS
+from dynahoi_lerobot.experts.planned import PlannedExpert
 from dynahoi_lerobot.servo import MAX_PALM_SPEED_M_S
 
 PALM_FACE_M = -0.036
@@ -50,49 +50,27 @@ class Catch:
     start_frame: int
     contact_frame: int
 
-    def command(self, frame: int, joints: np.ndarray) -> np.ndarray:
-        """Return (18,) the command of ``frame``, which is where the hand should be one frame later.
-
-        Args:
-            frame: of the episode.
-            joints: (15,) measured angles [rad].
-        """
+    def command(self, frame: int, state: np.ndarray) -> np.ndarray:
+        """Return (18,) the command of ``frame``, as a ``Plan`` does."""
         ahead = np.clip(frame + 1 - self.start_frame, 0, len(self.palm_w) - 1)
         since = frame + 1 - self.contact_frame
         if since < -LEAD_FRAMES:
             closing = np.zeros(FINGER_DOF)
         else:
-            closing = joints + (FAST_RAD if since <= FOLLOW_FRAMES else GRIP_RAD)
+            closing = state[PALM_DOF:] + (FAST_RAD if since <= FOLLOW_FRAMES else GRIP_RAD)
         return np.concatenate([self.palm_w[ahead], closing])
 
 
 @EXPERTS.register("match")
-class Match(Expert):
+class Match(PlannedExpert):
     """Velocity-matched interception with a power grasp, for the capture rule ``contact``."""
 
     name = "match"
     retries = 3
 
-    def __init__(self) -> None:
-        """Start with no plans."""
-        self._plans: dict[int, tuple[EpisodeSpec, int, Catch]] = {}
-
-    def act(self, world: WorldState) -> np.ndarray:
-        """Return (N, 18) commands; worlds without an episode get zeros."""
-        commands = np.zeros((len(world.specs), HAND_DOF))
-        for i, spec in enumerate(world.specs):
-            if spec is not None:
-                catch = self._plan(i, spec, int(world.attempt[i]))
-                joints = world.observation.state[i, PALM_DOF:].astype(np.float64)
-                commands[i] = catch.command(int(world.frame[i]), joints)
-        return commands
-
-    def _plan(self, i: int, spec: EpisodeSpec, attempt: int) -> Catch:
-        """The catch of world ``i``, planned when its episode or attempt is a new one."""
-        known = self._plans.get(i)
-        if known is None or known[0] is not spec or known[1] != attempt:
-            known = self._plans[i] = spec, attempt, plan_catch(spec, attempt)
-        return known[2]
+    def plan(self, spec: EpisodeSpec, attempt: int) -> Catch:
+        """Return the catch of the ``attempt``-th try (from 1)."""
+        return plan_catch(spec, attempt)
 
 
 def plan_catch(spec: EpisodeSpec, attempt: int = 1) -> Catch:
@@ -123,7 +101,7 @@ def _difficulty(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> float:
     offset = goal[spec.window_frames : moment + 1] - palm  # (K, 3) of the target from its seat
     near = np.linalg.norm(offset, axis=1) < NEAR_M
     behind = np.maximum(-offset[near, 0] - BEHIND_MARGIN_M, 0.0).sum()
-    speed = np.linalg.norm(goal[moment + 1] - goal[moment - 1]) / (2 * CONTROL_DT)
+    speed = np.linalg.norm(_velocity(goal, moment))
     carried = goal[moment : moment + FOLLOW_FRAMES + 1]
     jolt = np.linalg.norm(np.diff(carried, n=2, axis=0), axis=1).max() / CONTROL_DT**2
     late = abs(moment - spec.intercept_frame)
@@ -133,11 +111,16 @@ def _difficulty(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> float:
 def _approach(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> np.ndarray:
     """Return (K, 3) from rest at home to the target's position, velocity and acceleration at ``moment``."""
     before, at, after = goal[moment - 1 : moment + 2]
-    velocity = (after - before) / (2 * CONTROL_DT) + [CLOSING_SPEED_M_S, 0.0, 0.0]
+    velocity = _velocity(goal, moment) + [CLOSING_SPEED_M_S, 0.0, 0.0]
     velocity = np.clip(velocity, -MAX_PALM_SPEED_M_S, MAX_PALM_SPEED_M_S)  # a limit of each axis of the gantry
     acceleration = (after - 2 * at + before) / CONTROL_DT**2
     still = np.zeros(3)
     return _quintic((spec.home_pos_w, still, still), (at, velocity, acceleration), moment - spec.window_frames)
+
+
+def _velocity(path: np.ndarray, frame: int) -> np.ndarray:
+    """Return (3,) the velocity [m/s] of a path (F, 3) at a frame."""
+    return (path[frame + 1] - path[frame - 1]) / (2 * CONTROL_DT)
 
 
 def _carry_away(path: np.ndarray) -> np.ndarray:

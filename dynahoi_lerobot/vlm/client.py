@@ -138,13 +138,12 @@ class VlmClient:
         completion = int(getattr(usage, "completion_tokens", 0) or 0)
         with self._lock:
             account = self.account
-            account.requests, account.seconds = account.requests + 1, account.seconds + seconds
+            account.requests += 1
+            account.seconds += seconds
             account.refused += bool(problem) and text is not None
             account.errors += bool(problem) and text is None
-            account.prompt_tokens, account.completion_tokens = (
-                account.prompt_tokens + prompt,
-                account.completion_tokens + completion,
-            )
+            account.prompt_tokens += prompt
+            account.completion_tokens += completion
             account.cost += (prompt * self._prices[0] + completion * self._prices[1]) / 1e6
             if self._audit:
                 line = {"task": task, "seconds": round(seconds, 3), "problem": problem, "answer": text}

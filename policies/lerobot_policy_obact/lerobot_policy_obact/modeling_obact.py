@@ -96,12 +96,11 @@ class ObActPolicy(PreTrainedPolicy):
         position = observation.position[:, index[:, -1]].flatten(0, 1)  # (B, K, P) -> (B*K, P)
         error = self._chunk_error(actions, position, condition, keep)  # (B*K, H)
         seen = self._privileged_error(batch, observation, tokens)  # (B, T)
-        losses = _masked_mean(error, keep, len(tokens)), _masked_mean(seen, observation.keep, len(tokens))  # (B,) each
-        loss = losses[0] + self.config.privileged_weight * losses[1]
+        privileged = self.config.privileged_weight * _masked_mean(seen, observation.keep, len(tokens))  # (B,)
         if reduction == "none":
+            loss = _masked_mean(error, keep, len(tokens)) + privileged
             return loss, {"loss": loss.mean().item()}
-        losses = (error * keep).sum() / keep.sum().clamp_min(1), losses[1].mean()
-        return losses[0] + self.config.privileged_weight * losses[1], {}
+        return (error * keep).sum() / keep.sum().clamp_min(1) + privileged.mean(), {}
 
     def _chunk_error(self, actions: Tensor, position: Tensor, condition: Condition, keep: Tensor) -> Tensor:
         """Return the head's loss of every action, ``(B*K, H)``; chunks without any action to keep are skipped.
