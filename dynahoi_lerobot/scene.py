@@ -34,8 +34,8 @@ ENVIRONMENT, HAND_BIT = 1, 2
 CONTACT_RATE_RAD_S = 300.0
 """Natural frequency of contacts: the stiffest spring that 500 Hz resolves well (five steps a bounce)."""
 PAD_SOLMIX = 1e4
-"""The hand's skin decides how a contact of hand and target behaves: critically damped, so that nothing rebounds from it,
-however the target rebounds elsewhere."""
+"""The hand's skin decides how it meets the target: critically damped, so that nothing rebounds from it, however the
+target rebounds elsewhere."""
 
 SURFACE_FRICTION = (1.0, TORSIONAL_FRICTION_M, ROLLING_FRICTION_M)
 FIXTURE_BOXES = ("box_a", "box_b")
