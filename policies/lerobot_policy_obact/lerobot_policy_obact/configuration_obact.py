@@ -53,6 +53,8 @@ class ObActConfig(PreTrainedConfig):
         color_jitter: Augmentation, largest relative change of brightness and contrast.
         noise_seed: Seed of the noise that a chunk starts from while acting, None draws from the global
             generator.
+        noise_scale: Spread of that noise: 1 samples a chunk, 0 starts from the noise's mean, which comes close to
+            the mean of all good chunks and keeps its mind from one plan to the next.
         compile_model: Compile backbone, attention and head with ``torch.compile``.
         compile_backend: Backend of ``torch.compile``.
         rtc_config: Real-time chunking, set by LeRobot's rollout.
@@ -88,6 +90,7 @@ class ObActConfig(PreTrainedConfig):
     random_shift_px: int = 0
     color_jitter: float = 0.0
     noise_seed: int | None = 0
+    noise_scale: float = 1.0
     compile_model: bool = False
     compile_backend: str = "inductor"
     rtc_config: RTCConfig | None = None
@@ -118,6 +121,7 @@ class ObActConfig(PreTrainedConfig):
         self._require(self.action_frame in ACTION_FRAMES, "action_frame", f"one of {', '.join(ACTION_FRAMES)}")
         self._require(self.relative_weight > 0, "relative_weight", "above 0")
         self._require(self.privileged_weight >= 0, "privileged_weight", "0 or more")
+        self._require(self.noise_scale >= 0, "noise_scale", "0 or more")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 (off) or more and below 1")
         self._require(self.width % (2 * self.n_attention_heads) == 0, "width", "a multiple of 2 x n_attention_heads")
         for name in ("obs_stride", "horizon", "n_decisions", "decision_stride", "relative_dims"):

@@ -242,16 +242,14 @@ class ObActPolicy(PreTrainedPolicy):
         )
 
     def _noise(self, chunk_numbers: list[int]) -> Tensor:
-        """Draw the start of one chunk per row; with a seed it depends on the chunk's number in its episode
-        alone.
-        """
+        """Draw the start of one chunk per row; with a seed it depends on the chunk's number in its episode alone."""
         shape = (self.config.horizon, self.model.head.noise_dim)
         device = next(self.model.parameters()).device
         if self.config.noise_seed is None:
-            return torch.randn(len(chunk_numbers), *shape, device=device)
+            return torch.randn(len(chunk_numbers), *shape, device=device) * self.config.noise_scale
         seeds = [self.config.noise_seed + 1_000_003 * number for number in chunk_numbers]
         draws = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
-        return torch.stack(draws).to(device)
+        return torch.stack(draws).to(device) * self.config.noise_scale
 
     def _trigger(self, batch: dict[str, Tensor]) -> Tensor | None:
         value = batch.get(self.config.replan_key)

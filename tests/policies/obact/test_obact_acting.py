@@ -99,6 +99,17 @@ def test_acting_repeats_after_reset_and_with_it_the_noise() -> None:
     assert (run(policy, steps) - run(policy, steps)).abs().max() > 1e-3
 
 
+def test_without_spread_every_seed_gives_the_same_chunk() -> None:
+    policy = acting_policy()
+    steps = [make_step(policy, seed=t) for t in range(N_EXECUTED)]
+    policy.config.noise_scale = 0.0
+    first = run(policy, steps)
+    policy.config.noise_seed = None
+    torch.testing.assert_close(first, run(policy, steps), rtol=0, atol=0)
+    policy.config.noise_scale = 1.0
+    assert (first - run(policy, steps)).abs().max() > 1e-3
+
+
 def test_reset_forgets() -> None:
     policy = acting_policy()
     step = make_step(policy, seed=5)

@@ -40,6 +40,7 @@ def test_shared_frames_are_loaded_once() -> None:
         ({"n_action_steps": 99}, "n_action_steps is 99, but must be 1 to 8"),
         ({"action_frame": "delta"}, "one of auto, absolute, relative"),
         ({"ema_decay": 1.0}, "ema_decay is 1.0"),
+        ({"noise_scale": -0.5}, "noise_scale is -0.5, but must be 0 or more"),
         ({"width": 18}, "width is 18"),
         ({"obs_stride": 0}, "obs_stride is 0, but must be 1 or more"),
     ],
