@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 from tokenizers import Tokenizer, models, pre_tokenizers
 from transformers import (
     CLIPConfig,
     CLIPModel,
+    PaliGemmaConfig,
     PreTrainedTokenizerFast,
     SmolVLMConfig,
     SmolVLMForConditionalGeneration,
@@ -19,6 +22,7 @@ from transformers import (
 WORDS = ["catch", "the", "moving", "ball", "that", "is", "being", "."]
 FILLERS = [f"w{i}" for i in range(300)]
 """Rare words, whose tokens may be given another meaning."""
+PALIGEMMA_WORDS = ["<pad>", "<eos>", "<bos>", "<unk>", "Action", ":", "|", *WORDS, *FILLERS]
 TOWER = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2}
 
 
@@ -57,6 +61,38 @@ def save_smolvlm(folder: Path) -> None:
     images = SmolVLMImageProcessor(size=small, max_image_size=small, do_image_splitting=False)
     length = (vision["image_size"] // vision["patch_size"]) ** 2 // config.scale_factor**2  # tokens of an image
     SmolVLMProcessor(images, tokenizer, SmolVLMVideoProcessor(), image_seq_len=length).save_pretrained(folder)
+
+
+def save_paligemma_tokenizer(folder: Path) -> None:
+    """Write a tokenizer where Pi's processors look for PaliGemma's."""
+    tokenizer = _words(PALIGEMMA_WORDS)
+    special = {"pad_token": "<pad>", "eos_token": "<eos>", "bos_token": "<bos>", "unk_token": "<unk>"}
+    PreTrainedTokenizerFast(tokenizer_object=tokenizer, **special).save_pretrained(folder)
+
+
+def save_action_tokenizer(folder: Path) -> None:
+    """Write a processor of actions that brings its own code, as FAST does."""
+    folder.mkdir()
+    (folder / "processing_coarse.py").write_text((Path(__file__).parent / "processing_coarse.py").read_text())
+    kind = {"processor_class": "CoarseProcessor", "auto_map": {"AutoProcessor": "processing_coarse.CoarseProcessor"}}
+    (folder / "processor_config.json").write_text(json.dumps(kind))
+
+
+def shrink_paligemma(config: PaliGemmaConfig) -> PaliGemmaConfig:
+    """Return the same model with a tiny vision tower, whose output fits its text model, and few words."""
+    tower = {**TOWER, "projection_dim": config.text_config.hidden_size}
+    for name, value in tower.items():
+        setattr(config.vision_config, name, value)
+    config.text_config.vocab_size = len(PALIGEMMA_WORDS)
+    return config
+
+
+def tiny_florence() -> dict[str, Any]:
+    """Return the options of a Florence-2 with one block a stage, for X-VLA."""
+    stages = {"embed_dim": [8, 8, 16, 16], "num_heads": [1, 1, 2, 2], "num_groups": [1, 1, 2, 2], "depths": [1] * 4}
+    text = {"d_model": 16, "encoder_layers": 1, "decoder_layers": 1, "encoder_ffn_dim": 32, "decoder_ffn_dim": 32}
+    text |= {"encoder_attention_heads": 2, "decoder_attention_heads": 2, "vocab_size": 512}
+    return {"vision_config": {**stages, "projection_dim": 16}, "text_config": text}
 
 
 def _words(vocabulary: list[str]) -> Tokenizer:

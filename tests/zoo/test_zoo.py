@@ -7,14 +7,26 @@ from pathlib import Path
 
 import pytest
 from accelerate.state import AcceleratorState
+from lerobot.policies.pi0 import modeling_pi0
+from lerobot.policies.pi0_fast import modeling_pi0_fast
+from lerobot.policies.pi05 import modeling_pi05
 from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli import main
 from dynahoi_lerobot.evaluate.results import read_results
-from tests.zoo.stand_ins import save_clip, save_smolvlm
+from tests.zoo.stand_ins import (
+    save_action_tokenizer,
+    save_clip,
+    save_paligemma_tokenizer,
+    save_smolvlm,
+    shrink_paligemma,
+    tiny_florence,
+)
 
 RECIPES = Path(__file__).parents[2] / "recipes" / "zoo"
 SIZE = 64
+PALIGEMMA = "google/paligemma-3b-pt-224"
+"""On the Hub, or a folder of that name where the test runs."""
 SMALL = {
     "act": {"pretrained_backbone_weights": None, "dim_model": 32, "n_heads": 2, "dim_feedforward": 32},
     "diffusion": {"pretrained_backbone_weights": None, "use_group_norm": True, "down_dims": [16, 32]},
@@ -35,6 +47,27 @@ SMALL = {
         "resize_imgs_with_padding": [32, 32],
         "num_steps": 2,
     },
+    "pi0": {"dtype": "float32", "image_resolution": [32, 32], "num_inference_steps": 2},
+    "pi05": {"dtype": "float32", "image_resolution": [32, 32], "num_inference_steps": 2},
+    "pi0_fast": {
+        "dtype": "float32",
+        "image_resolution": [224, 224],
+        "text_tokenizer_name": PALIGEMMA,
+        "action_tokenizer_name": "FAST",
+        "max_action_tokens": 300,
+        "max_decoding_steps": 8,
+        "validate_action_token_prefix": False,  # random weights do not write it
+    },
+    "xvla": {
+        "dtype": "float32",
+        "florence_config": tiny_florence(),
+        "tokenizer_name": PALIGEMMA,
+        "hidden_size": 32,
+        "depth": 1,
+        "num_heads": 2,
+        "len_soft_prompts": 4,
+        "num_denoising_steps": 2,
+    },
 }
 """What makes each small; folders of stand-ins are filled in."""
 
@@ -42,9 +75,11 @@ SMALL = {
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     root = tmp_path_factory.mktemp("models")
-    folders = {"CLIP": root / "clip", "SMOLVLM": root / "smolvlm"}
+    folders = {"CLIP": root / "clip", "SMOLVLM": root / "smolvlm", "FAST": root / "fast", "HUB": root / "hub"}
     save_clip(folders["CLIP"])
     save_smolvlm(folders["SMOLVLM"])
+    save_action_tokenizer(folders["FAST"])
+    save_paligemma_tokenizer(folders["HUB"] / PALIGEMMA)
     return {name: str(folder) for name, folder in folders.items()}
 
 
@@ -56,10 +91,23 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.fixture
+def tiny_gemma(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let Pi's models, whose sizes cannot be configured, be small."""
+    for module in (modeling_pi0, modeling_pi05, modeling_pi0_fast):
+        small = module.GemmaConfig(width=16, depth=2, mlp_dim=32, num_heads=8, num_kv_heads=1, head_dim=8)
+        monkeypatch.setattr(module, "get_gemma_config", lambda variant, small=small: small)
+        kind = module.PaliGemmaForConditionalGenerationWithPiGemma
+        shrunk = lambda config, kind=kind: kind(shrink_paligemma(config))  # noqa: E731
+        monkeypatch.setattr(module, "PaliGemmaForConditionalGenerationWithPiGemma", shrunk)
+
+
 @pytest.mark.parametrize("name", SMALL)
+@pytest.mark.usefixtures("tiny_gemma")
 def test_two_steps_and_an_episode(
     name: str, models: dict[str, str], data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(models["HUB"])
     policy = {key: models.get(value, value) if isinstance(value, str) else value for key, value in SMALL[name].items()}
     camera = {"observation.images.ego": {"type": "VISUAL", "shape": [3, SIZE, SIZE]}}
     state = {"observation.state": {"type": "STATE", "shape": [18]}}
