@@ -6,12 +6,16 @@ import json
 from pathlib import Path
 from typing import Any
 
+from lerobot.policies.groot.groot_n1_7 import GR00T_N1_7_DEFAULTS, GR00TN17, GR00TN17Config
 from tokenizers import Tokenizer, models, pre_tokenizers
 from transformers import (
     CLIPConfig,
     CLIPModel,
     PaliGemmaConfig,
     PreTrainedTokenizerFast,
+    Qwen2VLImageProcessor,
+    Qwen3VLConfig,
+    Qwen3VLVideoProcessor,
     SmolVLMConfig,
     SmolVLMForConditionalGeneration,
     SmolVLMImageProcessor,
@@ -22,6 +26,7 @@ from transformers import (
 WORDS = ["catch", "the", "moving", "ball", "that", "is", "being", "."]
 FILLERS = [f"w{i}" for i in range(300)]
 """Rare words, whose tokens may be given another meaning."""
+VISION_TOKENS = ("vision_start_token_id", "vision_end_token_id")
 PALIGEMMA_WORDS = ["<pad>", "<eos>", "<bos>", "<unk>", "Action", ":", "|", *WORDS, *FILLERS]
 TOWER = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 1, "num_attention_heads": 2}
 
@@ -93,6 +98,54 @@ def tiny_florence() -> dict[str, Any]:
     text = {"d_model": 16, "encoder_layers": 1, "decoder_layers": 1, "encoder_ffn_dim": 32, "decoder_ffn_dim": 32}
     text |= {"encoder_attention_heads": 2, "decoder_attention_heads": 2, "vocab_size": 512}
     return {"vision_config": {**stages, "projection_dim": 16}, "text_config": text}
+
+
+def save_cosmos(folder: Path) -> None:
+    """Write the tokenizer, processors and configuration of a Qwen3-VL, GR00T's backbone."""
+    marks = ["<|vision_start|>", "<|vision_end|>", "<|image_pad|>", "<|video_pad|>", "<|im_start|>", "<|im_end|>"]
+    tokenizer = PreTrainedTokenizerFast(
+        tokenizer_object=_words(["<pad>", "<unk>", *marks, "user", *WORDS]),
+        unk_token="<unk>",
+        pad_token="<pad>",
+        eos_token="<|im_end|>",
+        extra_special_tokens={mark.strip("<|>") + "_token": mark for mark in marks},
+    )
+    image = "<|vision_start|><|image_pad|><|vision_end|>"
+    part = "{% if part['type'] == 'image' %}" + image + "{% else %}{{ part['text'] }}{% endif %}"
+    message = "<|im_start|>user {% for part in message['content'] %}" + part + "{% endfor %}<|im_end|>"
+    tokenizer.chat_template = "{% for message in messages %}" + message + "{% endfor %}"
+    tokenizer.save_pretrained(folder)
+    patches = {"patch_size": 16, "temporal_patch_size": 2, "merge_size": 2}
+    Qwen2VLImageProcessor(**patches).save_pretrained(folder)
+    Qwen3VLVideoProcessor(**patches).save_pretrained(folder)
+    ids = {name: tokenizer.convert_tokens_to_ids(f"<|{name.removesuffix('_token_id')}|>") for name in VISION_TOKENS}
+    ids |= {"image_token_id": tokenizer.convert_tokens_to_ids("<|image_pad|>")}
+    ids |= {"video_token_id": tokenizer.convert_tokens_to_ids("<|video_pad|>")}
+    text = {**TOWER, "vocab_size": len(tokenizer), "num_key_value_heads": 1, "head_dim": 16}
+    text |= {"rope_parameters": {"rope_type": "default", "mrope_section": [4, 2, 2], "rope_theta": 1e4}}
+    vision = {"hidden_size": 16, "intermediate_size": 32, "depth": 1, "num_heads": 2, "out_hidden_size": 16}
+    vision |= {"patch_size": 16, "num_position_embeddings": 64, "deepstack_visual_indexes": [0]}
+    Qwen3VLConfig(text_config=text, vision_config=vision, **ids).save_pretrained(folder)
+
+
+def save_groot(folder: Path, backbone: str) -> None:
+    """Write a GR00T N1.7 over the backbone that ``save_cosmos`` wrote at the path ``backbone``."""
+    diffusion = {**GR00T_N1_7_DEFAULTS["diffusion_model_cfg"], "num_layers": 2, "num_attention_heads": 2}
+    attention = {**GR00T_N1_7_DEFAULTS["vl_self_attention_cfg"], "num_layers": 1, "num_attention_heads": 2}
+    config = GR00TN17Config(
+        model_name=backbone,
+        select_layer=1,
+        backbone_embedding_dim=16,
+        hidden_size=16,
+        input_embedding_dim=16,
+        action_horizon=16,
+        diffusion_model_cfg={**diffusion, "attention_head_dim": 8, "output_dim": 16},
+        vl_self_attention_cfg={**attention, "attention_head_dim": 8},
+        num_inference_timesteps=2,
+        dtype="float32",
+        model_dtype="float32",
+    )
+    GR00TN17(config, load_backbone_weights=False).save_pretrained(folder)
 
 
 def _words(vocabulary: list[str]) -> Tokenizer:

@@ -17,6 +17,8 @@ from dynahoi_lerobot.evaluate.results import read_results
 from tests.zoo.stand_ins import (
     save_action_tokenizer,
     save_clip,
+    save_cosmos,
+    save_groot,
     save_paligemma_tokenizer,
     save_smolvlm,
     shrink_paligemma,
@@ -26,7 +28,8 @@ from tests.zoo.stand_ins import (
 RECIPES = Path(__file__).parents[2] / "recipes" / "zoo"
 SIZE = 64
 PALIGEMMA = "google/paligemma-3b-pt-224"
-"""On the Hub, or a folder of that name where the test runs."""
+COSMOS = "nvidia/Cosmos-Reason2-2B"
+"""On the Hub, or folders of these names where the test runs."""
 SMALL = {
     "act": {"pretrained_backbone_weights": None, "dim_model": 32, "n_heads": 2, "dim_feedforward": 32},
     "diffusion": {"pretrained_backbone_weights": None, "use_group_norm": True, "down_dims": [16, 32]},
@@ -58,6 +61,7 @@ SMALL = {
         "max_decoding_steps": 8,
         "validate_action_token_prefix": False,  # random weights do not write it
     },
+    "groot": {"base_model_path": "GROOT", "use_bf16": False, "tune_llm": False},
     "xvla": {
         "dtype": "float32",
         "florence_config": tiny_florence(),
@@ -76,10 +80,13 @@ SMALL = {
 def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     root = tmp_path_factory.mktemp("models")
     folders = {"CLIP": root / "clip", "SMOLVLM": root / "smolvlm", "FAST": root / "fast", "HUB": root / "hub"}
+    folders["GROOT"] = root / "GR00T-N1.7"
     save_clip(folders["CLIP"])
     save_smolvlm(folders["SMOLVLM"])
     save_action_tokenizer(folders["FAST"])
     save_paligemma_tokenizer(folders["HUB"] / PALIGEMMA)
+    save_cosmos(folders["HUB"] / COSMOS)
+    save_groot(folders["GROOT"], str(folders["HUB"] / COSMOS))
     return {name: str(folder) for name, folder in folders.items()}
 
 
