@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +23,7 @@ class Observation:
         phase: (N, 1) float32, 0 observing, 1 acting.
         tasks: N instructions.
         touch: (N, 5) float32 force on each finger [N], None unless the capture rule feels.
+        views: further pictures by name, (N, H, W, 3) uint8 each; see `views.py`.
     """
 
     images: np.ndarray | None
@@ -31,6 +32,12 @@ class Observation:
     phase: np.ndarray
     tasks: tuple[str, ...]
     touch: np.ndarray | None = None
+    views: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def pictures(self) -> dict[str, np.ndarray]:
+        """Every picture by the name of its view, the hand's camera first; none where nothing was rendered."""
+        return {} if self.images is None else {"ego": self.images, **self.views}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +64,19 @@ class WorldState:
 
 
 class Agent(ABC):
-    """Maps observations of N worlds to N commands. ``name`` labels results; ``sees_images`` turns rendering on."""
+    """Maps observations of N worlds to N commands.
+
+    Attributes:
+        name: labels results.
+        sees_images: turns rendering on.
+        image_size: side of the images it was trained on [px], None if it does not say.
+        views: the pictures it needs besides those of the hand's camera.
+    """
 
     name: str = "agent"
     sees_images: bool = False
+    image_size: int | None = None
+    views: tuple[str, ...] = ()
 
     def report(self) -> dict[str, Any]:
         """Return what else a result should say about the run, as JSON values."""

@@ -5,7 +5,7 @@ Only ``open_dataset`` needs LeRobot, and imports it when called.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 
 def write_episodes(
-    root: Path, episodes: Iterable[Episode], image_size: int | None, encoding: Encoding | None = None
+    root: Path,
+    episodes: Iterable[Episode],
+    image_size: int | None,
+    encoding: Encoding | None = None,
+    views: Sequence[str] = (),
 ) -> Manifest:
     """Write episodes, in their order, as a new dataset; ``root`` appears when it is whole.
 
@@ -30,6 +34,7 @@ def write_episodes(
         episodes: one or more, all with images of the same size or all without.
         image_size: side of the square images [pixels], None for a dataset without a camera.
         encoding: how pictures are stored; H.264 video by default.
+        views: pictures that the episodes hold besides the hand's camera.
 
     Raises:
         FileExistsError: if ``root`` exists.
@@ -38,7 +43,7 @@ def write_episodes(
     if root.exists():
         raise FileExistsError(f"{root} exists; choose a new folder for the dataset")
     with temporary_sibling(root) as folder:
-        writer = DatasetWriter(folder, image_size, encoding)
+        writer = DatasetWriter(folder, image_size, encoding, views=views)
         for episode in episodes:
             writer.add(episode)
         return writer.finish()

@@ -29,12 +29,8 @@ class DelayedAgent(Agent):
             raise ValueError(f"the inference delay must be 0 ms or more, got {delay_ms}")
         self.frames = ceil(delay_ms / 1000 / CONTROL_DT - 1e-9)
         self.name, self.sees_images = agent.name, agent.sees_images
+        self.image_size, self.views = agent.image_size, agent.views
         self._agent, self._pending = agent, deque[np.ndarray]()
-
-    @property
-    def image_size(self) -> int | None:
-        """Side of the images the agent was trained on [px], None if it does not say."""
-        return getattr(self._agent, "image_size", None)
 
     def reset(self, count: int) -> None:
         """Forget everything, also what is on its way."""

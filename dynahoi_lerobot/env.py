@@ -36,8 +36,8 @@ class DynahoiVectorEnv(VectorEnv):
 
     Description: in the observation window (the first 20 % of the frames, at least 8) actions are ignored and the hand
     is held still; ``phase`` turns from 0 to 1 when the control phase begins. Then the hand has L control steps.
-    Observation: ``pixels/ego`` (H, W, 3) uint8; ``agent_pos`` (18,) palm centre [m], world, and joint angles [rad];
-    ``fingertips`` (30,) positions [m] and rotation vectors [rad]; ``phase`` (1,).
+    Observation: ``pixels/ego`` (H, W, 3) uint8, and likewise each of ``views``; ``agent_pos`` (18,) palm centre [m],
+    world, and joint angles [rad]; ``fingertips`` (30,) positions [m] and rotation vectors [rad]; ``phase`` (1,).
     Action: (18,) target for the next frame, palm centre [m], world, and joint angles [rad]; clipped to the limits.
     Reward: 1 at the frame at which the episode ends in success, else 0.
     Episode end: terminated half a second after localisation, truncated after L control steps.
@@ -59,6 +59,7 @@ class DynahoiVectorEnv(VectorEnv):
         split: str = "test",
         image_size: int = 128,
         images: bool = True,
+        views: Sequence[str] = (),
         protocol: str = "observe_before_act",
         capture: str = "attach",
         hand: str = "",
@@ -76,6 +77,7 @@ class DynahoiVectorEnv(VectorEnv):
             split: ``train``, ``val``, ``test``, ``test_small`` or ``ood_*``.
             image_size: side of the images [px].
             images: whether observations contain images; without them nothing is rendered.
+            views: pictures besides those of the hand's camera, under ``pixels``; see `views.py`.
             protocol, capture, hand, renderer, instructions: see ``Recipe``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
@@ -85,6 +87,7 @@ class DynahoiVectorEnv(VectorEnv):
         self.recipe = Recipe(
             split=seed_stream(split),
             image_size=image_size,
+            views=tuple(views),
             protocol=protocol,
             capture=capture,
             hand=hand,
@@ -94,7 +97,9 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self._images, self._threads, self._on_episode = images, threads, on_episode
         self._batch = make_batch(self.recipe, num_envs, threads)
-        self.single_observation_space = observation_space(image_size if images else None, touch=self._batch.rule.feels)
+        self.single_observation_space = observation_space(
+            image_size if images else None, self.recipe.views, touch=self._batch.rule.feels
+        )
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -132,7 +137,7 @@ class DynahoiVectorEnv(VectorEnv):
         commands = self._batch.check(actions)
         columns = frame_columns(self._batch, self._seen)
         for i in playing:
-            self._recorder(i).see(columns, i, None)
+            self._recorder(i).see(columns, i, {})
         self._batch.step(commands[playing], playing)
         for i in playing:
             self._recorder(i).act(self._batch.executed[i])
@@ -266,12 +271,12 @@ class DynahoiEnv(gym.Env):
         return self._vector.task_description[0]
 
 
-def observation_space(image_size: int | None, *, touch: bool = False) -> spaces.Dict:
+def observation_space(image_size: int | None, views: Sequence[str] = (), *, touch: bool = False) -> spaces.Dict:
     """Return the space of one world's observations, in the names LeRobot's preprocessing expects."""
     entries: dict[str, gym.Space] = {}
     if image_size is not None:
-        camera = spaces.Box(0, 255, (image_size, image_size, 3), np.uint8)
-        entries["pixels"] = spaces.Dict({"ego": camera})
+        picture = spaces.Box(0, 255, (image_size, image_size, 3), np.uint8)
+        entries["pixels"] = spaces.Dict(dict.fromkeys(("ego", *views), picture))
     for key, feature, bound in (("agent_pos", STATE, 10.0), ("fingertips", FINGERTIPS, 10.0), ("phase", PHASE, 1.0)):
         entries[key] = spaces.Box(-bound, bound, feature.shape, np.float32)
     if touch:
@@ -281,7 +286,7 @@ def observation_space(image_size: int | None, *, touch: bool = False) -> spaces.
 
 def as_gym(observation: Observation) -> dict[str, Any]:
     """Return an Observation under the keys of ``observation_space``."""
-    entries: dict[str, Any] = {} if observation.images is None else {"pixels": {"ego": observation.images}}
+    entries: dict[str, Any] = {"pixels": observation.pictures} if observation.pictures else {}
     entries |= {} if observation.touch is None else {"touch": np.minimum(observation.touch, LARGEST_TOUCH_N)}
     return {**entries, "agent_pos": observation.state, "fingertips": observation.fingertips, "phase": observation.phase}
 

@@ -86,6 +86,7 @@ class Episode:
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
         touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
             None where the capture rule does not feel.
+        views: further pictures by name, (T, H, W, 3) uint8 each; see `views.py`.
     """
 
     meta: EpisodeMeta
@@ -108,10 +109,16 @@ class Episode:
     success: bool
     stage: str
     touch: np.ndarray | None = field(default=None, repr=False)
+    views: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         """Return T, the number of frames."""
         return len(self.state)
+
+    @property
+    def pictures(self) -> dict[str, np.ndarray]:
+        """Every picture by the name of its view, the hand's camera first; none where nothing was rendered."""
+        return {} if self.images is None else {"ego": self.images, **self.views}
 
     @property
     def control(self) -> slice:

@@ -16,6 +16,7 @@ from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
+from dynahoi_lerobot.views import check_views
 
 SPLITS = ("train", "val", "test", "ood_speed", "ood_object", "ood_motion")
 """Disjoint seed streams; ``test_small`` is the first 110 episodes of ``test``."""
@@ -42,6 +43,7 @@ class Recipe:
         expert: who demonstrates; likewise.
         instructions: whether texts name the motion: ``reveal``, ``neutral`` or ``mixed``.
         image_size: side of the square camera images [px].
+        views: pictures besides those of the hand's camera, of the same size: see `views.py`.
         renderer: one of the renderers.
         hold_frames: frames to record after the intercept, None for all of the L that the episode was drawn with. On
             average two thirds of those only hold what is already caught; a training set needs few of them.
@@ -57,6 +59,7 @@ class Recipe:
     expert: str = ""
     instructions: str = "mixed"
     image_size: int = 128
+    views: tuple[str, ...] = ()
     renderer: str = DEFAULT_RENDERER
     hold_frames: int | None = None
     disturbance_m: float = 0.0
@@ -81,6 +84,7 @@ class Recipe:
             self._check_held_out("motion", name, MOTIONS[name].held_out)
         for name in self.objects:
             self._check_held_out("object", name, OBJECTS[name].held_out)
+        check_views(self.views)
         if not 16 <= self.image_size <= 1024:
             raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")
         if not 0 <= self.disturbance_m <= LARGEST_PUSH_M:

@@ -12,6 +12,7 @@ from dynahoi_lerobot.conventions import FINGERS, PALM_DOF
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import open_hand, reference_grasp
+from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.world_batch import WorldBatch
 
 
@@ -78,16 +79,16 @@ class WorldRecorder:
 
     job: Job
     frames: list[tuple[np.ndarray, ...]] = field(default_factory=list)
-    images: list[np.ndarray] = field(default_factory=list)
+    pictures: dict[str, list[np.ndarray]] = field(default_factory=dict)
     actions: list[np.ndarray] = field(default_factory=list)
     settled: int = 0
 
-    def see(self, columns: dict[str, np.ndarray], i: int, images: np.ndarray | None) -> None:
-        """Record what world ``i`` looks like at this frame."""
+    def see(self, columns: dict[str, np.ndarray], i: int, pictures: dict[str, np.ndarray]) -> None:
+        """Record what world ``i`` looks like at this frame; ``pictures`` are (N, H, W, 3) of each view."""
         self.frames.append(tuple(columns[name][i] for name in COLUMNS))
         self.settled += bool(columns["localized"][i])
-        if images is not None:
-            self.images.append(images[i])
+        for view, images in pictures.items():
+            self.pictures.setdefault(view, []).append(images[i])
 
     def act(self, executed: np.ndarray) -> None:
         """Record the command (18,) that was executed from this frame on."""
@@ -113,9 +114,10 @@ class WorldRecorder:
         captured[spec.window_frames :] = rule.captured(track)
         touch, localized = columns.pop("touch")[:, : len(FINGERS)], columns.pop("localized")
         floats = {name: values.astype(np.float32) for name, values in columns.items()}
+        views = {view: np.stack(images) for view, images in self.pictures.items()}
         return Episode(
             meta=_meta(self.job, rule.name, agent),
-            images=np.stack(self.images) if self.images else None,
+            images=views.pop(EGO_CAMERA, None),
             action=np.stack(self.actions).astype(np.float32),
             localized=localized,
             captured=captured,
@@ -126,6 +128,7 @@ class WorldRecorder:
             success=rule.success(track),
             stage=rule.stage(track),
             touch=touch.astype(np.float32) if rule.feels else None,
+            views=views,
             **floats,
         )
 

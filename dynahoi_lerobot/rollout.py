@@ -88,6 +88,7 @@ def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
         capture=recipe.capture,
         hand=recipe.hand,
         image_size=recipe.image_size,
+        views=recipe.views,
         renderer=recipe.renderer,
         threads=threads,
         disturbance_m=recipe.disturbance_m,
@@ -155,7 +156,7 @@ def _step(
     commands = actor.act(batch.world_state(observation)) if isinstance(actor, Expert) else actor.act(observation)
     columns = frame_columns(batch, observation)
     for i in ids:
-        running[i].see(columns, i, observation.images)
+        running[i].see(columns, i, observation.pictures)
     batch.step(commands[ids], ids)
     for i in ids:
         running[i].act(batch.executed[i])

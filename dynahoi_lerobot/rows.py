@@ -85,6 +85,10 @@ class Rows:
         self.qpos[i, qpos + 3 : qpos + 7] = yaw_quat(yaw_rad)
         self.qvel[i, dof + 5] = spin_rad_s
 
+    def place_side_camera(self, i: int, home_pos_w: np.ndarray) -> None:
+        """Put the side camera of world ``i`` beside the hand's home (3,) [m], world."""
+        self._mocap_pos[i, self._scene.side_mocap] = home_pos_w
+
     def write_look(self, i: int, look: Look) -> None:
         """Give row ``i`` its textures, colours and light."""
         scene, rgba, matid = self._scene, self.fields["geom_rgba"], self.fields["geom_matid"]

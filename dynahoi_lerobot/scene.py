@@ -15,7 +15,7 @@ import numpy as np
 
 from dynahoi_lerobot.conventions import FINGERS, PHYSICS_DT
 from dynahoi_lerobot.hands import HANDS, Hand
-from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE
+from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE, camera_quat
 from dynahoi_lerobot.looks import PATTERNS, texture_pixels
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
@@ -57,6 +57,11 @@ BACKDROP = "wall_front"
 WALL_HALF_THICKNESS_M = 0.1
 SHOWN_GROUP, HIDDEN_GROUP = 0, 4
 
+SIDE_CAMERA = "side"
+SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([-0.65, -0.6, 0.4]), np.array([0.35, 0.05, 0.0])
+SIDE_CAMERA_FOVY_DEG = 54.0
+"""A camera that stands still, behind the waiting hand and to its right; from the palm centre at home."""
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -70,6 +75,7 @@ class Scene:
         hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of the actuators.
         striker_body, striker_qpos, striker_dof: the striker's body and the addresses of its slide.
         box_geoms, box_mocap: geom ids and mocap indices of the fixture boxes.
+        side_mocap: mocap index of the body that carries the side camera, at the hand's home.
         tether_eq, weld_eq: equality ids; ``tether_geom``: the string drawn on the target body.
         palm_site, tip_sites, palm_body: the hand's sites and body.
         camera: id of the ego camera.
@@ -93,6 +99,7 @@ class Scene:
     backdrop_geom: int
     box_geoms: tuple[int, ...]
     box_mocap: tuple[int, ...]
+    side_mocap: int
     tether_eq: int
     tether_geom: int
     weld_eq: int
@@ -220,6 +227,9 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=LARGEST_BOX_M, contype=0, conaffinity=ENVIRONMENT,
             material="plain_fine", condim=6, friction=SURFACE_FRICTION,
         )  # fmt: skip
+    home = spec.worldbody.add_body(name=SIDE_CAMERA, mocap=True)
+    quat = camera_quat(SIDE_CAMERA_TARGET_M - SIDE_CAMERA_POS_M)
+    home.add_camera(name=SIDE_CAMERA, pos=SIDE_CAMERA_POS_M, quat=quat, fovy=SIDE_CAMERA_FOVY_DEG)
     striker = spec.worldbody.add_body(name="striker", pos=HIDDEN_POS, gravcomp=1.0)
     striker.explicitinertial, striker.mass, striker.inertia, striker.ipos = True, 0.3, (2e-4,) * 3, (0.0, 0.0, 0.0)
     striker.add_joint(name="striker", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1, 0, 0))
@@ -273,6 +283,7 @@ def _index(model: mujoco.MjModel, hand: Hand | None) -> Scene:
         backdrop_geom=geoms[BACKDROP],
         box_geoms=tuple(geoms[n] for n in FIXTURE_BOXES),
         box_mocap=tuple(int(model.body(n).mocapid[0]) for n in FIXTURE_BOXES),
+        side_mocap=int(model.body(SIDE_CAMERA).mocapid[0]),
         tether_eq=model.equality("tether").id,
         tether_geom=geoms["tether"],
         weld_eq=_find(model, mujoco.mjtObj.mjOBJ_EQUALITY, "weld"),

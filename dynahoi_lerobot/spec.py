@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS, HAND_DOF
@@ -34,7 +35,8 @@ TOUCH = Feature("observation.touch", (len(FINGERS),), "float32", FINGERS, "N")
 """Only where the capture rule feels."""
 PHASE = Feature("observation.phase", (1,), "float32", ("phase",), "0 observing, 1 acting")
 ACTION = Feature("action", (HAND_DOF,), "float32", HAND_NAMES, "m, rad")
-CAMERA_KEY = "observation.images.ego"
+PICTURE_PREFIX = "observation.images."
+CAMERA_KEY = PICTURE_PREFIX + "ego"
 
 PRIVILEGED = (
     Feature("target.pose", (7,), "float32", POSE_NAMES, "m, quaternion wxyz", True),
@@ -56,6 +58,7 @@ __all__ = [
     "FINGER_DOF",
     "OBSERVATIONS",
     "PHASE",
+    "PICTURE_PREFIX",
     "PRIVILEGED",
     "STATE",
     "TOUCH",
@@ -63,12 +66,19 @@ __all__ = [
 ]
 
 
-def camera_feature(image_size: int) -> Feature:
-    """Return the camera's column for square images of ``image_size`` pixels, HWC RGB."""
-    return Feature(CAMERA_KEY, (image_size, image_size, 3), "uint8", ("height", "width", "channels"), "RGB 0-255")
+def picture_feature(image_size: int, view: str = "ego") -> Feature:
+    """Return a view's column for square images of ``image_size`` pixels, HWC RGB."""
+    names = ("height", "width", "channels")
+    return Feature(PICTURE_PREFIX + view, (image_size, image_size, 3), "uint8", names, "RGB 0-255")
 
 
-def columns(image_size: int | None, *, touch: bool = False) -> tuple[Feature, ...]:
-    """Return every per-frame column in the dataset's order; None leaves the camera out."""
-    camera = () if image_size is None else (camera_feature(image_size),)
-    return (*camera, *OBSERVATIONS, *((TOUCH,) if touch else ()), ACTION, *PRIVILEGED)
+def columns(image_size: int | None, views: Sequence[str] = (), *, touch: bool = False) -> tuple[Feature, ...]:
+    """Return every per-frame column in the dataset's order.
+
+    Args:
+        image_size: side of the pictures [pixels]; None leaves all of them out.
+        views: pictures besides the hand's camera.
+        touch: whether the capture rule feels.
+    """
+    pictures = () if image_size is None else tuple(picture_feature(image_size, view) for view in ("ego", *views))
+    return (*pictures, *OBSERVATIONS, *((TOUCH,) if touch else ()), ACTION, *PRIVILEGED)

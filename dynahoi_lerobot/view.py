@@ -21,6 +21,7 @@ from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.rollout import evaluate, make_batch
 from dynahoi_lerobot.sampling import sample_specs
 from dynahoi_lerobot.splits import kind_seed, seed_stream
+from dynahoi_lerobot.views import VIEWS
 
 MIN_WIDTH_PX = 384
 PAGE = """<!doctype html><meta charset="utf-8"><title>{caption}</title>
@@ -41,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episode", type=int, default=0, help="its index in the dataset")
     parser.add_argument("--results", type=Path, help="play an evaluated episode of this result folder again")
     parser.add_argument("--image-size", type=int, help="side of the images [px]")
+    parser.add_argument("--view", default="ego", choices=VIEWS, help="what is shown of it, from which camera")
     parser.add_argument("--out", type=Path, default=Path("episode.gif"), help="a .gif, .mp4 or .html file")
 
 
@@ -69,9 +71,10 @@ def _played(args: argparse.Namespace) -> Shown:
         raise ValueError("say what to watch: --motion KIND, --dataset DIR --episode I, or --results DIR --seed S")
     actor = make_actor(args.policy, args.capture)
     size = args.image_size or getattr(actor, "image_size", None) or 256
-    recipe = Recipe(split=seed_stream(args.split), image_size=size, capture=args.capture)
+    views = {*getattr(actor, "views", ()), args.view} - {"ego"}
+    recipe = Recipe(split=seed_stream(args.split), image_size=size, views=tuple(views), capture=args.capture)
     spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]
-    return _shown(next(evaluate(make_batch(recipe, 1), actor, [spec], images=True)))
+    return _shown(next(evaluate(make_batch(recipe, 1), actor, [spec], images=True)), args.view)
 
 
 def _replayed(args: argparse.Namespace) -> Shown:
@@ -86,29 +89,31 @@ def _replayed(args: argparse.Namespace) -> Shown:
     if recipe.fingerprint() != results.info.fingerprint:
         print("these results are of other code: the replay may differ from what was graded")
     index = seeds.index(args.seed)
-    large, attempt = replace(recipe, image_size=args.image_size or 256), results.rows[index]["attempts"]
-    return _shown(replay(large, args.seed, results.actions[index], attempt=attempt), results.info.policy)
+    views = () if args.view == "ego" else (args.view,)
+    shown, attempt = replace(recipe, image_size=args.image_size or 256, views=views), results.rows[index]["attempts"]
+    return _shown(replay(shown, args.seed, results.actions[index], attempt=attempt), args.view, results.info.policy)
 
 
-def _shown(episode: Episode, agent: str = "") -> Shown:
-    assert episode.images is not None
+def _shown(episode: Episode, view: str, agent: str = "") -> Shown:
     meta = episode.meta
-    return episode.images, f"{agent or meta.agent}: {meta.task} {episode.stage}", phases_of(episode)
+    return episode.pictures[view], f"{agent or meta.agent}: {meta.task} {episode.stage}", phases_of(episode)
 
 
 def _from_dataset(args: argparse.Namespace) -> Shown:
     """Read an episode of a dataset with LeRobot."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    from dynahoi_lerobot.spec import CAMERA_KEY, PHASE
+    from dynahoi_lerobot.spec import PHASE, PICTURE_PREFIX
 
     dataset = LeRobotDataset(args.dataset.name, root=args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
+    if (key := PICTURE_PREFIX + args.view) not in dataset.meta.camera_keys:
+        raise ValueError(f"{args.dataset} has no view {args.view!r}; it has {', '.join(dataset.meta.camera_keys)}")
     table: Any = dataset.meta.episodes
     first, last = (int(table[args.episode][key]) for key in ("dataset_from_index", "dataset_to_index"))
     items: list[Any] = [dataset[i] for i in range(first, last)]
-    frames = np.stack([(item[CAMERA_KEY].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
+    frames = np.stack([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
     phases = [_phase(bool(item["localized"].item()), float(item[PHASE.key].item())) for item in items]
     return frames, str(items[0]["task"]), phases
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 
 import mujoco
@@ -15,6 +14,7 @@ from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS, LOCALIZATION_RADIUS
 from dynahoi_lerobot.disturbance import draw_pushes
 from dynahoi_lerobot.drive import drive_for
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS, Renderer
 from dynahoi_lerobot.rotations import matrix_to_rotvec, quat_to_matrix
@@ -23,6 +23,7 @@ from dynahoi_lerobot.scene import Scene, compile_scene
 from dynahoi_lerobot.servo import Servo, check_command
 from dynahoi_lerobot.surface import signed_distance
 from dynahoi_lerobot.touch import TOUCHING, read_touch
+from dynahoi_lerobot.views import VIEWS
 
 CONTROL_SPEC = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
@@ -53,13 +54,15 @@ class WorldBatch:
         capture: str = "attach",
         hand: str = "capsule",
         image_size: int = 128,
+        views: Sequence[str] = (),
         renderer: str = DEFAULT_RENDERER,
         threads: int = 0,
         disturbance_m: float = 0.0,
     ) -> None:
         """Allocate ``size`` worlds; ``threads`` simulate them (0: all cores), without influence on the result.
 
-        ``disturbance_m`` is the spread of the pushes that make the palm miss its commands.
+        ``views`` are drawn besides the hand's camera, see `views.py`; ``disturbance_m`` is the spread of the pushes
+        that make the palm miss its commands.
 
         Raises:
             ValueError: if ``size`` is not positive or a name is unknown.
@@ -69,7 +72,8 @@ class WorldBatch:
         self.size = size
         self.scene: Scene = compile_scene(hand)
         self.rule = CAPTURES[capture]()
-        self._renderer_class, self._image_size = RENDERERS[renderer], image_size
+        self._renderer_class, self._image_size, self._views = RENDERERS[renderer], image_size, tuple(views)
+        self._renderers: dict[str, Renderer] = {}
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._rows = Rows(self._batch, self.scene)
         self._servo = Servo(self.scene.model)
@@ -213,7 +217,7 @@ class WorldBatch:
         """Return what a policy may see.
 
         Args:
-            images: whether to render the camera; without, it costs nothing.
+            images: whether to render the views; without, they cost nothing.
             ids: the worlds to render (default: all); the images of the others are black.
         """
         return Observation(
@@ -223,6 +227,7 @@ class WorldBatch:
             phase=self.acting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.touch[:, : len(FINGERS)].astype(np.float32) if self.rule.feels else None,
+            views={view: self.render(ids, view) for view in self._views} if images else {},
         )
 
     def world_state(self, observation: Observation) -> WorldState:
@@ -243,17 +248,22 @@ class WorldBatch:
             return self.touch[:, : len(FINGERS)] > 0
         return self.tip_distance() <= TOUCH_M
 
-    def render(self, ids: np.ndarray | None = None) -> np.ndarray:
-        """Return (N, H, W, 3) uint8 RGB of the hand's camera; only worlds ``ids`` (default: all) are drawn."""
+    def render(self, ids: np.ndarray | None = None, view: str = EGO_CAMERA) -> np.ndarray:
+        """Return (N, H, W, 3) uint8 RGB of a view; only worlds ``ids`` (default: all) are drawn."""
+        camera, draw = VIEWS[view]
         if ids is None or len(ids) == self.size:
-            return self._renderer.rgb(np.arange(self.size))
+            return draw(self._renderer(camera), np.arange(self.size))
         images = np.zeros((self.size, self._image_size, self._image_size, 3), np.uint8)
-        images[ids] = self._renderer.rgb(np.asarray(ids))
+        images[ids] = draw(self._renderer(camera), np.asarray(ids))
         return images
 
     def segmentation(self) -> np.ndarray:
         """Return (N, H, W) int32 geom ids seen by the hand's camera, -1 where nothing is."""
-        return self._renderer.segmentation(np.arange(self.size))
+        return self._renderer(EGO_CAMERA).segmentation(np.arange(self.size))
+
+    def depth(self) -> np.ndarray:
+        """Return (N, H, W) float32 depth seen by the hand's camera [m], 0 where nothing is."""
+        return self._renderer(EGO_CAMERA).depth(np.arange(self.size))
 
     def weld_target(self, i: int) -> None:
         """Fix the target of world ``i`` to the palm as it lies, at the palm's velocity, free of everything else."""
@@ -284,11 +294,12 @@ class WorldBatch:
         self._rows.set_collisions(i, collides_with)
         self._let_go[i] = True
 
-    @functools.cached_property
-    def _renderer(self) -> Renderer:
-        renderer = self._renderer_class(self.scene, self._batch, self._image_size)
-        self._batch.forward(stage=KINEMATICS)  # fills the poses that the renderer has just asked for
-        return renderer
+    def _renderer(self, camera: str) -> Renderer:
+        """The renderer of a camera, prepared when it is first used."""
+        if camera not in self._renderers:
+            self._renderers[camera] = self._renderer_class(self.scene, self._batch, self._image_size, camera)
+            self._batch.forward(stage=KINEMATICS)  # fills the poses that the renderer has just asked for
+        return self._renderers[camera]
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
         drive = drive_for(spec.motion, spec.target, spec.horizon_frames)
@@ -296,6 +307,7 @@ class WorldBatch:
         if isinstance(spec.motion, PrescribedMotion):
             self._rows.turn_target(i, spec.yaw_rad, spec.spin_rad_s)
         self._rows.write_look(i, spec.look)
+        self._rows.place_side_camera(i, spec.home_pos_w)
         assert self.scene.hand is not None
         # rounded as commands are, or the hand would creep to its home and, by rounding, disturb what slides or rests
         self.executed[i] = np.concatenate([spec.home_pos_w, self.scene.hand.open_joints()]).astype(np.float32)

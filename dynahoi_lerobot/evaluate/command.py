@@ -127,6 +127,7 @@ def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
         hand=args.hand,
         protocol=args.protocol,
         image_size=size,
+        views=getattr(actor, "views", ()),
     )
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
 from dynahoi_lerobot.env import as_gym
-from dynahoi_lerobot.spec import CAMERA_KEY
+from dynahoi_lerobot.spec import CAMERA_KEY, PICTURE_PREFIX
+from dynahoi_lerobot.views import FURTHER_VIEWS
 
 REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
 
@@ -36,13 +37,10 @@ class PolicyAgent(Agent):
         """
         self.name = path
         self._policy, self._before, self._after = _load(path, device)
-        self.sees_images = any(key.startswith("observation.image") for key in self._policy.config.input_features)
-
-    @property
-    def image_size(self) -> int | None:
-        """Side of the images the policy was trained on [px], None if it uses none."""
-        feature = self._policy.config.input_features.get(CAMERA_KEY)
-        return None if feature is None else int(feature.shape[-1])
+        inputs = self._policy.config.input_features
+        self.sees_images = any(key.startswith("observation.image") for key in inputs)
+        self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
+        self.views = tuple(view for view in FURTHER_VIEWS if PICTURE_PREFIX + view in inputs)
 
     def reset(self, count: int) -> None:
         """Forget queued actions and history."""

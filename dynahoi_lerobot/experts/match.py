@@ -51,14 +51,19 @@ class Catch:
     contact_frame: int
 
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
-        """Return (18,) the command of ``frame``, as a ``Plan`` does."""
-        ahead = np.clip(frame + 1 - self.start_frame, 0, len(self.palm_w) - 1)
+        """Return (18,) the command of ``frame``, as a ``Plan`` does.
+
+        A hand that strayed before contact comes back little by little, just in time: see ``Reach``.
+        """
+        now, ahead = np.clip([frame - self.start_frame, frame + 1 - self.start_frame], 0, len(self.palm_w) - 1)
+        left = self.contact_frame - max(frame, self.start_frame)
+        strayed = (state[:PALM_DOF] - self.palm_w[now]) * max(left - 1, 0) / max(left, 1)
         since = frame + 1 - self.contact_frame
         if since < -LEAD_FRAMES:
             closing = np.zeros(FINGER_DOF)
         else:
             closing = state[PALM_DOF:] + (FAST_RAD if since <= FOLLOW_FRAMES else GRIP_RAD)
-        return np.concatenate([self.palm_w[ahead], closing])
+        return np.concatenate([self.palm_w[ahead] + strayed, closing])
 
 
 @EXPERTS.register("match")

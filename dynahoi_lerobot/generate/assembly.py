@@ -13,10 +13,9 @@ from dynahoi_lerobot.generate.catalog import Catalog
 from dynahoi_lerobot.generate.features import arrow_schema, bookkeeping_arrays
 from dynahoi_lerobot.generate.layout import DATA_PATH, VIDEO_PATH, Layout
 from dynahoi_lerobot.generate.manifest import Manifest, hash_files
-from dynahoi_lerobot.generate.rows import Row, without_place
+from dynahoi_lerobot.generate.rows import Row, video_columns, without_place
 from dynahoi_lerobot.generate.store import Store
 from dynahoi_lerobot.generate.tables import RollingParquet
-from dynahoi_lerobot.spec import CAMERA_KEY
 
 
 class Assembly:
@@ -29,19 +28,20 @@ class Assembly:
         self._schema = arrow_schema(like.features)
         self._catalog = Catalog(root, like.features, layout)
         self._data = RollingParquet(root, DATA_PATH, self._schema, layout)
-        self._videos = 0
+        self._pictures, self._videos = like.pictures, 0
         self._hashes: dict[str, str] = {}
         self._seeds: list[int] = []
 
-    def next_video(self) -> Path:
-        """Return the path of the next video file; its folder exists."""
+    def next_videos(self) -> dict[str, Path]:
+        """Return the path of the next video file of each view, by its key; their folders exist."""
         self._videos += 1
-        return self.layout.path(self.root, VIDEO_PATH, self._videos - 1, video_key=CAMERA_KEY)
+        number = self._videos - 1
+        return {key: self.layout.path(self.root, VIDEO_PATH, number, video_key=key) for key in self._pictures}
 
     def video_place(self) -> Row:
-        """Return the columns that name the latest video file."""
+        """Return the columns that name the latest video files."""
         chunk, file = self.layout.place(self._videos - 1)
-        return {f"videos/{CAMERA_KEY}/chunk_index": chunk, f"videos/{CAMERA_KEY}/file_index": file}
+        return video_columns(self._pictures, {"chunk_index": chunk, "file_index": file})
 
     def believe(self, path: Path, digest: str) -> None:
         """Take the hash of a file as known, so that it is not read again."""

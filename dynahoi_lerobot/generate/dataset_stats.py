@@ -12,12 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
-from dynahoi_lerobot.generate.features import BOOKKEEPING, Features, content_keys, numeric_keys
+from dynahoi_lerobot.generate.features import BOOKKEEPING, Features, content_keys, numeric_keys, picture_keys
 from dynahoi_lerobot.generate.histograms import histograms
 from dynahoi_lerobot.generate.quantiles import exact_quantiles, weighted_quantiles
 from dynahoi_lerobot.generate.rows import Row, row_histogram, row_stats
 from dynahoi_lerobot.generate.statistics import LEVELS, Moments, Stats, picture_stats
-from dynahoi_lerobot.spec import CAMERA_KEY
 
 
 class DatasetStats:
@@ -33,26 +32,24 @@ class DatasetStats:
         self._moments = {key: Moments() for key in numeric_keys(features)}
         self._task_frames: Counter[int] = Counter()
         self._lengths: list[int] = []
-        self._pictures = 0
-        self._histogram = np.zeros((3, LEVELS), np.int64)
+        self._pictures = Counter[str]()
+        self._histograms = {key: np.zeros((3, LEVELS), np.int64) for key in picture_keys(features)}
 
     def add(self, row: Row) -> None:
         """Add one episode's row, with its statistics."""
         for key, moments in self._moments.items():
             moments.add(row_stats(row, key))
-        if (histogram := row_histogram(row)) is not None:
-            self._histogram += histogram
-            self._pictures += row[f"stats/{CAMERA_KEY}/count"][0]
+        for key in self._histograms:
+            self._histograms[key] += row_histogram(row, key)
+            self._pictures[key] += row[f"stats/{key}/count"][0]
         self._task_frames[int(row["stats/task_index/min"][0])] += row["length"]
         self._lengths.append(row["length"])
 
     def stats(self, root: Path) -> dict[str, Stats]:
         """Return the statistics by key; the data files below ``root`` are read for the quantiles."""
         quantiles = self._content_quantiles(root) | self._bookkeeping_quantiles()
-        stats = {key: moments.stats(quantiles[key]) for key, moments in self._moments.items()}
-        if not self._pictures:
-            return stats
-        return {CAMERA_KEY: picture_stats(self._histogram, self._pictures)} | stats
+        pictures = {key: picture_stats(counts, self._pictures[key]) for key, counts in self._histograms.items()}
+        return pictures | {key: moments.stats(quantiles[key]) for key, moments in self._moments.items()}
 
     def histograms(self, root: Path, stats: dict[str, Stats]) -> dict[str, Any]:
         """Return the histograms of state and action, in the ranges of ``stats``."""

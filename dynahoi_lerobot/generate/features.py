@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from PIL import Image
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.generate.codecs.base import Encoding
-from dynahoi_lerobot.spec import CAMERA_KEY, TOUCH, columns
+from dynahoi_lerobot.spec import PICTURE_PREFIX, TOUCH, columns
 
 Features = dict[str, dict[str, Any]]
 
@@ -27,21 +28,28 @@ BOOKKEEPING = {
 """LeRobot's own columns."""
 
 
-def info_features(image_size: int | None, encoding: Encoding, *, touch: bool = False) -> Features:
+def info_features(
+    image_size: int | None, encoding: Encoding, views: Sequence[str] = (), *, touch: bool = False
+) -> Features:
     """Return ``info.json``'s feature table: every column of the spec, then LeRobot's own."""
     features: Features = {}
-    for column in columns(image_size, touch=touch):
+    for column in columns(image_size, views, touch=touch):
         features[column.key] = {
             "dtype": column.dtype,
             "shape": list(column.shape),
             "names": list(column.names),
         }
-    if image_size is not None:
-        codec = encoding.kind
-        features[CAMERA_KEY]["dtype"] = "video" if codec.is_video else "image"
+    codec = encoding.kind
+    for key in picture_keys(features):
+        features[key]["dtype"] = "video" if codec.is_video else "image"
         if codec.is_video:
-            features[CAMERA_KEY]["info"] = codec.info(image_size, CONTROL_HZ)
+            features[key]["info"] = codec.info(features[key]["shape"][0], CONTROL_HZ)
     return features | {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
+
+
+def picture_keys(features: Features) -> list[str]:
+    """Return the keys of all pictures, the hand's camera first."""
+    return [key for key in features if key.startswith(PICTURE_PREFIX)]
 
 
 def numeric_keys(features: Features) -> list[str]:
@@ -52,6 +60,11 @@ def numeric_keys(features: Features) -> list[str]:
 def content_keys(features: Features) -> list[str]:
     """Return the keys of the numeric columns that an episode fills, without LeRobot's bookkeeping."""
     return [key for key in numeric_keys(features) if key not in BOOKKEEPING]
+
+
+def picture_arrays(episode: Episode) -> dict[str, np.ndarray]:
+    """Return the episode's pictures under their keys, (T, H, W, 3) uint8 each."""
+    return {PICTURE_PREFIX + view: images for view, images in episode.pictures.items()}
 
 
 def content_arrays(episode: Episode) -> dict[str, np.ndarray]:
@@ -93,19 +106,19 @@ def arrow_schema(features: Features) -> pa.Schema:
     return pa.schema(fields, metadata={"huggingface": json.dumps(note)})
 
 
-def frame_table(arrays: dict[str, np.ndarray], images: np.ndarray | None, schema: pa.Schema) -> pa.Table:
+def frame_table(arrays: dict[str, np.ndarray], pictures: dict[str, np.ndarray], schema: pa.Schema) -> pa.Table:
     """Return one episode's rows.
 
     Args:
         arrays: (T, D) or (T,) per key.
-        images: (T, H, W, 3) uint8 RGB if pictures go into the table, else None.
+        pictures: (T, H, W, 3) uint8 RGB per key; none where pictures do not go into the table.
         schema: what ``arrow_schema`` returned.
     """
-    cells = dict(arrays)
-    return pa.table(
-        [_pictures(images) if field.name == CAMERA_KEY else _array(cells[field.name], field.type) for field in schema],
-        schema=schema,
-    )
+    columns = [
+        _pictures(pictures[field.name]) if field.type == _PICTURE else _array(arrays[field.name], field.type)
+        for field in schema
+    ]
+    return pa.table(columns, schema=schema)
 
 
 def _array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
@@ -115,9 +128,7 @@ def _array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), kind.list_size)
 
 
-def _pictures(images: np.ndarray | None) -> pa.Array:
-    if images is None:
-        raise ValueError("the dataset has a camera, but the episode has no images; record it with an image size")
+def _pictures(images: np.ndarray) -> pa.Array:
     cells = [{"bytes": _png(image), "path": f"frame-{number:06d}.png"} for number, image in enumerate(images)]
     return pa.array(cells, _PICTURE)
 

@@ -13,6 +13,7 @@ from dynahoi_lerobot.generate.layout import Layout
 from dynahoi_lerobot.generate.manifest import Manifest
 from dynahoi_lerobot.generate.rows import Row
 from dynahoi_lerobot.generate.store import Store
+from dynahoi_lerobot.spec import CAMERA_KEY
 
 
 def merge(
@@ -54,14 +55,16 @@ def merge(
 
 def _append(assembly: Assembly, store: Store, manifest: Manifest) -> None:
     places: dict[Path, Row] = {}
+    """By the video file of the hand's camera; those of other views are divided alike."""
     for row, table in stored_episodes(store):
         place: Row = {}
         if store.has_video:
-            source = store.video_path(row)
-            if source not in places:
-                target = assembly.next_video()
-                link(source, target)
-                assembly.believe(target, manifest.files[source.relative_to(store.root).as_posix()])
-                places[source] = assembly.video_place()
-            place = places[source]
+            first = store.video_path(row, CAMERA_KEY)
+            if first not in places:
+                for key, target in assembly.next_videos().items():
+                    source = store.video_path(row, key)
+                    link(source, target)
+                    assembly.believe(target, manifest.files[source.relative_to(store.root).as_posix()])
+                places[first] = assembly.video_place()
+            place = places[first]
         assembly.add(row | place, table)

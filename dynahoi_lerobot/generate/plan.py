@@ -29,6 +29,7 @@ class Recipe(Protocol):
     """What generation needs to know of a recipe, a frozen dataclass."""
 
     image_size: int
+    views: tuple[str, ...]
     capture: str
 
 
@@ -104,6 +105,11 @@ class Plan:
     def image_size(self) -> int | None:
         """Side of the pictures [pixels], None without a camera."""
         return self.recipe.image_size if self.camera else None
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """The recipe's pictures besides those of the hand's camera, none without a camera."""
+        return self.recipe.views if self.camera else ()
 
     @property
     def touch(self) -> bool:

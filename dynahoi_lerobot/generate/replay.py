@@ -9,8 +9,8 @@ import numpy as np
 from dynahoi_lerobot.episode import EpisodeMeta
 from dynahoi_lerobot.generate.checks.base import Evidence, Finding, stratified
 
-Resimulate = Callable[[EpisodeMeta, np.ndarray], tuple[np.ndarray, np.ndarray | None]]
-"""Plays (T, 18) actions in the episode's world; returns (T, 18) states and (T, H, W, 3) pictures or None."""
+Resimulate = Callable[[EpisodeMeta, np.ndarray], tuple[np.ndarray, dict[str, np.ndarray]]]
+"""Plays (T, 18) actions in the episode's world; returns (T, 18) states and (T, H, W, 3) pictures by view."""
 
 SAME_STATE = 1e-5
 """States may differ by so much [m, rad] between processors; on one machine they are equal."""
@@ -29,7 +29,7 @@ def replay(evidence: Evidence, resimulate: Resimulate, count: int) -> Iterator[F
     """
     for index in stratified(evidence.rows, count):
         episode = evidence.episode(index)
-        states, images = resimulate(episode.meta, episode.action)
+        states, pictures = resimulate(episode.meta, episode.action)
         if states.shape != episode.state.shape:
             message = f"episode {index} replays to states of shape {states.shape}; stored are {episode.state.shape}"
             yield Finding("replay", message)
@@ -39,10 +39,8 @@ def replay(evidence: Evidence, resimulate: Resimulate, count: int) -> Iterator[F
             frame = int(np.argmax(apart > SAME_STATE))
             message = f"episode {index} replays to other states from frame {frame} on, up to {worst:.2g} m or rad apart"
             yield Finding("replay", message)
-        if images is None or episode.images is None:
-            continue
-        levels = np.abs(images.astype(int) - episode.images).mean(axis=(1, 2, 3))  # (T,)
-        if (worst := float(levels.max())) > SAME_LEVELS:
-            frame = int(levels.argmax())
-            message = f"episode {index} replays to another picture at frame {frame}, {worst:.0f} levels apart"
-            yield Finding("replay", message)
+        for view in pictures.keys() & episode.pictures.keys():
+            levels = np.abs(pictures[view].astype(int) - episode.pictures[view]).mean(axis=(1, 2, 3))  # (T,)
+            if (worst := float(levels.max())) > SAME_LEVELS:
+                what = f"another picture of {view} at frame {int(levels.argmax())}, {worst:.0f} levels apart"
+                yield Finding("replay", f"episode {index} replays to {what}")

@@ -45,9 +45,9 @@ def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
     """
     played = draccus.decode(Recipe, recipe)
 
-    def resimulate(meta: EpisodeMeta, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def resimulate(meta: EpisodeMeta, actions: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         episode = replay(played, meta.seed, actions, attempt=meta.attempts, images=images)
-        return episode.state, episode.images
+        return episode.state, episode.pictures
 
     return resimulate
 

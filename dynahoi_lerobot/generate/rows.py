@@ -6,6 +6,7 @@ They are read by ``LeRobotDataset(..., episode_filter=lambda ep: ep["motion"] ==
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -13,9 +14,8 @@ import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.generate.features import BOOKKEEPING, Features, bookkeeping_arrays, numeric_keys
+from dynahoi_lerobot.generate.features import BOOKKEEPING, Features, bookkeeping_arrays, numeric_keys, picture_keys
 from dynahoi_lerobot.generate.statistics import LEVELS, NAMES, Stats, table_stats
-from dynahoi_lerobot.spec import CAMERA_KEY
 
 Row = dict[str, Any]
 
@@ -26,8 +26,8 @@ Their columns are called ``stats/<name>``: LeRobot reads an episode's whole row 
 that prefix.
 """
 
-HISTOGRAM = "stats/picture_histogram"
-"""Column with the 3 x 256 counts of the episode's sampled pictures, from which datasets sum theirs."""
+HISTOGRAM = "stats/histogram_of:"
+"""Before a picture's key: column with the 3 x 256 counts of the episode's sample, from which datasets sum theirs."""
 
 _META = {field.name: pa.string() if field.type == "str" else pa.int64() for field in fields(EpisodeMeta)}
 _OWN = (
@@ -51,9 +51,14 @@ def stats_columns(stats: dict[str, Stats]) -> Row:
     return {f"stats/{key}/{name}": stats[key][name].tolist() for key in stats for name in NAMES}
 
 
-def row_histogram(row: Row) -> np.ndarray | None:
-    """Return the (3, 256) counts of the episode's sampled pictures, None without a camera."""
-    return np.array(row[HISTOGRAM], np.int64).reshape(3, LEVELS) if HISTOGRAM in row else None
+def row_histogram(row: Row, key: str) -> np.ndarray:
+    """Return the (3, 256) counts of the episode's sampled pictures."""
+    return np.array(row[HISTOGRAM + key], np.int64).reshape(3, LEVELS)
+
+
+def video_columns(keys: Iterable[str], place: dict[str, Any]) -> Row:
+    """Return ``videos/<key>/<name>`` columns; the pictures of an episode lie at the same place for every key."""
+    return {f"videos/{key}/{name}": value for key in keys for name, value in place.items()}
 
 
 def row_stats(row: Row, key: str) -> Stats:
@@ -75,16 +80,15 @@ def place_row(row: Row, episode_index: int, first_index: int, task_index: int) -
 
 def row_schema(features: Features) -> pa.Schema:
     """Return the schema of the episode files."""
-    camera = features.get(CAMERA_KEY)
+    pictures = picture_keys(features)
+    videos = [key for key in pictures if features[key]["dtype"] == "video"]
     columns: dict[str, pa.DataType] = {"episode_index": pa.int64(), "tasks": pa.list_(pa.string())}
     columns |= {"length": pa.int64(), "data/chunk_index": pa.int64(), "data/file_index": pa.int64()}
     columns |= {"dataset_from_index": pa.int64(), "dataset_to_index": pa.int64()}
-    if camera is not None and camera["dtype"] == "video":
-        columns |= {f"videos/{CAMERA_KEY}/{name}": pa.int64() for name in ("chunk_index", "file_index")}
-        columns |= {f"videos/{CAMERA_KEY}/{name}": pa.float64() for name in ("from_timestamp", "to_timestamp")}
+    columns |= video_columns(videos, dict.fromkeys(("chunk_index", "file_index"), pa.int64()))
+    columns |= video_columns(videos, dict.fromkeys(("from_timestamp", "to_timestamp"), pa.float64()))
     columns |= _OWN
-    pictures = [] if camera is None else [CAMERA_KEY]
-    columns |= {} if camera is None else {HISTOGRAM: pa.list_(pa.int64())}
+    columns |= {HISTOGRAM + key: pa.list_(pa.int64()) for key in pictures}
     for key in [*pictures, *numeric_keys(features)]:
         columns |= {f"stats/{key}/{name}": _stat_type(key in pictures, name) for name in NAMES}
     columns |= {"meta/episodes/chunk_index": pa.int64(), "meta/episodes/file_index": pa.int64()}

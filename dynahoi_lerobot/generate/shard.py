@@ -64,7 +64,9 @@ class ShardMaker:
         shutil.rmtree(target, ignore_errors=True)
         with temporary_sibling(target) as temporary:
             plan = self.plan
-            writer = DatasetWriter(temporary, plan.image_size, plan.encoding, plan.layout, touch=plan.touch)
+            writer = DatasetWriter(
+                temporary, plan.image_size, plan.encoding, plan.layout, views=plan.views, touch=plan.touch
+            )
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
                 writer.finish(yields=tally)

@@ -17,12 +17,12 @@ from PIL import Image
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.generate.dataset_stats import column_array
-from dynahoi_lerobot.generate.features import Features
+from dynahoi_lerobot.generate.features import Features, picture_keys
 from dynahoi_lerobot.generate.layout import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.generate.rows import META_COLUMNS, TRACES, Row
 from dynahoi_lerobot.generate.tables import read_tasks
 from dynahoi_lerobot.generate.video import decode
-from dynahoi_lerobot.spec import CAMERA_KEY, TOUCH
+from dynahoi_lerobot.spec import CAMERA_KEY, PICTURE_PREFIX, TOUCH
 
 
 class Store:
@@ -49,8 +49,13 @@ class Store:
         return self.info["features"]
 
     @property
+    def pictures(self) -> list[str]:
+        """The keys of all pictures, the hand's camera first."""
+        return picture_keys(self.features)
+
+    @property
     def has_video(self) -> bool:
-        """Whether the camera is stored as video."""
+        """Whether pictures are stored as video."""
         return self.features.get(CAMERA_KEY, {}).get("dtype") == "video"
 
     @cached_property
@@ -92,24 +97,22 @@ class Store:
         place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
         return self.root / DATA_PATH.format(**place)
 
-    def video_path(self, row: Row) -> Path:
-        """Return the file that holds the episode's pictures."""
-        place = {name: row[f"videos/{CAMERA_KEY}/{name}"] for name in ("chunk_index", "file_index")}
-        return self.root / VIDEO_PATH.format(video_key=CAMERA_KEY, **place)
+    def video_path(self, row: Row, key: str) -> Path:
+        """Return the file that holds the episode's pictures of a view."""
+        place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
+        return self.root / VIDEO_PATH.format(video_key=key, **place)
 
     def frames(self, row: Row) -> pa.Table:
         """Return the episode's rows of the frame table."""
         return pq.read_table(self.data_path(row), filters=[("episode_index", "=", row["episode_index"])])
 
-    def images(self, row: Row, table: pa.Table) -> np.ndarray | None:
-        """Return the episode's pictures, (T, H, W, 3) uint8 RGB, None without a camera."""
-        if CAMERA_KEY not in self.features:
-            return None
+    def images(self, row: Row, table: pa.Table, key: str) -> np.ndarray:
+        """Return the episode's pictures of a view, (T, H, W, 3) uint8 RGB."""
         if not self.has_video:
-            cells = table[CAMERA_KEY].to_pylist()
+            cells = table[key].to_pylist()
             return np.stack([np.asarray(Image.open(io.BytesIO(cell["bytes"]))) for cell in cells])
-        start = round(row[f"videos/{CAMERA_KEY}/from_timestamp"] * CONTROL_HZ)
-        return np.stack(list(decode(self.video_path(row), start, start + row["length"])))
+        start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+        return np.stack(list(decode(self.video_path(row, key), start, start + row["length"])))
 
     def episode(self, index: int, *, images: bool = True) -> Episode:
         """Return one episode.
@@ -121,10 +124,12 @@ class Store:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
         row = self.rows[index]
         table = self.frames(row)
+        keys = self.pictures if images else []
+        views = {key.removeprefix(PICTURE_PREFIX): self.images(row, table, key) for key in keys}
         flat = {name: np.array(row[f"stats/{name}"], np.float32) for name in TRACES}
         return Episode(
             meta=EpisodeMeta(**{name: row[name] for name in META_COLUMNS}),
-            images=self.images(row, table) if images else None,
+            images=views.pop("ego", None),
             state=column_array(table, "observation.state"),
             fingertips=column_array(table, "observation.fingertips"),
             phase=column_array(table, "observation.phase"),
@@ -139,5 +144,6 @@ class Store:
             success=row["success"],
             stage=row["stage"],
             touch=column_array(table, TOUCH.key) if TOUCH.key in table.column_names else None,
+            views=views,
             **flat,
         )

@@ -5,13 +5,13 @@ LeRobot's own tools re-encode a video file that loses an episode, and drop the p
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import itertools
+from collections.abc import Collection
 from fractions import Fraction
 from pathlib import Path
 from typing import cast
 
 import av
-from av.container import OutputContainer
 from av.video.stream import VideoStream
 
 from dynahoi_lerobot.conventions import CONTROL_HZ
@@ -19,9 +19,8 @@ from dynahoi_lerobot.generate.assembly import Assembly, stored_episodes
 from dynahoi_lerobot.generate.files import temporary_sibling
 from dynahoi_lerobot.generate.layout import Layout
 from dynahoi_lerobot.generate.manifest import Manifest
-from dynahoi_lerobot.generate.rows import Row
+from dynahoi_lerobot.generate.rows import Row, video_columns
 from dynahoi_lerobot.generate.store import Store
-from dynahoi_lerobot.spec import CAMERA_KEY
 
 
 def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest:
@@ -45,10 +44,10 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
     with temporary_sibling(output) as folder:
         assembly = Assembly(folder, store, Layout())
-        cutter = _Cutter(assembly)
+        cutter = _Cutter(assembly, store)
         for index, (row, table) in enumerate(stored_episodes(store)):
             if index in kept:
-                place = cutter.cut(store.video_path(row), row) if store.has_video else {}
+                place = cutter.cut(row) if store.has_video else {}
                 assembly.add(row | place, table)
         cutter.close()
         provenance = Manifest.read(root).provenance
@@ -56,53 +55,62 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
 
 
 class _Cutter:
-    """Copies episodes' packets; every source file with kept episodes gives one file.
+    """Copies episodes' packets; every set of source files with kept episodes gives one set of files.
 
     An episode begins with a key frame and no codec here reorders frames, so its packets stand alone.
     """
 
-    def __init__(self, assembly: Assembly) -> None:
-        self._assembly = assembly
-        self._source: Path | None = None
-        self._packets: Iterator[av.Packet] = iter(())
-        self._read = self._written = 0
-        self._output: OutputContainer | None = None
+    def __init__(self, assembly: Assembly, store: Store) -> None:
+        self._assembly, self._store = assembly, store
+        self._sources: dict[str, Path] = {}
+        self._copies: dict[str, _Copy] = {}
 
-    def cut(self, source: Path, row: Row) -> Row:
+    def cut(self, row: Row) -> Row:
         """Copy one episode's packets; return the columns that say where they went."""
-        if source != self._source:
-            self._open(source)
-        start = round(row[f"videos/{CAMERA_KEY}/from_timestamp"] * CONTROL_HZ)
-        while self._read < start:
-            next(self._packets)
-            self._read += 1
-        begin = self._written
-        for _ in range(row["length"]):
-            self._copy(next(self._packets))
-        times = {"from_timestamp": begin / CONTROL_HZ, "to_timestamp": self._written / CONTROL_HZ}
-        return self._assembly.video_place() | {f"videos/{CAMERA_KEY}/{name}": time for name, time in times.items()}
+        sources = {key: self._store.video_path(row, key) for key in self._store.pictures}
+        if sources != self._sources:
+            self.close()
+            targets = self._assembly.next_videos()
+            self._copies = {key: _Copy(source, targets[key]) for key, source in sources.items()}
+            self._sources = sources
+        times: Row = {}
+        for key, copy in self._copies.items():
+            start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+            begin, end = copy.frames(start, row["length"])
+            seconds = {"from_timestamp": begin / CONTROL_HZ, "to_timestamp": end / CONTROL_HZ}
+            times |= video_columns([key], seconds)
+        return self._assembly.video_place() | times
 
     def close(self) -> None:
-        """Finish the current file."""
-        if self._output is not None:
-            self._output.close()
+        """Finish the current files."""
+        for copy in self._copies.values():
+            copy.close()
 
-    def _open(self, source: Path) -> None:
-        self.close()
-        container = av.open(str(source))
-        stream = container.streams.video[0]
+
+class _Copy:
+    """A video file that takes over some of the frames of another."""
+
+    def __init__(self, source: Path, target: Path) -> None:
+        stream = (container := av.open(str(source))).streams.video[0]
         self._packets = (packet for packet in container.demux(stream) if packet.size)
-        output = av.open(str(self._assembly.next_video()), "w", options={"fflags": "+bitexact"})
-        self._stream = cast(VideoStream, output.add_stream_from_template(stream, opaque=True))
+        self._output = av.open(str(target), "w", options={"fflags": "+bitexact"})
+        self._stream = cast(VideoStream, self._output.add_stream_from_template(stream, opaque=True))
         self._stream.time_base = Fraction(1, CONTROL_HZ)
-        self._output, self._source, self._read, self._written = output, source, 0, 0
+        self._read = self._written = 0
 
-    def _copy(self, packet: av.Packet) -> None:
-        assert self._output is not None
-        packet.stream = self._stream
-        packet.time_base = Fraction(1, CONTROL_HZ)
-        packet.pts = packet.dts = self._written
-        packet.duration = 1
-        self._output.mux(packet)
-        self._read += 1
-        self._written += 1
+    def frames(self, start: int, count: int) -> tuple[int, int]:
+        """Copy ``count`` frames from the source's frame ``start`` on; return where they begin and end here."""
+        begin = self._written
+        for packet in itertools.islice(self._packets, start - self._read, start - self._read + count):
+            packet.stream = self._stream
+            packet.time_base = Fraction(1, CONTROL_HZ)
+            packet.pts = packet.dts = self._written
+            packet.duration = 1
+            self._output.mux(packet)
+            self._written += 1
+        self._read = start + count
+        return begin, self._written
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._output.close()

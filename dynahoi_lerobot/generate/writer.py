@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,12 @@ from dynahoi_lerobot.generate.features import (
     content_arrays,
     frame_table,
     info_features,
+    picture_arrays,
+    picture_keys,
 )
 from dynahoi_lerobot.generate.layout import DATA_PATH, VIDEO_PATH, Layout
 from dynahoi_lerobot.generate.manifest import Manifest, hash_files
-from dynahoi_lerobot.generate.rows import HISTOGRAM, Row, own_columns, stats_columns
+from dynahoi_lerobot.generate.rows import HISTOGRAM, Row, own_columns, stats_columns, video_columns
 from dynahoi_lerobot.generate.statistics import (
     picture_histogram,
     picture_stats,
@@ -29,7 +32,6 @@ from dynahoi_lerobot.generate.statistics import (
 )
 from dynahoi_lerobot.generate.tables import MIB, RollingParquet
 from dynahoi_lerobot.generate.video import VideoWriter
-from dynahoi_lerobot.spec import CAMERA_KEY
 
 
 class DatasetWriter:
@@ -45,6 +47,7 @@ class DatasetWriter:
         encoding: Encoding | None = None,
         layout: Layout | None = None,
         *,
+        views: Sequence[str] = (),
         touch: bool = False,
     ) -> None:
         """Make the folder ``root``.
@@ -54,6 +57,7 @@ class DatasetWriter:
             image_size: side of the square frames [pixels], None for a dataset without a camera.
             encoding: how pictures are stored.
             layout: file size limits.
+            views: pictures that episodes hold besides those of the hand's camera.
             touch: whether episodes hold the fingers' forces.
 
         Raises:
@@ -67,12 +71,14 @@ class DatasetWriter:
             raise ValueError(f"image size is {image_size} pixels; video needs an even number")
         root.mkdir()
         self.root = root
-        features = info_features(image_size, self.encoding, touch=touch)
+        features = info_features(image_size, self.encoding, views, touch=touch)
+        self._keys = picture_keys(features)
         self._schema = arrow_schema(features)
         self._catalog = Catalog(root, features, self.layout)
         self._data = RollingParquet(root, DATA_PATH, self._schema, self.layout)
-        self._video: VideoWriter | None = None
-        self._videos = 0
+        self._videos: dict[str, VideoWriter] = {}
+        """The file of each view that is being written; all of them begin and end with the same episodes."""
+        self._n_videos = 0
         self._seeds: list[int] = []
 
     @property
@@ -91,8 +97,8 @@ class DatasetWriter:
         row = own_columns(episode) | {"tasks": [episode.meta.task], "length": len(episode)}
         row |= stats_columns(table_stats(arrays)) | self._picture_columns(episode)
         row |= self._write_frames(episode, arrays)
-        if episode.images is not None and self._image_size is not None and self._codec.is_video:
-            row |= self._write_video(episode.images, self._image_size)
+        if self._keys and self._codec.is_video:
+            row |= self._write_videos(episode)
         self._catalog.add(row)
         self._seeds.append(episode.meta.seed)
 
@@ -105,8 +111,7 @@ class DatasetWriter:
         if not self._catalog.episodes:
             raise ValueError("no episode was added; a dataset holds one or more")
         self._data.close()
-        if self._video is not None:
-            self._video.close()
+        self._close_videos()
         self._catalog.finish()
         manifest = Manifest(
             self._catalog.episodes,
@@ -121,60 +126,64 @@ class DatasetWriter:
 
     def abandon(self) -> None:
         """Let go of all files; the folder stays as it is, unfinished."""
-        if self._video is not None:
-            self._video.abandon()
+        for video in self._videos.values():
+            video.abandon()
 
     def _check(self, episode: Episode) -> None:
-        if self._image_size is None:
-            return
-        wanted = (len(episode), self._image_size, self._image_size, 3)
-        found = None if episode.images is None else episode.images.shape
-        if found != wanted:
-            raise ValueError(
-                f"episode of seed {episode.meta.seed} has images of shape {found}; the dataset needs {wanted}"
-            )
+        pictures = picture_arrays(episode)
+        for key in self._keys:
+            wanted = (len(episode), self._image_size, self._image_size, 3)
+            found = pictures[key].shape if key in pictures else None
+            if found != wanted:
+                raise ValueError(
+                    f"episode of seed {episode.meta.seed} has {key} of shape {found}; the dataset needs {wanted}"
+                )
 
     def _picture_columns(self, episode: Episode) -> Row:
-        if self._image_size is None or episode.images is None:
-            return {}
-        sample = sampled_frames(len(episode))
-        images = episode.images if len(sample) == len(episode) else episode.images[sample]
-        histogram = picture_histogram(images)
-        counts = {HISTOGRAM: histogram.reshape(-1).tolist()}  # (3 * 256,)
-        return counts | stats_columns({CAMERA_KEY: picture_stats(histogram, len(sample))})
+        sample, pictures, columns = sampled_frames(len(episode)), picture_arrays(episode), Row()
+        for key in self._keys:
+            images = pictures[key] if len(sample) == len(episode) else pictures[key][sample]
+            histogram = picture_histogram(images)
+            columns |= {HISTOGRAM + key: histogram.reshape(-1).tolist()}  # (3 * 256,)
+            columns |= stats_columns({key: picture_stats(histogram, len(sample))})
+        return columns
 
     def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> Row:
         place = self._catalog.next_place(episode.meta.task)
         bookkeeping = bookkeeping_arrays(len(episode), *place)
-        images = None if self._codec.is_video else episode.images
-        table = frame_table(arrays | bookkeeping, images, self._schema)
+        pictures = {} if self._codec.is_video else picture_arrays(episode)
+        table = frame_table(arrays | bookkeeping, pictures, self._schema)
         chunk, file = self._data.write(table)
         return {"data/chunk_index": chunk, "data/file_index": file}
 
-    def _write_video(self, images: np.ndarray, image_size: int) -> Row:
-        video = self._video_with_room(len(images), image_size)
-        start = video.frames
-        video.write(images)
-        chunk, file = self.layout.place(self._videos - 1)
-        cells = {
+    def _write_videos(self, episode: Episode) -> Row:
+        if not all(self._fits(video, len(episode)) for video in self._videos.values()):
+            self._close_videos()
+        if not self._videos:
+            self._open_videos()
+        start = self._videos[self._keys[0]].frames
+        for key, images in picture_arrays(episode).items():
+            self._videos[key].write(images)
+        chunk, file = self.layout.place(self._n_videos - 1)
+        place = {
             "chunk_index": chunk,
             "file_index": file,
             "from_timestamp": start / CONTROL_HZ,
-            "to_timestamp": video.frames / CONTROL_HZ,
+            "to_timestamp": (start + len(episode)) / CONTROL_HZ,
         }
-        return {f"videos/{CAMERA_KEY}/{name}": value for name, value in cells.items()}
+        return video_columns(self._keys, place)
 
-    def _video_with_room(self, frames: int, image_size: int) -> VideoWriter:
-        video = self._video
-        if video is not None and not self._fits(video, frames):
+    def _open_videos(self) -> None:
+        assert self._image_size is not None
+        for key in self._keys:
+            path = self.layout.path(self.root, VIDEO_PATH, self._n_videos, video_key=key)
+            self._videos[key] = VideoWriter(path, self._image_size, CONTROL_HZ, self.encoding)
+        self._n_videos += 1
+
+    def _close_videos(self) -> None:
+        for video in self._videos.values():
             video.close()
-            video = None
-        if video is None:
-            path = self.layout.path(self.root, VIDEO_PATH, self._videos, video_key=CAMERA_KEY)
-            video = VideoWriter(path, image_size, CONTROL_HZ, self.encoding)
-            self._videos += 1
-        self._video = video
-        return video
+        self._videos = {}
 
     def _fits(self, video: VideoWriter, frames: int) -> bool:
         expected_bytes = video.size_bytes * (1 + frames / video.frames)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -16,6 +17,16 @@ PALM_BODY = "palm"
 EGO_CAMERA = "ego"
 HAND_GEOM_PREFIX = "hand_"
 """Names every hand gives to the things the scene looks up; fingertip sites are ``<finger>_tip``."""
+
+
+def camera_quat(forward: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Return (4,) quaternion wxyz of an upright camera, whose -z points along ``forward`` (3,), of any length."""
+    ahead = np.asarray(forward, float) / np.linalg.norm(forward)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, np.column_stack([right, np.cross(right, ahead), -ahead]).ravel())
+    return quat
 
 
 class Hand(ABC):

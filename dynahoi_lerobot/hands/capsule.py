@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS
-from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, HANDS, PALM_BODY, PALM_SITE, Hand
+from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, HANDS, PALM_BODY, PALM_SITE, Hand, camera_quat
 from dynahoi_lerobot.spec import PALM_AXES
 
 PALM_MASS_KG = 0.8
@@ -104,8 +104,7 @@ class CapsuleHand(Hand):
         for name in FINGERS:
             self._add_finger(spec, palm, name, self.fingers[name])
         c, s = np.cos(CAMERA_PITCH_RAD), np.sin(CAMERA_PITCH_RAD)
-        right, up = (0.0, -1.0, 0.0), (s, 0.0, c)
-        palm.add_camera(name=EGO_CAMERA, pos=CAMERA_POS, quat=_camera_quat(right, up), fovy=CAMERA_FOVY_DEG)
+        palm.add_camera(name=EGO_CAMERA, pos=CAMERA_POS, quat=camera_quat((c, 0.0, -s)), fovy=CAMERA_FOVY_DEG)
 
     def open_joints(self) -> np.ndarray:
         """Return (15,) zeros: straight fingers."""
@@ -170,13 +169,6 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth_rad_s:
     actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.set_to_position(kp, kv=kv)
     actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
-
-
-def _camera_quat(right: tuple[float, ...], up: tuple[float, ...]) -> np.ndarray:
-    """Quaternion wxyz of a camera, which looks along its -z, from its right and up vectors."""
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.column_stack([right, up, np.cross(right, up)]).ravel())
-    return quat
 
 
 def _z_to(direction: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
 from dynahoi_lerobot.scene import SHOWN_GROUP, Scene
 
@@ -30,13 +31,13 @@ class OpenGLRenderer(Renderer):
     agree; patterns are laid on with another phase. EGL is used unless MUJOCO_GL asks for another platform.
     """
 
-    def __init__(self, scene: Scene, batch: Batch, image_size: int) -> None:
+    def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA) -> None:
         """Open an OpenGL context and upload the textures.
 
         Raises:
             RuntimeError: if this machine offers no OpenGL; the message says what to do.
         """
-        super().__init__(scene, batch, image_size)
+        super().__init__(scene, batch, image_size, camera)
         self._model = batch.get_model(0)
         self._data = mujoco.MjData(self._model)
         quality, frame = self._model.vis.quality, self._model.vis.global_
@@ -47,7 +48,7 @@ class OpenGLRenderer(Renderer):
         self._options.geomgroup[:], self._options.sitegroup[:] = 0, 0
         self._options.geomgroup[SHOWN_GROUP] = 1
         self._camera = mujoco.MjvCamera()
-        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, scene.camera
+        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self.camera
         self._rectangle = mujoco.MjrRect(0, 0, image_size, image_size)
         self._platform, self._context = _open(self._model, image_size)
         weakref.finalize(self, _close, self._platform, self._context)
@@ -65,6 +66,20 @@ class OpenGLRenderer(Renderer):
             return np.stack([self._geoms(self._draw(int(i))) for i in ids])
         finally:
             self._view.flags[NUMBERED] = False
+
+    def depth(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W) float32 depth along the camera's axis [m], 0 where nothing is, of worlds ``ids`` (n,)."""
+        self._platform.make_current()
+        return np.stack([self._depth(int(i)) for i in ids])
+
+    def _depth(self, i: int) -> np.ndarray:
+        """(H, W) depth [m] of world ``i``, from OpenGL's, which is hyperbolic between the near and the far plane."""
+        self._draw(i)
+        buffer = np.empty((self.image_size, self.image_size), np.float32)
+        mujoco.mjr_readPixels(None, buffer, self._rectangle, self._context)
+        near, far = np.array([self._model.vis.map.znear, self._model.vis.map.zfar]) * self._model.stat.extent
+        depth = near / (1.0 - buffer * (1.0 - near / far))
+        return np.where(buffer == 1.0, 0.0, depth)[::-1].astype(np.float32)
 
     def _draw(self, i: int) -> np.ndarray:
         """(H, W, 3) picture of world ``i``."""

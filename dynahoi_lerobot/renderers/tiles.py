@@ -16,10 +16,11 @@ from mujoco.batch import Batch
 
 wp.config.log_level = wp.LOG_WARNING  # before anything initialises it
 
+from dynahoi_lerobot.hands.base import EGO_CAMERA  # noqa: E402
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
 from dynahoi_lerobot.renderers.mirror import Mirror  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.layout import TILE, Lens, Shape, place, sort_into_tiles  # noqa: E402
-from dynahoi_lerobot.renderers.raycast.paint import Lamps, label, paint  # noqa: E402
+from dynahoi_lerobot.renderers.raycast.paint import Lamps, paint, survey  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.shapes import KINDS  # noqa: E402
 from dynahoi_lerobot.scene import SHOWN_GROUP, Scene  # noqa: E402
 
@@ -43,13 +44,15 @@ class TileRenderer(Renderer):
     neighbours nor on the number of threads.
     """
 
-    def __init__(self, scene: Scene, batch: Batch, image_size: int, device: str | None = None) -> None:
+    def __init__(
+        self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA, device: str | None = None
+    ) -> None:
         """Compile (once per machine) and allocate; ``device`` is warp's, CUDA if there is one by default.
 
         Raises:
             ValueError: if the scene holds shapes, textures or lights that this renderer does not know.
         """
-        super().__init__(scene, batch, image_size)
+        super().__init__(scene, batch, image_size, camera)
         shown = np.flatnonzero(scene.model.geom_group == SHOWN_GROUP).astype(np.int32)
         _check(scene.model, shown)
         self._device = device or ("cuda" if wp.is_cuda_available() else "cpu")
@@ -58,6 +61,7 @@ class TileRenderer(Renderer):
             self._mirror = _mirror(batch)
             self._pictures = _empty((batch.nsim, image_size, image_size), wp.vec3ub)
             self._labels = _empty((batch.nsim, image_size, image_size), int)
+            self._depths = _empty((batch.nsim, image_size, image_size), float)
             self._record(scene.model, shown, batch.nthread if self._device == "cpu" else 1)
         self._pool = ThreadPoolExecutor(len(self._painters))
 
@@ -73,15 +77,24 @@ class TileRenderer(Renderer):
 
     def segmentation(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""
-        self._prepare(ids)
-        self._labeller.set_dim((len(ids), self.image_size, self._across))
-        self._labeller.launch()
+        self._survey(ids)
         return self._labels[: len(ids)].numpy().copy()
+
+    def depth(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W) float32 depth along the camera's axis [m], 0 where nothing is, of worlds ``ids`` (n,)."""
+        self._survey(ids)
+        return self._depths[: len(ids)].numpy().copy()
+
+    def _survey(self, ids: np.ndarray) -> None:
+        """Find what every pixel sees and how far away it is."""
+        self._prepare(ids)
+        self._surveyor.set_dim((len(ids), self.image_size, self._across))
+        self._surveyor.launch()
 
     def _record(self, model: mujoco.MjModel, shown: np.ndarray, threads: int) -> None:
         """Record the kernels' launches: repeating one is much cheaper than launching it anew."""
         nsim, tiles = self.batch.nsim, self._across**2
-        lens, lamps, numbers = _lens(self.scene, self.image_size), _lamps(model), wp.array(shown, dtype=int)
+        lens, lamps, numbers = _lens(model, self.camera, self.image_size), _lamps(model), wp.array(shown, dtype=int)
         shapes, outlines = _empty((nsim, len(shown)), Shape), _empty((nsim, len(shown)), wp.vec4)
         lists, counts = _empty((nsim, tiles, len(shown)), int), _empty((nsim, tiles), int)
         fixed = [wp.array(model.geom_type[shown], dtype=int)]
@@ -93,7 +106,7 @@ class TileRenderer(Renderer):
         light, textures = self._mirror.arrays["light_diffuse"], wp.array(_textures(model), dtype=float)
         inputs = [0, lens, lamps, shapes, lists, counts, light, textures, self._pictures]
         self._painters = [_recorded(paint, 2, inputs) for _ in range(threads)]
-        self._labeller = _recorded(label, 3, [lens, numbers, shapes, lists, counts, self._labels])
+        self._surveyor = _recorded(survey, 3, [lens, numbers, shapes, lists, counts, self._labels, self._depths])
         self._shapes = len(shown)
 
     def _prepare(self, ids: np.ndarray) -> None:
@@ -134,10 +147,10 @@ def _mirror(batch: Batch) -> Mirror:
     return Mirror(sources, {name: _empty(source.shape[:2], types[name]) for name, source in sources.items()})
 
 
-def _lens(scene: Scene, image_size: int) -> Any:
+def _lens(model: mujoco.MjModel, camera: int, image_size: int) -> Any:
     lens = Lens()
-    lens.camera, lens.size = scene.camera, image_size
-    lens.focal = 0.5 * image_size / np.tan(0.5 * np.radians(scene.model.cam_fovy[scene.camera]))
+    lens.camera, lens.size = camera, image_size
+    lens.focal = 0.5 * image_size / np.tan(0.5 * np.radians(model.cam_fovy[camera]))
     return lens
 
 

@@ -12,6 +12,7 @@ wp.config.log_level = wp.LOG_WARNING  # before mujoco_warp initialises it
 
 import mujoco_warp as mjw  # noqa: E402
 
+from dynahoi_lerobot.hands.base import EGO_CAMERA  # noqa: E402
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
 from dynahoi_lerobot.renderers.mirror import Mirror  # noqa: E402
 from dynahoi_lerobot.scene import SHOWN_GROUP, Scene  # noqa: E402
@@ -37,9 +38,11 @@ class WarpRenderer(Renderer):
     does not depend on the row it lands in.
     """
 
-    def __init__(self, scene: Scene, batch: Batch, image_size: int, device: str | None = None) -> None:
+    def __init__(
+        self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA, device: str | None = None
+    ) -> None:
         """Compile (once per machine) and allocate; ``device`` is warp's, CUDA if there is one by default."""
-        super().__init__(scene, batch, image_size)
+        super().__init__(scene, batch, image_size, camera)
         self._device = device or ("cuda" if wp.is_cuda_available() else "cpu")
         with wp.ScopedDevice(self._device):
             self._model, self._data = mjw.put_model(scene.model), mjw.make_data(scene.model, nworld=batch.nsim)
@@ -55,7 +58,7 @@ class WarpRenderer(Renderer):
         return self._context(color=True)
 
     @functools.cached_property
-    def _labels(self) -> mjw.RenderContext:
+    def _survey(self) -> mjw.RenderContext:
         return self._context(color=False)
 
     def rgb(self, ids: np.ndarray) -> np.ndarray:
@@ -67,9 +70,14 @@ class WarpRenderer(Renderer):
 
     def segmentation(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""
-        self._render(self._labels, ids)
-        labels = self._labels.seg_data[: len(ids)].numpy()[..., 0].copy()  # the next call writes over the original
+        self._render(self._survey, ids)
+        labels = self._survey.seg_data[: len(ids)].numpy()[..., 0].copy()  # the next call writes over the original
         return labels.reshape(len(ids), self.image_size, self.image_size)
+
+    def depth(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W) float32 depth along the camera's axis [m], 0 where nothing is, of worlds ``ids`` (n,)."""
+        self._render(self._survey, ids)
+        return self._survey.depth_data[: len(ids)].numpy().reshape(len(ids), self.image_size, self.image_size).copy()
 
     def _context(self, *, color: bool) -> mjw.RenderContext:
         with wp.ScopedDevice(self._device):
@@ -77,7 +85,7 @@ class WarpRenderer(Renderer):
                 self.scene.model,
                 nworld=self.batch.nsim,
                 cam_res=(self.image_size, self.image_size),
-                cam_active=[self.scene.model.camera(self.scene.camera).name],
+                cam_active=[self.scene.model.camera(self.camera).name],
                 enabled_geom_groups=[SHOWN_GROUP],
                 use_textures=True,
                 use_shadows=False,
@@ -87,6 +95,7 @@ class WarpRenderer(Renderer):
                 deterministic=True,
                 render_rgb=color,
                 render_seg=not color,
+                render_depth=not color,
             )
 
     def _render(self, context: mjw.RenderContext, ids: np.ndarray) -> None:

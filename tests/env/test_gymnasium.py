@@ -155,7 +155,7 @@ def test_without_images_nothing_is_rendered() -> None:
     env = DynahoiVectorEnv(1, images=False, **SMALL)
     observation, _ = env.reset(seed=[0])
     assert "pixels" not in observation
-    assert "_renderer" not in env._batch.__dict__
+    assert not env._batch._renderers
 
 
 def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:

@@ -15,7 +15,7 @@ av.logging.set_level(av.logging.ERROR)
 def write(root: Path, seeds: range | list[int], image_size: int | None = 32, **options) -> Path:
     writer = DatasetWriter(root, image_size, **options)
     for seed in seeds:
-        writer.add(varied_episode(seed, image_size))
+        writer.add(varied_episode(seed, image_size, options.get("views", ())))
     writer.finish()
     return root
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from dynahoi_lerobot.episode import Episode
 from tests.synthetic import synthetic_episode
 
 
-def varied_episode(seed: int, image_size: int | None = 32) -> Episode:
+def varied_episode(seed: int, image_size: int | None = 32, views: Sequence[str] = ()) -> Episode:
     """A synthetic episode whose length, task and pictures depend on its seed."""
     episode = synthetic_episode(seed, frames=20 + seed % 7, image_size=image_size)
     meta = dataclasses.replace(episode.meta, task=f"Catch the {('red', 'blue')[seed % 2]} ball.")
@@ -18,4 +19,5 @@ def varied_episode(seed: int, image_size: int | None = 32) -> Episode:
     if images is not None:
         images = images + np.uint8(seed % 5)
         images[:, :4, :4] = np.random.default_rng(seed).integers(0, 255, (4, 4, 3), np.uint8)
-    return dataclasses.replace(episode, meta=meta, images=images)
+    shown = {} if images is None else {view: images[:, ::-1] // (2 + n) for n, view in enumerate(views)}
+    return dataclasses.replace(episode, meta=meta, images=images, views=shown)

@@ -18,6 +18,7 @@ from tests.generate.episodes import varied_episode
 @dataclass(frozen=True)
 class FakeRecipe:
     image_size: int = 16
+    views: tuple[str, ...] = ()
     capture: str = "attach"
     name: str = "fake"
     miss_every: int = 0
@@ -30,7 +31,7 @@ def record(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     for seed in seeds:
         first_draw = seed < REDRAW_STRIDE
         if not (recipe.hopeless or (recipe.miss_every and first_draw and seed % recipe.miss_every == 0)):
-            yield varied_episode(seed, recipe.image_size)
+            yield varied_episode(seed, recipe.image_size, recipe.views)
 
 
 def record_slowly(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:

@@ -21,13 +21,15 @@ from tests.generate.episodes import varied_episode
 
 @pytest.mark.parametrize("codec", CODECS.names())
 def test_kept_episodes_are_copied_to_the_last_pixel(tmp_path, codec):
-    root = write(tmp_path / "d", range(6), 64, encoding=Encoding(codec))
+    root = write(tmp_path / "d", range(6), 64, encoding=Encoding(codec), views=("side",))
     copy_subset(root, tmp_path / "kept", [4, 1, 2])
     originals = list(read_episodes(root, [1, 2, 4]))
     copies = list(read_episodes(tmp_path / "kept"))
     for one, other in zip(originals, copies, strict=True):
         assert one.meta == other.meta
-        np.testing.assert_array_equal(one.images, other.images)
+        assert other.pictures.keys() == {"ego", "side"}
+        for view, images in one.pictures.items():
+            np.testing.assert_array_equal(images, other.pictures[view])
         np.testing.assert_array_equal(one.action, other.action)
     assert verify(tmp_path / "kept", decoded=None) == []
     assert Manifest.read(tmp_path / "kept").provenance["kept"] == [1, 2, 4]

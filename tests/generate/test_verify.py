@@ -112,7 +112,7 @@ def nudge(value: list[float]) -> list[float]:
 DAMAGES: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "truncated video": (truncate_video, "videos", "file-000.mp4 cannot be read as a video"),
     "swapped videos": (swap_videos, "videos", "file-000.mp4 holds 72 frames; its episodes have 63"),
-    "exchanged frames": (exchange_frames, "pictures", "the pictures of episode 0 are not those of its statistics"),
+    "exchanged frames": (exchange_frames, "pictures", "ego of episode 0 does not show what its statistics were taken"),
     "frames missing in a video": (
         lambda root: rewrite_video(root, "001", lambda pictures: pictures[:-2]),
         "videos", "file-001.mp4 holds 70 frames; its episodes have 72",
@@ -158,7 +158,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str, str]] = {
         "statistics", "episode 2: observation.state/max is",
     ),
     "stale picture counts": (
-        cell(ROWS, "stats/picture_histogram", 2, lambda counts: [counts[0] + 900, *counts[1:]]),
+        cell(ROWS, "stats/histogram_of:observation.images.ego", 2, lambda counts: [counts[0] + 900, *counts[1:]]),
         "statistics", "episode 2: observation.images.ego/",
     ),
     "stale histogram": (
@@ -297,25 +297,25 @@ def test_replay_compares_states_and_pictures(sound):
     def honest(meta, actions):
         episode = varied_episode(meta.seed)
         np.testing.assert_array_equal(actions, episode.action)
-        return episode.state, episode.images
+        return episode.state, episode.pictures
 
     def other_states(meta, actions):
-        states, images = honest(meta, actions)
+        states, pictures = honest(meta, actions)
         states = states.copy()
         states[7:] += 1e-3
-        return states, images
+        return states, pictures
 
     def other_pictures(meta, actions):
-        states, images = honest(meta, actions)
-        return states, images[::-1].copy() // 2
+        states, pictures = honest(meta, actions)
+        return states, {"ego": pictures["ego"][::-1].copy() // 2}
 
     def shorter(meta, actions):
-        return honest(meta, actions)[0][:-1], None
+        return honest(meta, actions)[0][:-1], {}
 
     assert verify(sound, resimulate=honest, replayed=6) == []
     for wrong, sentence in (
         (other_states, "episode 0 replays to other states from frame 7 on"),
-        (other_pictures, "replays to another picture"),
+        (other_pictures, "replays to another picture of ego"),
         (shorter, "replays to states of shape (19, 18)"),
     ):
         assert sentence in str(verify(sound, resimulate=wrong, replayed=1)[0])

@@ -9,7 +9,9 @@ import pytest
 from lerobot.datasets import LeRobotDataset
 
 from dynahoi_lerobot.conventions import FINGERS
+from dynahoi_lerobot.dataset import open_dataset, read_episodes
 from dynahoi_lerobot.generate import command, verify_command
+from dynahoi_lerobot.generate.codecs.base import Encoding
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
 from dynahoi_lerobot.generate.resimulate import simulator
@@ -90,3 +92,28 @@ def test_a_physical_dataset_holds_forces_and_replays(tmp_path, capsys):
     assert set(rows["capture"]) == {"contact"}
     assert set(rows["agent"] if "agent" in rows.column_names else rows["expert"]) == {"match"}
     assert set(rows["stage"]) == {"held"}
+
+
+VIEWS = ("side", "ego_depth", "ego_segmentation")
+
+
+@pytest.mark.parametrize("codec", ["h264", "images"])
+def test_further_views_are_stored_read_and_replayed(tmp_path, codec):
+    recipe = Recipe(motions=("constant", "struck"), image_size=48, views=VIEWS)
+    plan = Plan(recipe, 2, encoding=Encoding(codec), shard_episodes=1)  # two shards, merged
+    generate(plan, tmp_path / "d", record=record)
+    assert verify(tmp_path / "d", decoded=None, resimulate=simulator(plan.identity()["recipe"], images=True)) == []
+    for episode in read_episodes(tmp_path / "d"):
+        assert set(episode.views) == set(VIEWS)
+        assert episode.views["ego_depth"].shape == episode.images.shape
+        assert np.abs(episode.views["side"].astype(int) - episode.images).mean() > 5
+    item = open_dataset(tmp_path / "d")[30]
+    assert all(item[f"observation.images.{view}"].shape == (3, 48, 48) for view in ("ego", *VIEWS))
+
+
+def test_a_missing_view_is_named(tmp_path):
+    generate(Plan(Recipe(motions=("constant",), image_size=16, views=("side",)), 1), tmp_path / "d", record=record)
+    info = json.loads((path := tmp_path / "d" / "meta/info.json").read_text())
+    del info["features"]["observation.images.side"]
+    path.write_text(json.dumps(info))
+    assert any("observation.images.side is missing" in str(finding) for finding in verify(tmp_path / "d"))

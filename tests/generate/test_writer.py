@@ -15,6 +15,7 @@ from dynahoi_lerobot.generate.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate.store import Store
 from dynahoi_lerobot.generate.video import count_frames
 from dynahoi_lerobot.registry import UnknownNameError
+from dynahoi_lerobot.spec import CAMERA_KEY
 from tests.generate.conftest import write
 from tests.generate.episodes import varied_episode
 
@@ -55,12 +56,12 @@ def test_files_roll_over_at_their_limits(tmp_path):
     store = Store(write(tmp_path / "d", range(8), layout=layout))
     assert len(store.data_files()) > 2
     assert {row["data/chunk_index"] for row in store.rows} > {0}
-    videos = [store.video_path(row) for row in store.rows]
+    videos = [store.video_path(row, CAMERA_KEY) for row in store.rows]
     assert len(set(videos)) > 2
     for row, path in zip(store.rows, videos, strict=True):
         assert len(store.frames(row)) == row["length"]
         assert count_frames(path) == sum(r["length"] for r, p in zip(store.rows, videos, strict=True) if p == path)
-        images = store.images(row, store.frames(row))
+        images = store.images(row, store.frames(row), CAMERA_KEY)
         assert np.abs(images.astype(int) - varied_episode(row["seed"]).images).mean() < 6
 
 
@@ -68,7 +69,7 @@ def test_videos_stay_short_enough_to_open_quickly(tmp_path):
     store = Store(write(tmp_path / "d", range(4), 16, layout=Layout(video_s=2.3)))
     ends = [row["videos/observation.images.ego/to_timestamp"] for row in store.rows]
     assert max(ends) <= 2.3
-    assert len({store.video_path(row) for row in store.rows}) == 2
+    assert len({store.video_path(row, CAMERA_KEY) for row in store.rows}) == 2
 
 
 def test_each_episode_starts_with_a_key_frame(dataset):
@@ -76,7 +77,7 @@ def test_each_episode_starts_with_a_key_frame(dataset):
 
     store = Store(dataset)
     starts = {round(row["videos/observation.images.ego/from_timestamp"] * 20) for row in store.rows}
-    with av.open(str(store.video_path(store.rows[0]))) as container:
+    with av.open(str(store.video_path(store.rows[0], CAMERA_KEY))) as container:
         packets = [packet for packet in container.demux(video=0) if packet.size]
     assert starts <= {number for number, packet in enumerate(packets) if packet.is_keyframe}
     assert [packet.pts for packet in packets] == sorted(packet.pts for packet in packets)
@@ -106,7 +107,9 @@ def test_impossible_encoding_is_refused(options):
 
 
 def test_wrong_images_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"seed 1 has images of shape \(21, 16, 16, 3\).*needs \(21, 32, 32, 3\)"):
+    with pytest.raises(
+        ValueError, match=r"seed 1 has observation.images.ego of shape \(21, 16, 16, 3\).*needs \(21, 32, 32, 3\)"
+    ):
         write_episodes(tmp_path / "d", [varied_episode(1, 16)], 32)
     with pytest.raises(ValueError, match="33 pixels; video needs an even number"):
         write_episodes(tmp_path / "d", [varied_episode(1, 33)], 33)

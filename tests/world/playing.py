@@ -22,10 +22,15 @@ SMALL = Recipe(split="test", image_size=32)
 
 
 def world(
-    specs: Sequence[EpisodeSpec], *, threads: int = 1, image_size: int = 32, renderer: str = DEFAULT_RENDERER
+    specs: Sequence[EpisodeSpec],
+    *,
+    threads: int = 1,
+    image_size: int = 32,
+    views: Sequence[str] = (),
+    renderer: str = DEFAULT_RENDERER,
 ) -> WorldBatch:
     """A batch with one world for each spec, at the start of its episode."""
-    batch = WorldBatch(len(specs), threads=threads, image_size=image_size, renderer=renderer)
+    batch = WorldBatch(len(specs), threads=threads, image_size=image_size, views=views, renderer=renderer)
     batch.reset(range(len(specs)), specs)
     return batch
 

@@ -10,7 +10,6 @@ from av.error import FFmpegError
 from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Columns, Evidence
 from dynahoi_lerobot.generate.rows import Row, row_stats
 from dynahoi_lerobot.generate.statistics import picture_histogram, picture_stats, sampled_frames
-from dynahoi_lerobot.spec import CAMERA_KEY
 
 LOSSY_LEVELS = 3.0
 """Mean levels of a channel may shift by so much of 255 through lossy compression."""
@@ -22,22 +21,24 @@ class Pictures(Check):
 
     def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
         """Yield pictures that cannot be decoded or do not belong to the episode."""
-        number = row["episode_index"]
-        if CAMERA_KEY not in evidence.features or number not in evidence.sample:
-            return
-        try:
-            images = evidence.images(row, evidence.frames(row))
-        except (OSError, FFmpegError, ValueError) as error:
-            yield f"the pictures of episode {number} cannot be decoded: {error}"
-            return
-        if images is None or len(images) != row["length"]:
-            yield f"episode {number} has {0 if images is None else len(images)} pictures for {row['length']} frames"
-            return
-        sample = images[sampled_frames(len(images))]
-        found = picture_stats(picture_histogram(sample), len(sample))["mean"]
-        promised = row_stats(row, CAMERA_KEY)["mean"]
-        if (shift := float(np.abs(found - promised).max()) * 255) > LOSSY_LEVELS:
-            yield (
-                f"the pictures of episode {number} are not those of its statistics: mean levels differ by {shift:.0f} "
-                "of 255"
-            )
+        if row["episode_index"] in evidence.sample:
+            for key in evidence.pictures:
+                yield from _view(evidence, row, key)
+
+
+def _view(evidence: Evidence, row: Row, key: str) -> Iterator[str]:
+    """Yield what is wrong with one view of an episode."""
+    name = f"{key} of episode {row['episode_index']}"
+    try:
+        images = evidence.images(row, evidence.frames(row), key)
+    except (OSError, FFmpegError, ValueError) as error:
+        yield f"{name} cannot be decoded: {error}"
+        return
+    if len(images) != row["length"]:
+        yield f"{name} has {len(images)} pictures for {row['length']} frames"
+        return
+    sample = images[sampled_frames(len(images))]
+    found = picture_stats(picture_histogram(sample), len(sample))["mean"]
+    promised = row_stats(row, key)["mean"]
+    if (shift := float(np.abs(found - promised).max()) * 255) > LOSSY_LEVELS:
+        yield f"{name} does not show what its statistics were taken from: mean levels differ by {shift:.0f} of 255"

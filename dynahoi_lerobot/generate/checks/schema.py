@@ -13,7 +13,7 @@ from dynahoi_lerobot.generate.codecs.base import Encoding
 from dynahoi_lerobot.generate.features import arrow_schema, info_features
 from dynahoi_lerobot.generate.layout import CODEBASE_VERSION, ROBOT_TYPE
 from dynahoi_lerobot.generate.rows import OWN_COLUMNS
-from dynahoi_lerobot.spec import CAMERA_KEY
+from dynahoi_lerobot.spec import CAMERA_KEY, PICTURE_PREFIX
 
 
 @CHECKS.register("schema")
@@ -35,12 +35,17 @@ class Schema(Check):
             if missing := sorted(set(OWN_COLUMNS) - set(pq.read_schema(path).names)):
                 yield f"{path.relative_to(evidence.root)} lacks the columns {', '.join(missing)}"
 
+    def _views(self, evidence: Evidence) -> list[str]:
+        """The views that the recipe asks for; those that are stored where the recipe is not known."""
+        stored = [key.removeprefix(PICTURE_PREFIX) for key in evidence.pictures if key != CAMERA_KEY]
+        return evidence.manifest.provenance.get("recipe", {}).get("views", stored)
+
     def _features(self, evidence: Evidence) -> Iterator[str]:
         camera = evidence.features.get(CAMERA_KEY)
         size = None if camera is None else camera["shape"][0]
         encoding = Encoding(codec="h264" if evidence.has_video else "images")
         touch = CAPTURES[evidence.rows[0]["capture"]].feels
-        wanted = info_features(size, encoding, touch=touch)
+        wanted = info_features(size, encoding, self._views(evidence), touch=touch)
         for key in sorted(wanted.keys() | evidence.features.keys()):
             found = {name: value for name, value in evidence.features.get(key, {}).items() if name != "info"}
             if found != {name: value for name, value in wanted.get(key, {}).items() if name != "info"}:

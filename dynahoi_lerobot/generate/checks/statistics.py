@@ -13,7 +13,6 @@ from dynahoi_lerobot.generate.dataset_stats import DatasetStats
 from dynahoi_lerobot.generate.layout import HISTOGRAMS_PATH, STATS_PATH
 from dynahoi_lerobot.generate.rows import Row, row_histogram, row_stats
 from dynahoi_lerobot.generate.statistics import NAMES, Stats, picture_stats, sampled_frames, table_stats
-from dynahoi_lerobot.spec import CAMERA_KEY
 
 ROUNDING = 1e-9
 """Relative difference that another order of summation may make."""
@@ -37,10 +36,9 @@ class Statistics(Check):
 
     def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
         """Yield statistics in the episode table that differ."""
-        histogram = row_histogram(row)
-        if histogram is not None:
-            found = picture_stats(histogram, len(sampled_frames(row["length"])))
-            yield from _differences(f"episode {row['episode_index']}: {CAMERA_KEY}", row_stats(row, CAMERA_KEY), found)
+        for key in evidence.pictures:
+            found = picture_stats(row_histogram(row, key), len(sampled_frames(row["length"])))
+            yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), found)
         for key, stats in table_stats(dict(columns)).items():
             yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), stats)
 

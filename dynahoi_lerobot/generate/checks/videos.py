@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import av
 from av.error import FFmpegError
@@ -11,7 +12,6 @@ from av.error import FFmpegError
 from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Evidence
 from dynahoi_lerobot.generate.rows import Row
-from dynahoi_lerobot.spec import CAMERA_KEY
 
 
 @CHECKS.register("videos")
@@ -22,23 +22,29 @@ class Videos(Check):
         """Yield what is wrong with each file."""
         if not evidence.has_video:
             return
-        files: dict[Path, list[Row]] = {}
-        for row in evidence.rows:
-            files.setdefault(evidence.video_path(row), []).append(row)
-        for path, rows in files.items():
-            name = path.relative_to(evidence.root)
-            yield from (f"{name} {problem}" for problem in _ranges(rows))
-            try:
-                yield from (f"{name} {problem}" for problem in _stream(path, rows, evidence))
-            except (OSError, FFmpegError, IndexError) as error:
-                yield f"{name} cannot be read as a video: {error}"
+        for key in evidence.pictures:
+            yield from _view(evidence, key)
 
 
-def _ranges(rows: list[Row]) -> Iterator[str]:
+def _view(evidence: Evidence, key: str) -> Iterator[str]:
+    """Yield what is wrong with the files of one view."""
+    files: dict[Path, list[Row]] = {}
+    for row in evidence.rows:
+        files.setdefault(evidence.video_path(row, key), []).append(row)
+    for path, rows in files.items():
+        name = path.relative_to(evidence.root)
+        yield from (f"{name} {problem}" for problem in _ranges(rows, key))
+        try:
+            yield from (f"{name} {problem}" for problem in _stream(path, rows, evidence.features[key], key))
+        except (OSError, FFmpegError, IndexError) as error:
+            yield f"{name} cannot be read as a video: {error}"
+
+
+def _ranges(rows: list[Row], key: str) -> Iterator[str]:
     """Yield gaps and overlaps between the episodes of one file."""
     start = 0
     for row in rows:
-        found = [row[f"videos/{CAMERA_KEY}/{end}_timestamp"] for end in ("from", "to")]
+        found = [row[f"videos/{key}/{end}_timestamp"] for end in ("from", "to")]
         wanted = [start / CONTROL_HZ, (start + row["length"]) / CONTROL_HZ]
         if found != wanted:
             yield (
@@ -48,9 +54,8 @@ def _ranges(rows: list[Row]) -> Iterator[str]:
         start += row["length"]
 
 
-def _stream(path: Path, rows: list[Row], evidence: Evidence) -> Iterator[str]:
+def _stream(path: Path, rows: list[Row], feature: dict[str, Any], key: str) -> Iterator[str]:
     wanted = sum(row["length"] for row in rows)
-    feature = evidence.features[CAMERA_KEY]
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         found = (stream.height, stream.width, stream.codec_context.codec.canonical_name, stream.average_rate)
@@ -64,7 +69,7 @@ def _stream(path: Path, rows: list[Row], evidence: Evidence) -> Iterator[str]:
         times = sorted(float((packet.pts or 0) * packet.time_base) for packet in packets)
         if any(abs(time - number / CONTROL_HZ) > 1e-6 for number, time in enumerate(times)):
             yield f"has frames that are not 1/{CONTROL_HZ} s apart"
-        starts = {round(row[f"videos/{CAMERA_KEY}/from_timestamp"] * CONTROL_HZ) for row in rows}
+        starts = {round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ) for row in rows}
         keys = {number for number, packet in enumerate(packets) if packet.is_keyframe}
         if starts - keys:
             yield f"has no key frame at frame {min(starts - keys)}, where an episode begins"

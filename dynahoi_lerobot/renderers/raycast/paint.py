@@ -67,21 +67,24 @@ def paint(
 
 
 @wp.kernel
-def label(
+def survey(
     lens: Lens,
     shown: wp.array[int],
     shapes: wp.array2d[Shape],
     lists: wp.array3d[int],
     counts: wp.array2d[int],
     labels: wp.array3d[int],
+    distances: wp.array3d[float],
 ):
-    """Write the geoms that one row of one tile sees, -1 for none; (world, row, column of tiles)."""
+    """Write the geoms that one row of one tile sees, -1 for none, and their depth; (world, row, column of tiles)."""
     w, y, column = wp.tid()
-    _, seen = _look(lens, shapes, lists, counts, w, y, column)
+    depths, seen = _look(lens, shapes, lists, counts, w, y, column)
     for i in range(wp.min(TILE, lens.size - column * TILE)):
         labels[w, y, column * TILE + i] = -1
+        distances[w, y, column * TILE + i] = 0.0
         if seen[i] >= 0:
             labels[w, y, column * TILE + i] = shown[seen[i]]
+            distances[w, y, column * TILE + i] = depths[i]
 
 
 @wp.func

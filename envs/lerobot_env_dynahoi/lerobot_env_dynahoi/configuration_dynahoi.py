@@ -16,12 +16,13 @@ from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.spec import ACTION, CAMERA_KEY, FINGERTIPS, PHASE, STATE, TOUCH, camera_feature
+from dynahoi_lerobot.spec import ACTION, FINGERTIPS, PHASE, PICTURE_PREFIX, STATE, TOUCH, picture_feature
 from dynahoi_lerobot.splits import seed_stream
+from dynahoi_lerobot.views import VIEWS, check_views
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 RAW_KEYS = {
-    "pixels/ego": CAMERA_KEY,
+    **{f"pixels/{view}": PICTURE_PREFIX + view for view in VIEWS},
     "agent_pos": STATE.key,
     "fingertips": FINGERTIPS.key,
     "phase": PHASE.key,
@@ -41,6 +42,7 @@ class DynahoiEnvConfig(EnvConfig):
         split: ``test``, ``test_small``, ``val``, ``ood_speed``, ``ood_object``, ``ood_motion`` or ``train``. A seed is
             the number of an episode within split and kind; fixed splits wrap around.
         image_size: side of the square images [px]; use the dataset's.
+        views: pictures besides those of the hand's camera, such as ``side`` or ``ego_depth``.
         protocol: ``observe_before_act`` or ``direct_act``.
         capture: capture rule, ``attach`` or ``contact``.
         renderer: ``warp`` or ``opengl``.
@@ -52,6 +54,7 @@ class DynahoiEnvConfig(EnvConfig):
     fps: int = CONTROL_HZ
     split: str = "test"
     image_size: int = 128
+    views: tuple[str, ...] = ()
     protocol: str = "observe_before_act"
     capture: str = "attach"
     hand: str = ""
@@ -68,19 +71,21 @@ class DynahoiEnvConfig(EnvConfig):
             ValueError: for an unknown name, naming the ones there are.
         """
         kinds_of(self.task, Recipe(split=seed_stream(self.split)).motion_names)
-        camera = camera_feature(self.image_size)
-        shapes = {feature.key: feature.shape for feature in (camera, STATE, FINGERTIPS, PHASE, TOUCH, ACTION)}
-        types = {CAMERA_KEY: FeatureType.VISUAL, ACTION.key: FeatureType.ACTION}
+        check_views(self.views)
+        pictures = [picture_feature(self.image_size, view) for view in ("ego", *self.views)]
+        touch = [TOUCH] if CAPTURES[self.capture].feels else []
+        shapes = {feature.key: feature.shape for feature in (*pictures, STATE, FINGERTIPS, PHASE, *touch, ACTION)}
+        types = {picture.key: FeatureType.VISUAL for picture in pictures} | {ACTION.key: FeatureType.ACTION}
         self.features = {
             raw: PolicyFeature(type=types.get(key, FeatureType.STATE), shape=shapes[key])
             for raw, key in RAW_KEYS.items()
-            if raw != "touch" or CAPTURES[self.capture].feels
+            if key in shapes
         }
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the env."""
-        names = ("split", "image_size", "protocol", "capture", "hand", "renderer", "instructions")
+        names = ("split", "image_size", "views", "protocol", "capture", "hand", "renderer", "instructions")
         return {name: getattr(self, name) for name in names}
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
