@@ -112,5 +112,12 @@ def test_an_evaluated_episode_plays_again_from_its_results(
     assert cli.main(["view", "--results", str(out), "--seed", "1", "--image-size", "32", "--out", str(film)]) == 0
     stage = next(row["stage"] for row in results.rows if row["seed"] == 1)
     assert f"{stage}: {film}" in capsys.readouterr().out
+    shown = {}
+    for view in ("ego", "side"):
+        words = ["--seed", "1", "--image-size", "32", "--view", view, "--out", str(tmp_path / f"{view}.gif")]
+        assert cli.main(["view", "--results", str(out), *words]) == 0
+        shown[view] = (tmp_path / f"{view}.gif").read_bytes()
+    assert shown["side"] != shown["ego"] == film.read_bytes()
+    capsys.readouterr()
     assert cli.main(["view", "--results", str(out), "--seed", "7", "--out", str(film)]) == 2
     assert "has no episode with seed 7; it has 0 to 2" in capsys.readouterr().err

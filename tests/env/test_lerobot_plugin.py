@@ -9,7 +9,7 @@ import torch
 from lerobot.configs import PreTrainedConfig
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
-from lerobot.envs.utils import close_envs, env_to_policy_features
+from lerobot.envs.utils import close_envs, env_to_policy_features, preprocess_observation
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.processor import PolicyProcessorPipeline
 from lerobot.scripts.lerobot_eval import eval_policy_all
@@ -108,6 +108,16 @@ def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig])
         "observation.phase": (1,),
         "action": (18,),
     }
+
+
+def test_further_views_reach_the_policy(config_class: type[EnvConfig], tmp_path: Path) -> None:
+    config = config_class(**SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path))
+    wanted = {"observation.images.ego", "observation.images.side", "observation.images.ego_depth"}
+    assert {key for key in env_to_policy_features(config) if "images" in key} == wanted
+    env = config.create_envs(1)["pendulum"][0]
+    observation, _ = env.reset(seed=[0])
+    assert {key for key in preprocess_observation(observation) if "images" in key} == wanted
+    assert env.observation_space.contains(observation)
 
 
 @dataclass
