@@ -48,6 +48,16 @@ def texture_pixels(pattern: str) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Distractor:
+    """A thing that is only there to be seen: shape, half-sizes [m], position [m] in the world, colour 0 to 1."""
+
+    shape: str
+    half_size: tuple[float, ...]
+    pos_w: tuple[float, float, float]
+    rgb: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class Look:
     """What one episode looks like.
 
@@ -56,6 +66,10 @@ class Look:
         target_rgb, floor_rgb, wall_rgb, box_rgb, skin_rgb: tints, 0 to 1.
         light_dir: (3,) direction the light travels in, world.
         light_level: diffuse intensity of the light, 0 to 1.
+        light_rgb: its colour, 0 to 1.
+        gloss: intensity of the highlights, 0 to 1.
+        target_alpha: opacity of the target, 0 to 1.
+        distractors: further things in view, each of another shape.
     """
 
     target_pattern: str
@@ -69,6 +83,10 @@ class Look:
     skin_rgb: tuple[float, float, float]
     light_dir: tuple[float, float, float]
     light_level: float
+    light_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    gloss: float = 0.0
+    target_alpha: float = 1.0
+    distractors: tuple[Distractor, ...] = ()
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> Look:
@@ -78,10 +96,10 @@ class Look:
         slant = rng.uniform(-0.6, 0.6, 2)
         return cls(
             *(str(p) for p in patterns),
-            target_rgb=_hsv(hue, rng.uniform(0.7, 1.0), rng.uniform(0.75, 1.0)),
-            floor_rgb=_hsv(rng.random(), rng.uniform(0.0, 0.3), rng.uniform(0.35, 0.8)),
-            wall_rgb=_hsv(rng.random(), rng.uniform(0.0, 0.3), rng.uniform(0.45, 0.9)),
-            box_rgb=_hsv((hue + rng.uniform(0.3, 0.7)) % 1.0, rng.uniform(0.1, 0.4), rng.uniform(0.4, 0.8)),
+            target_rgb=hsv(hue, rng.uniform(0.7, 1.0), rng.uniform(0.75, 1.0)),
+            floor_rgb=hsv(rng.random(), rng.uniform(0.0, 0.3), rng.uniform(0.35, 0.8)),
+            wall_rgb=hsv(rng.random(), rng.uniform(0.0, 0.3), rng.uniform(0.45, 0.9)),
+            box_rgb=hsv((hue + rng.uniform(0.3, 0.7)) % 1.0, rng.uniform(0.1, 0.4), rng.uniform(0.4, 0.8)),
             skin_rgb=_rgb(SKIN_TONES[rng.integers(len(SKIN_TONES))]),
             light_dir=(0.6 + float(slant[0]) * 0.5, float(slant[1]), -1.0),
             light_level=rng.uniform(0.45, 0.8),
@@ -92,7 +110,7 @@ def _rgb(values: np.ndarray) -> tuple[float, float, float]:
     return (float(values[0]), float(values[1]), float(values[2]))
 
 
-def _hsv(hue: float, saturation: float, value: float) -> tuple[float, float, float]:
+def hsv(hue: float, saturation: float, value: float) -> tuple[float, float, float]:
     """Hue, saturation and value, each 0 to 1, to red, green and blue."""
     k = (np.array([5.0, 3.0, 1.0]) + 6 * hue) % 6
     return _rgb(value - value * saturation * np.clip(np.minimum(k, 4 - k), 0, 1))

@@ -11,6 +11,7 @@ from pathlib import Path
 import draccus
 import yaml
 
+from dynahoi_lerobot.appearance import check_appearance
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.motions import MOTIONS
@@ -42,6 +43,7 @@ class Recipe:
         hand: embodiment; the capture rule's own if empty.
         expert: who demonstrates; likewise.
         instructions: whether texts name the motion: ``reveal``, ``neutral`` or ``mixed``.
+        appearance: what of it is randomised more strongly: see `appearance.py`.
         image_size: side of the square camera images [px].
         views: pictures besides those of the hand's camera, of the same size: see `views.py`.
         renderer: one of the renderers.
@@ -58,6 +60,7 @@ class Recipe:
     hand: str = ""
     expert: str = ""
     instructions: str = "mixed"
+    appearance: tuple[str, ...] = ()
     image_size: int = 128
     views: tuple[str, ...] = ()
     renderer: str = DEFAULT_RENDERER
@@ -84,6 +87,7 @@ class Recipe:
             self._check_held_out("motion", name, MOTIONS[name].held_out)
         for name in self.objects:
             self._check_held_out("object", name, OBJECTS[name].held_out)
+        check_appearance(self.appearance)
         check_views(self.views)
         if not 16 <= self.image_size <= 1024:
             raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")

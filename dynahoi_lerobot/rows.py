@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.drive import Drive
-from dynahoi_lerobot.looks import Look
+from dynahoi_lerobot.looks import Distractor, Look
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.motions.base import Box, Launch, Striker, Tether, yaw_quat
 from dynahoi_lerobot.objects import TargetObject
@@ -31,6 +31,7 @@ FIELDS = (
     "geom_solref",
     "light_diffuse",
     "light_dir",
+    "light_specular",
 )
 """Model fields that differ between worlds."""
 
@@ -104,7 +105,19 @@ class Rows:
                 rgba[i, geom, :3] = rgb
         rgba[i, scene.hand_geoms, :3] = look.skin_rgb
         self.fields["light_dir"][i, 0] = np.asarray(look.light_dir) / np.linalg.norm(look.light_dir)
-        self.fields["light_diffuse"][i, 0] = look.light_level
+        self.fields["light_diffuse"][i, 0] = look.light_level * np.asarray(look.light_rgb)
+        self.fields["light_specular"][i, 0] = look.gloss
+        shown = scene.target_geoms[rgba[i, scene.target_geoms, 3] > 0]
+        rgba[i, shown, 3] = look.target_alpha
+        self._write_distractors(i, look.distractors)
+
+    def _write_distractors(self, i: int, distractors: tuple[Distractor, ...]) -> None:
+        things = {thing.shape: thing for thing in distractors}
+        for shape, geom in self._scene.distractor_geoms.items():
+            thing = things.get(shape)
+            self.fields["geom_size"][i, geom] = HIDDEN_SIZE if thing is None else thing.half_size
+            self.fields["geom_pos"][i, geom] = HIDDEN_POS if thing is None else thing.pos_w
+            self.fields["geom_rgba"][i, geom] = (0.0,) * 4 if thing is None else (*thing.rgb, 1.0)
 
     def free_target(self, i: int) -> None:
         """Cut the tether of world ``i``."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dynahoi_lerobot.appearance import vary
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.conventions import CONTROL_DT
 from dynahoi_lerobot.episode_spec import EpisodeSpec
@@ -143,7 +144,7 @@ def _finish(recipe: Recipe, draft: _Draft, path: np.ndarray, home: np.ndarray) -
     assert draft.motion is not None
     assert draft.target is not None
     intercept = timing.window_frames + timing.approach_frames
-    return EpisodeSpec(
+    spec = EpisodeSpec(
         seed=draft.seed,
         split=recipe.split,
         motion=draft.motion,
@@ -162,6 +163,7 @@ def _finish(recipe: Recipe, draft: _Draft, path: np.ndarray, home: np.ndarray) -
         oracle_path=path,
         fingerprint=recipe.fingerprint(),
     )
+    return vary(spec, recipe.appearance)
 
 
 def _instruction(style: str, motion: Motion, object_name: str, rng: np.random.Generator) -> str:

@@ -39,6 +39,8 @@ target rebounds elsewhere."""
 
 SURFACE_FRICTION = (1.0, TORSIONAL_FRICTION_M, ROLLING_FRICTION_M)
 FIXTURE_BOXES = ("box_a", "box_b")
+DISTRACTORS = ("box", "capsule", "cylinder", "sphere")
+"""Shapes of the things that are only there to be seen, one of each."""
 LARGEST_SLOT_M = 0.12
 LARGEST_BOX_M = (1.5, 1.0, 0.3)
 OFF_FRAME_POS, OFF_FRAME_QUAT = (0.01, 0.01, 0.01), (0.8, 0.6, 0.0, 0.0)
@@ -56,6 +58,8 @@ WALLS = {
 BACKDROP = "wall_front"
 WALL_HALF_THICKNESS_M = 0.1
 SHOWN_GROUP, HIDDEN_GROUP = 0, 4
+SHININESS = 0.5
+"""Of every material; MuJoCo's own for geoms without one, which shine half as much."""
 
 SIDE_CAMERA = "side"
 SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([-0.65, -0.6, 0.4]), np.array([0.35, 0.05, 0.0])
@@ -74,6 +78,7 @@ class Scene:
         target_body, target_qpos, target_dof: ids and first addresses of the free target.
         hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of the actuators.
         striker_body, striker_qpos, striker_dof: the striker's body and the addresses of its slide.
+        distractor_geoms: geom ids of the things that are only there to be seen, by shape.
         box_geoms, box_mocap: geom ids and mocap indices of the fixture boxes.
         side_mocap: mocap index of the body that carries the side camera, at the hand's home.
         tether_eq, weld_eq: equality ids; ``tether_geom``: the string drawn on the target body.
@@ -97,6 +102,7 @@ class Scene:
     striker_dof: int
     floor_geom: int
     backdrop_geom: int
+    distractor_geoms: dict[str, int]
     box_geoms: tuple[int, ...]
     box_mocap: tuple[int, ...]
     side_mocap: int
@@ -125,6 +131,7 @@ def compile_scene(hand: str | None = "capsule") -> Scene:
     _set_options(spec)
     _add_materials(spec)
     _add_surroundings(spec)
+    _add_distractors(spec)
     if embodiment:
         embodiment.add_to(spec)
         _set_hand_collisions(spec)
@@ -157,7 +164,7 @@ def _set_options(spec: mujoco.MjSpec) -> None:
     spec.visual.headlight.specular = (0.0, 0.0, 0.0)
     spec.worldbody.add_light(
         name="sun", type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, pos=(0, 0, 4), dir=(0.5, 0.2, -1), castshadow=True,
-        diffuse=(0.6, 0.6, 0.6), specular=(0.1, 0.1, 0.1),
+        diffuse=(0.6, 0.6, 0.6), specular=(0.0, 0.0, 0.0),
     )  # fmt: skip
 
 
@@ -174,7 +181,7 @@ def _add_materials(spec: mujoco.MjSpec) -> None:
         texture.data = pixels.tobytes()
         for scale, repeat in (("fine", 1.0), ("coarse", 5.0)):
             material = spec.add_material(
-                name=f"{pattern}_{scale}", texrepeat=(repeat, repeat), specular=0.15, shininess=0.3
+                name=f"{pattern}_{scale}", texrepeat=(repeat, repeat), specular=1.0, shininess=SHININESS
             )
             material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = pattern
 
@@ -218,6 +225,14 @@ def _add_target(spec: mujoco.MjSpec) -> None:
         name="tether", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(0.003, 0.5, 0), mass=0.0, contype=0, conaffinity=0,
         rgba=(0.25, 0.25, 0.25, 1), pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
     )  # fmt: skip
+
+
+def _add_distractors(spec: mujoco.MjSpec) -> None:
+    for shape in DISTRACTORS:
+        spec.worldbody.add_geom(
+            name=f"distractor_{shape}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, contype=0, conaffinity=0,
+            material="plain_fine", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
+        )  # fmt: skip
 
 
 def _add_fixtures(spec: mujoco.MjSpec) -> None:
@@ -281,6 +296,7 @@ def _index(model: mujoco.MjModel, hand: Hand | None) -> Scene:
         striker_dof=int(striker.dofadr[0]),
         floor_geom=geoms["floor"],
         backdrop_geom=geoms[BACKDROP],
+        distractor_geoms={shape: geoms[f"distractor_{shape}"] for shape in DISTRACTORS},
         box_geoms=tuple(geoms[n] for n in FIXTURE_BOXES),
         box_mocap=tuple(int(model.body(n).mocapid[0]) for n in FIXTURE_BOXES),
         side_mocap=int(model.body(SIDE_CAMERA).mocapid[0]),

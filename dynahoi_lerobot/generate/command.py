@@ -24,13 +24,12 @@ BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi generate``."""
     parser.add_argument("--root", type=Path, required=True, help="the dataset's folder; must not exist")
-    parser.add_argument(
-        "--recipe", type=Path, help="YAML file; --image-size, --views, --motions, --capture override it"
-    )
+    parser.add_argument("--recipe", type=Path, help="YAML file; the options below override it")
     parser.add_argument("--episodes", type=int, required=True, help="number of successful episodes")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
     parser.add_argument("--image-size", type=int, help="side of the square frames [pixels]; 0 for no camera")
     parser.add_argument("--views", help="comma-separated further pictures: side, ego_depth, ego_segmentation, ...")
+    parser.add_argument("--appearance", help="comma-separated: materials, lights, specular, transparency, distractors")
     parser.add_argument("--motions", help="comma-separated kinds of motion")
     parser.add_argument("--capture", help="capture rule, with its own hand and expert")
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
@@ -90,6 +89,8 @@ def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
         changes["image_size"] = args.image_size
     if args.views:
         changes["views"] = tuple(args.views.split(","))
+    if args.appearance:
+        changes["appearance"] = tuple(args.appearance.split(","))
     if args.motions:
         changes["motions"] = tuple(args.motions.split(","))
     if args.capture:

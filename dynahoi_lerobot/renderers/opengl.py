@@ -27,8 +27,9 @@ GEOM = mujoco.mjtObj.mjOBJ_GEOM.value
 class OpenGLRenderer(Renderer):
     """Writes each world into one MjModel and one MjData, which share the textures, and draws them with one context.
 
-    It shows what ``warp`` shows: one sample per pixel, textures, no shadows and no highlights. Shapes and plain colours
-    agree; patterns are laid on with another phase. EGL is used unless MUJOCO_GL asks for another platform.
+    It shows what ``tiles`` shows: one sample per pixel, textures, no shadows. Shapes and plain colours agree; patterns
+    are laid on with another phase, and highlights are those of the vertices. EGL is used unless MUJOCO_GL asks for
+    another platform.
     """
 
     def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA) -> None:
@@ -84,7 +85,6 @@ class OpenGLRenderer(Renderer):
     def _draw(self, i: int) -> np.ndarray:
         """(H, W, 3) picture of world ``i``."""
         model, data = self.batch.get_model(i, self._model), self.batch.get_data(i, self._data)
-        model.light_specular[:] = 0.0
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_camlight(model, data)

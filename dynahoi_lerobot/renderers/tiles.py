@@ -24,7 +24,13 @@ from dynahoi_lerobot.renderers.raycast.paint import Lamps, paint, survey  # noqa
 from dynahoi_lerobot.renderers.raycast.shapes import KINDS  # noqa: E402
 from dynahoi_lerobot.scene import SHOWN_GROUP, Scene  # noqa: E402
 
-LOOK_FIELDS = {"geom_size": wp.vec3, "geom_rgba": wp.vec4, "geom_matid": int, "light_diffuse": wp.vec3}
+LOOK_FIELDS = {
+    "geom_size": wp.vec3,
+    "geom_rgba": wp.vec4,
+    "geom_matid": int,
+    "light_diffuse": wp.vec3,
+    "light_specular": wp.vec3,
+}
 POSE_FIELDS = {
     "geom_xpos": wp.vec3,
     "geom_xmat": wp.mat33,
@@ -40,8 +46,8 @@ class TileRenderer(Renderer):
     """All worlds in one call, on the CPU without OpenGL or on CUDA, from the same file.
 
     The picture is the one that ``warp`` draws, an order of magnitude sooner: one sample per pixel, textures, a
-    directional light and the headlight, no shadows or highlights. What a world looks like depends neither on its
-    neighbours nor on the number of threads.
+    directional light and the headlight, no shadows; and, unlike there, highlights and one layer of what is translucent.
+    What a world looks like depends neither on its neighbours nor on the number of threads.
     """
 
     def __init__(
@@ -103,8 +109,9 @@ class TileRenderer(Renderer):
         moving = [self._mirror.arrays[name] for name in ("geom_size", "geom_rgba", "geom_matid", *POSE_FIELDS)]
         self._placer = _recorded(place, 2, [lens, numbers, *fixed, *moving, shapes, outlines])
         self._sorter = _recorded(sort_into_tiles, 2, [self._across, outlines, lists, counts])
-        light, textures = self._mirror.arrays["light_diffuse"], wp.array(_textures(model), dtype=float)
-        inputs = [0, lens, lamps, shapes, lists, counts, light, textures, self._pictures]
+        lights = [self._mirror.arrays[name] for name in ("light_diffuse", "light_specular")]
+        inputs = [0, lens, lamps, shapes, lists, counts, *lights, wp.array(_textures(model), dtype=float)]
+        inputs += [self._pictures]
         self._painters = [_recorded(paint, 2, inputs) for _ in range(threads)]
         self._surveyor = _recorded(survey, 3, [lens, numbers, shapes, lists, counts, self._labels, self._depths])
         self._shapes = len(shown)

@@ -11,6 +11,8 @@ from dynahoi_lerobot.renderers.raycast.shapes import BOX, ELLIPSOID, PLANE, SPHE
 TILE = wp.constant(16)
 """Side of a tile [px]."""
 FAR = wp.constant(1.0e10)
+PLAIN_GLOSS = wp.constant(0.5)
+"""What geoms without a material throw back, as in MuJoCo; materials of this scene throw back all of it."""
 NEAREST_DEPTH = wp.constant(0.01)
 """A shape that comes closer to the camera's plane than this [m] may show anywhere."""
 
@@ -35,6 +37,7 @@ class Shape:
         camera: position of the camera [m]; ``from_camera``: rotation from the camera's axes.
         sun: direction towards the light.
         texture: index, -1 for none; ``repeat``: how often it repeats across the shape.
+        alpha: opacity; ``gloss``: how much of the light's highlight it throws back.
     """
 
     kind: int
@@ -45,6 +48,8 @@ class Shape:
     sun: wp.vec3
     texture: int
     repeat: wp.vec2
+    alpha: float
+    gloss: float
 
 
 @wp.kernel
@@ -77,8 +82,11 @@ def place(
     shape.camera = to_shape * (cam_xpos[w, lens.camera] - geom_xpos[w, geom])
     shape.from_camera = to_shape * cam_xmat[w, lens.camera]
     shape.sun = -(to_shape * light_xdir[w, 0])
+    shape.alpha = rgba[3]
+    shape.gloss = PLAIN_GLOSS
     shape.texture = -1
     if geom_matid[w, geom] >= 0:
+        shape.gloss = 1.0
         shape.texture = texture_of[geom_matid[w, geom]]
         shape.repeat = repeat_of[geom_matid[w, geom]]
     shapes[w, s] = shape

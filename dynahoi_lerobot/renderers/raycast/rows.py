@@ -34,8 +34,11 @@ from dynahoi_lerobot.renderers.raycast.shapes import (
     uv_plane,
     uv_sphere,
 )
+from dynahoi_lerobot.scene import SHININESS
 
 Row = wp.types.vector(TILE, wp.float32)
+HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
+"""As OpenGL's."""
 Indices = wp.types.vector(TILE, wp.int32)
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
@@ -70,6 +73,23 @@ def _lighting(normal: wp.Function) -> wp.Function:
     return lit
 
 
+def _shining(normal: wp.Function) -> wp.Function:
+    """Return a function that finds how nearly the points of a row mirror the sun into the camera."""
+
+    @wp.func
+    def shone(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3) -> Row:
+        row = Row()
+        for i in range(TILE):
+            ray = first + float(i) * step
+            n = normal(shape.size, shape.camera + depths[i] * ray)
+            halfway = wp.normalize(shape.sun - wp.normalize(ray))
+            facing = wp.where(wp.dot(n, shape.sun) > 0.0, wp.dot(n, halfway), 0.0)
+            row[i] = wp.pow(wp.max(facing, 0.0), HIGHLIGHT_EXPONENT)
+        return row
+
+    return shone
+
+
 def _papering(uv: wp.Function) -> wp.Function:
     """Return a function that reads the shape's texture at the points of a row."""
 
@@ -93,6 +113,12 @@ _paper_capsule, _paper_cylinder, _paper_ellipsoid = (
     _papering(uv_capsule),
     _papering(uv_cylinder),
     _papering(uv_ellipsoid),
+)
+_shine_plane, _shine_sphere, _shine_capsule = _shining(normal_plane), _shining(normal_sphere), _shining(normal_capsule)
+_shine_cylinder, _shine_ellipsoid, _shine_box = (
+    _shining(normal_cylinder),
+    _shining(normal_ellipsoid),
+    _shining(normal_box),
 )
 _enter_box, _light_box, _paper_box = _entering(enter_box), _lighting(normal_box), _papering(uv_box)
 
@@ -127,6 +153,22 @@ def light_row(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3) -> tuple
     if shape.kind == ELLIPSOID:
         return _light_ellipsoid(shape, depths, first, step)
     return _light_sphere(shape, depths, first, step)
+
+
+@wp.func
+def shine_row(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3) -> Row:
+    """Return the highlight of the sun, 0 to 1 (Blinn, 1977)."""
+    if shape.kind == PLANE:
+        return _shine_plane(shape, depths, first, step)
+    if shape.kind == CAPSULE:
+        return _shine_capsule(shape, depths, first, step)
+    if shape.kind == BOX:
+        return _shine_box(shape, depths, first, step)
+    if shape.kind == CYLINDER:
+        return _shine_cylinder(shape, depths, first, step)
+    if shape.kind == ELLIPSOID:
+        return _shine_ellipsoid(shape, depths, first, step)
+    return _shine_sphere(shape, depths, first, step)
 
 
 @wp.func
