@@ -60,6 +60,7 @@ class DynahoiVectorEnv(VectorEnv):
         image_size: int = 128,
         images: bool = True,
         views: Sequence[str] = (),
+        appearance: Sequence[str] = (),
         protocol: str = "observe_before_act",
         capture: str = "attach",
         hand: str = "",
@@ -78,7 +79,7 @@ class DynahoiVectorEnv(VectorEnv):
             image_size: side of the images [px].
             images: whether observations contain images; without them nothing is rendered.
             views: pictures besides those of the hand's camera, under ``pixels``; see `views.py`.
-            protocol, capture, hand, renderer, instructions: see ``Recipe``.
+            appearance, protocol, capture, hand, renderer, instructions: see ``Recipe``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
@@ -88,6 +89,7 @@ class DynahoiVectorEnv(VectorEnv):
             split=seed_stream(split),
             image_size=image_size,
             views=tuple(views),
+            appearance=tuple(appearance),
             protocol=protocol,
             capture=capture,
             hand=hand,

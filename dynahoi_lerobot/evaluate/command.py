@@ -43,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--capture", default="attach", help="capture rule")
     parser.add_argument("--hand", default="", help="embodiment; the capture rule's own by default")
     parser.add_argument("--protocol", default="observe_before_act", help="or direct_act")
+    parser.add_argument("--appearance", help="comma-separated: what of it is randomised more strongly than in training")
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
     parser.add_argument("--device", help="torch device of the policy")
@@ -128,6 +129,7 @@ def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
         protocol=args.protocol,
         image_size=size,
         views=getattr(actor, "views", ()),
+        appearance=tuple(args.appearance.split(",")) if args.appearance else (),
     )
 
 

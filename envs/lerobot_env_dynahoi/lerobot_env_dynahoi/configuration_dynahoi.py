@@ -32,6 +32,20 @@ RAW_KEYS = {
 """Keys of the gymnasium observations and actions, and what policies call them."""
 
 
+ENV_OPTIONS = (
+    "split",
+    "image_size",
+    "views",
+    "appearance",
+    "protocol",
+    "capture",
+    "hand",
+    "renderer",
+    "instructions",
+)
+"""What the config passes on to the env."""
+
+
 @EnvConfig.register_subclass("dynahoi")
 @dataclass
 class DynahoiEnvConfig(EnvConfig):
@@ -43,6 +57,7 @@ class DynahoiEnvConfig(EnvConfig):
             the number of an episode within split and kind; fixed splits wrap around.
         image_size: side of the square images [px]; use the dataset's.
         views: pictures besides those of the hand's camera, such as ``side`` or ``ego_depth``.
+        appearance: what of it is randomised more strongly, such as ``lights`` or ``distractors``.
         protocol: ``observe_before_act`` or ``direct_act``.
         capture: capture rule, ``attach`` or ``contact``.
         renderer: ``warp`` or ``opengl``.
@@ -55,6 +70,7 @@ class DynahoiEnvConfig(EnvConfig):
     split: str = "test"
     image_size: int = 128
     views: tuple[str, ...] = ()
+    appearance: tuple[str, ...] = ()
     protocol: str = "observe_before_act"
     capture: str = "attach"
     hand: str = ""
@@ -85,8 +101,7 @@ class DynahoiEnvConfig(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the env."""
-        names = ("split", "image_size", "views", "protocol", "capture", "hand", "renderer", "instructions")
-        return {name: getattr(self, name) for name in names}
+        return {name: getattr(self, name) for name in ENV_OPTIONS}
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async."""
