@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.conventions import HAND_DOF
+from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.figures.base import FIGURES, in_order
 from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay
@@ -102,6 +103,13 @@ def test_figures_have_an_order_and_say_what_they_show():
     for figure in in_order():
         assert figure.caption.endswith(".")
         assert len(figure.caption) > 40
+
+
+def test_an_empty_group_before_others_does_not_change_their_scale():
+    missing, half = Estimate(None, None, None, "score", 0), Estimate(0.5, 0.25, 0.75, "fraction", 4)
+    values, reach = scaled([missing, half])
+    np.testing.assert_array_equal(values, [np.nan, 50.0])
+    np.testing.assert_array_equal(reach[:, 1], [25.0, 25.0])
 
 
 def test_intervals_are_scaled_as_they_are_printed(entries: list[Entry]):

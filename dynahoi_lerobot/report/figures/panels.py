@@ -29,8 +29,8 @@ def columns_of(entries: Sequence[Entry]) -> tuple[str, ...]:
 def scaled(estimates: Sequence[Estimate]) -> tuple[np.ndarray, np.ndarray]:
     """Return (K,) values and (2, K) distances to the interval's ends as printed: fractions in per cent, None as nan."""
     rows = [(e.value, e.low, e.high) if e.value is not None else (np.nan,) * 3 for e in estimates]
-    scale = 100 if estimates and estimates[0].unit == "fraction" else 1
-    value, low, high = scale * np.array(rows, np.float64).reshape(-1, 3).T
+    scales = np.array([100 if e.unit == "fraction" else 1 for e in estimates])  # an empty group has no unit
+    value, low, high = np.array(rows, np.float64).reshape(-1, 3).T * scales
     return value, np.stack([value - low, high - value])
 
 
