@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT
 from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.rollout import evaluate, make_batch
 from dynahoi_lerobot.sampling import sample_specs
+from tests.menagerie import write_menagerie
 
 TEST = Recipe(split="test", image_size=32)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def menagerie(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Every test finds a small stand-in for MuJoCo Menagerie, also if the machine has the real one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(MENAGERIE_ROOT, str(write_menagerie(tmp_path_factory.mktemp("menagerie"))))
+        yield
 
 
 @pytest.fixture(scope="session")

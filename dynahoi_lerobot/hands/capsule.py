@@ -14,27 +14,15 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS
-from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, HANDS, PALM_BODY, PALM_SITE, Hand, camera_quat
-from dynahoi_lerobot.spec import PALM_AXES
+from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, Hand
+from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
 
-PALM_MASS_KG = 0.8
 LINK_MASS_KG = 0.012
-MOVING_MASS_KG = PALM_MASS_KG + FINGER_DOF * LINK_MASS_KG
-PALM_FORCE_N = 120.0
-PALM_BANDWIDTH_RAD_S = 150.0
 FINGER_TORQUE_NM = 1.2
-FINGER_BANDWIDTH_RAD_S = 120.0
 FINGER_ARMATURE = 2.0e-4
 """Reflected rotor inertia [kg m^2]; it dominates the finger links' own."""
 FLEXION_RANGE_RAD = (-0.05, 1.6)
 """The open hand, at zero, touches no limit: an idle limit would be a constraint in every physics step."""
-GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
-"""Reach of the palm centre, world."""
-
-CAMERA_POS = (-0.15, 0.03, 0.21)
-CAMERA_PITCH_RAD = 0.45
-CAMERA_FOVY_DEG = 84.0
-"""The camera looks over the back of the hand, along +x and down, and sees past the thumb into the grasp volume."""
 
 
 @dataclass(frozen=True)
@@ -84,27 +72,13 @@ class CapsuleHand(Hand):
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add palm, fingers, servos, sites and the ego camera to ``spec``."""
-        palm = spec.worldbody.add_body(name=PALM_BODY, gravcomp=1.0)
-        palm.explicitinertial = True
-        palm.mass, palm.inertia, palm.ipos = PALM_MASS_KG, (8e-4,) * 3, (0.0, 0.0, 0.0)
-        for axis, name in enumerate(PALM_AXES):
-            palm.add_joint(
-                name=name,
-                type=mujoco.mjtJoint.mjJNT_SLIDE,
-                axis=np.eye(3)[axis],
-                range=GANTRY_RANGE_M[axis],
-                limited=True,
-            )
-            _add_servo(spec, name, MOVING_MASS_KG, PALM_BANDWIDTH_RAD_S, PALM_FORCE_N)
+        palm = add_palm(spec, FINGER_DOF * LINK_MASS_KG)
         palm.add_geom(
             name=f"{HAND_GEOM_PREFIX}palm", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(-0.0475, -0.03, 0.003),
             size=(0.0115, 0.045, 0.041), rgba=SKIN, mass=0.0,
         )  # fmt: skip
-        palm.add_site(name=PALM_SITE, pos=(0.0, 0.0, 0.0))
         for name in FINGERS:
             self._add_finger(spec, palm, name, self.fingers[name])
-        c, s = np.cos(CAMERA_PITCH_RAD), np.sin(CAMERA_PITCH_RAD)
-        palm.add_camera(name=EGO_CAMERA, pos=CAMERA_POS, quat=camera_quat((c, 0.0, -s)), fovy=CAMERA_FOVY_DEG)
 
     def open_joints(self) -> np.ndarray:
         """Return (15,) zeros: straight fingers."""
@@ -153,29 +127,14 @@ class CapsuleHand(Hand):
                 limited=True,
                 armature=FINGER_ARMATURE,
             )
-            _add_servo(spec, joint, FINGER_ARMATURE, FINGER_BANDWIDTH_RAD_S, FINGER_TORQUE_NM)
+            add_servo(spec, joint, FINGER_ARMATURE, FINGER_BANDWIDTH_RAD_S, FINGER_TORQUE_NM)
             link.add_geom(
                 name=f"{HAND_GEOM_PREFIX}{joint}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=LINK_MASS_KG, rgba=SKIN,
                 fromto=np.concatenate([np.zeros(3), along * length]), size=(finger.radius, 0, 0),
             )  # fmt: skip
             parent, pos = link, along * length
         pad = along * finger.lengths[-1] + finger.radius * np.cross(finger.axis, along)
-        parent.add_site(name=f"{name}_tip", pos=pad, quat=_z_to(along))
-
-
-def _add_servo(spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth_rad_s: float, limit: float) -> None:
-    """Add a critically damped position servo: force = kp (u - q) - kv qdot, clipped to +- ``limit``."""
-    kp, kv = inertia * bandwidth_rad_s**2, 2 * inertia * bandwidth_rad_s
-    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.set_to_position(kp, kv=kv)
-    actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
-
-
-def _z_to(direction: np.ndarray) -> np.ndarray:
-    """Quaternion wxyz that turns z to ``direction`` the short way."""
-    quat = np.zeros(4)
-    mujoco.mju_quatZ2Vec(quat, direction)
-    return quat
+        parent.add_site(name=f"{name}_tip", pos=pad, quat=quat_z_to(along))
 
 
 def pad_position(finger: Finger, closure: float) -> np.ndarray:

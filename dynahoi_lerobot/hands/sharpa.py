@@ -1,0 +1,210 @@
+"""The Sharpa Wave, a robot's five-fingered hand, from the user's copy of MuJoCo Menagerie.
+
+Its abduction and metacarpal joints stay at zero, so fifteen flexion joints remain, and with the gantry the same
+eighteen degrees of freedom as the bundled hands. What collides is also what is drawn: the model's own capsules and
+cylinders, and the boxes around its palm's convex pieces; so no mesh has to be rendered.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS
+from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
+from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
+from dynahoi_lerobot.spec import JOINT_NAMES
+
+MENAGERIE_ROOT = "MENAGERIE_ROOT"
+"""Environment variable with the folder of MuJoCo Menagerie."""
+CACHE = Path.home() / ".cache" / "robot_descriptions" / "mujoco_menagerie"
+"""Where the package robot_descriptions keeps it."""
+MODEL = "sharpa_wave/left_hand.xml"
+"""Its fingers, thumb and palm lie as the bundled hands' do."""
+
+SIDE = "left_"
+FLEXIONS = {
+    "thumb": ("thumb_CMC_FE", "thumb_MCP_FE", "thumb_IP"),
+    "index": ("index_MCP_FE", "index_PIP", "index_DIP"),
+    "middle": ("middle_MCP_FE", "middle_PIP", "middle_DIP"),
+    "ring": ("ring_MCP_FE", "ring_PIP", "ring_DIP"),
+    "little": ("pinky_MCP_FE", "pinky_PIP", "pinky_DIP"),
+}
+"""The joints that move, from the palm outwards, in the names of the model."""
+TIPS = {finger: f"{joints[0].split('_')[0]}_fingertip" for finger, joints in FLEXIONS.items()}
+CLOSURE_RAD = {finger: (1.0, 0.9, 0.8) if finger == "thumb" else (1.15, 1.35, 1.0) for finger in FINGERS}
+"""How far each joint flexes when the hand closes fully."""
+
+WRIST_POS_M = (-0.046, -0.0835, 0.0)
+WRIST_QUAT = (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0)
+"""The wrist in the palm's frame: the model's fingers point along its z and its palm along its x."""
+IDLE_RANGE_RAD = -0.05
+"""Joints may open a little further than straight, or the straight finger would lie at a limit in every step."""
+LIGHTEST_LINK_KG, LEAST_INERTIA = 1e-3, 1e-7
+SKIN = (0.79, 0.82, 0.93, 1.0)
+
+
+@HANDS.register("sharpa")
+class SharpaHand(Hand):
+    """The Sharpa Wave of MuJoCo Menagerie, on the gantry, with its own torque limits; for the rule ``attach``."""
+
+    def add_to(self, spec: mujoco.MjSpec) -> None:
+        """Add palm, fingers, servos, sites and the ego camera to ``spec``.
+
+        Raises:
+            ValueError: if there is no Menagerie; the message says where it was looked for.
+        """
+        model = _menagerie_model()
+        wrist = model.body_rootid[1]
+        palm = add_palm(spec, float(model.body_subtreemass[wrist] - model.body_mass[wrist]))
+        bodies = {int(wrist): palm}
+        self._add_geoms(bodies[int(wrist)], model, int(wrist), f"{HAND_GEOM_PREFIX}palm", at_wrist=True)
+        for i in range(int(wrist) + 1, model.nbody):
+            bodies[i] = self._add_body(bodies[int(model.body_parentid[i])], model, i)
+        for name, joint in zip(JOINT_NAMES, _flexions(), strict=True):
+            source = model.joint(SIDE + joint)
+            inertia = float(model.dof_armature[source.dofadr[0]])
+            add_servo(spec, name, inertia, FINGER_BANDWIDTH_RAD_S, float(model.jnt_actfrcrange[source.id, 1]))
+
+    def open_joints(self) -> np.ndarray:
+        """Return (15,) zeros: straight fingers."""
+        return np.zeros(FINGER_DOF)
+
+    def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
+        """Return (15,) angles [rad] at which each fingertip is ``grasp_radius_m`` away from the middle of the grasp.
+
+        Fingers that cannot come that close stop at full closure.
+        """
+        closure, distance = _closure_table()
+        joints = [
+            np.asarray(CLOSURE_RAD[finger]) * np.interp(-grasp_radius_m, -distance[i], closure)
+            for i, finger in enumerate(FINGERS)
+        ]
+        return np.concatenate(joints)
+
+    def _add_body(self, parent: mujoco.MjsBody, model: mujoco.MjModel, i: int) -> mujoco.MjsBody:
+        """Add body ``i`` of the model with its inertia, its joint if it is one that flexes, its geoms and its tip."""
+        finger = _finger_of(model, i)
+        at_wrist = parent.name == "palm"
+        pos, quat = _from_wrist(model.body_pos[i], model.body_quat[i]) if at_wrist else (
+            model.body_pos[i], model.body_quat[i])  # fmt: skip
+        name = f"{finger}_base" if at_wrist else model.body(i).name.removeprefix(SIDE)
+        body = parent.add_body(name=name, pos=pos, quat=quat, gravcomp=1.0)
+        body.explicitinertial = True
+        body.mass = max(float(model.body_mass[i]), LIGHTEST_LINK_KG)
+        body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
+        body.inertia = np.maximum(model.body_inertia[i], LEAST_INERTIA)
+        for joint in range(model.body_jntadr[i], model.body_jntadr[i] + model.body_jntnum[i]):
+            self._add_joint(body, model, joint)
+        self._add_geoms(body, model, i, f"{HAND_GEOM_PREFIX}{finger}_{model.body(i).name}")
+        for site in np.flatnonzero(model.site_bodyid == i):
+            if model.site(site).name == SIDE + TIPS[finger]:
+                body.add_site(name=f"{finger}_tip", pos=model.site_pos[site], quat=quat_z_to(np.array([1.0, 0.0, 0.0])))
+        return body
+
+    def _add_joint(self, body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
+        """Add a joint that flexes, turned so that positive angles close; the others stay as they are at zero."""
+        name = model.joint(joint).name.removeprefix(SIDE)
+        if name not in _flexions():
+            return
+        low, high = model.jnt_range[joint]
+        sign = 1.0 if high >= -low else -1.0
+        low, high = sorted((sign * low, sign * high))
+        body.add_joint(
+            name=JOINT_NAMES[_flexions().index(name)],
+            pos=model.jnt_pos[joint],
+            axis=sign * model.jnt_axis[joint],
+            range=(min(low, IDLE_RANGE_RAD), high),
+            limited=True,
+            armature=model.dof_armature[model.jnt_dofadr[joint]],
+        )
+
+    def _add_geoms(
+        self, body: mujoco.MjsBody, model: mujoco.MjModel, i: int, name: str, *, at_wrist: bool = False
+    ) -> None:
+        """Add what collides of body ``i``: primitives as they are, meshes as the boxes around them."""
+        colliding = (model.geom_bodyid == i) & (model.geom_contype > 0)
+        for number, geom in enumerate(np.flatnonzero(colliding)):
+            kind, size, pos, quat = _primitive(model, int(geom))
+            if at_wrist:
+                pos, quat = _from_wrist(pos, quat)
+            body.add_geom(name=f"{name}_{number}", type=kind, size=size, pos=pos, quat=quat, rgba=SKIN, mass=0.0)
+
+
+def menagerie_model_path() -> Path:
+    """Return the path of the hand's model.
+
+    Raises:
+        ValueError: if there is none; the message says where it was looked for.
+    """
+    root = Path(os.environ.get(MENAGERIE_ROOT) or CACHE)
+    if not (root / MODEL).is_file():
+        raise ValueError(
+            f"the hand 'sharpa' is part of MuJoCo Menagerie, but {root} holds no {MODEL}; clone "
+            f"github.com/google-deepmind/mujoco_menagerie and let {MENAGERIE_ROOT} name the folder"
+        )
+    return root / MODEL
+
+
+def _menagerie_model() -> mujoco.MjModel:
+    return _compiled(menagerie_model_path())
+
+
+@functools.cache
+def _compiled(path: Path) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(path))
+
+
+def _flexions() -> list[str]:
+    return [joint for finger in FINGERS for joint in FLEXIONS[finger]]
+
+
+def _finger_of(model: mujoco.MjModel, i: int) -> str:
+    """Return the finger that body ``i`` belongs to."""
+    first = model.body(i).name.removeprefix(SIDE).split("_")[0]
+    return {joints[0].split("_")[0]: finger for finger, joints in FLEXIONS.items()}[first]
+
+
+def _from_wrist(pos: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a pose of the wrist's frame in the palm's."""
+    turned, whole = np.zeros(3), np.zeros(4)
+    mujoco.mju_rotVecQuat(turned, pos, WRIST_QUAT)
+    mujoco.mju_mulQuat(whole, WRIST_QUAT, quat)
+    return WRIST_POS_M + turned, whole
+
+
+def _primitive(model: mujoco.MjModel, geom: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
+    """Return type, size, position and quaternion of a geom, or of the box around it if it is a mesh."""
+    pos, quat, kind = model.geom_pos[geom], model.geom_quat[geom], int(model.geom_type[geom])
+    if kind != mujoco.mjtGeom.mjGEOM_MESH:
+        return kind, model.geom_size[geom], pos, quat
+    center = np.zeros(3)
+    mujoco.mju_rotVecQuat(center, model.geom_aabb[geom, :3], quat)
+    return mujoco.mjtGeom.mjGEOM_BOX, model.geom_aabb[geom, 3:], pos + center, quat
+
+
+@functools.cache
+def _closure_table() -> tuple[np.ndarray, np.ndarray]:
+    """Closure fractions (K,) and, per finger, the tip's distance (5, K) [m] from the middle of the grasp volume.
+
+    As for the bundled hands, fingers close around an axis along z; the thumb's distance is to the middle itself.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    SharpaHand().add_to(spec)
+    model = spec.compile()
+    data, closure = mujoco.MjData(model), np.linspace(0.0, 1.0, 101)
+    full = np.concatenate([CLOSURE_RAD[finger] for finger in FINGERS])
+    joints = [int(model.joint(name).qposadr[0]) for name in JOINT_NAMES]
+    distance = np.zeros((len(FINGERS), len(closure)))
+    for k, share in enumerate(closure):
+        data.qpos[joints] = share * full
+        mujoco.mj_kinematics(model, data)
+        for i, finger in enumerate(FINGERS):
+            offset = data.site(f"{finger}_tip").xpos - data.site(PALM_SITE).xpos
+            distance[i, k] = np.linalg.norm(offset if finger == "thumb" else offset[:2])
+    return closure, np.minimum.accumulate(distance, axis=1)
