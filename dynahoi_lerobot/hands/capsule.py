@@ -15,6 +15,7 @@ import numpy as np
 
 from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, Hand
+from dynahoi_lerobot.hands.closing import close_around
 from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
 
 LINK_MASS_KG = 0.012
@@ -91,11 +92,7 @@ class CapsuleHand(Hand):
         full closure.
         """
         closure, distance = self._closure_table()
-        joints = [
-            np.asarray(self.fingers[name].share) * np.interp(-grasp_radius_m, -distance[i], closure)
-            for i, name in enumerate(FINGERS)
-        ]
-        return np.concatenate(joints)
+        return close_around(grasp_radius_m, closure, distance, [self.fingers[name].share for name in FINGERS])
 
     @classmethod
     @functools.cache

@@ -16,6 +16,7 @@ import numpy as np
 
 from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
+from dynahoi_lerobot.hands.closing import close_around
 from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
 from dynahoi_lerobot.spec import JOINT_NAMES
 
@@ -26,7 +27,8 @@ CACHE = Path.home() / ".cache" / "robot_descriptions" / "mujoco_menagerie"
 MODEL = "sharpa_wave/left_hand.xml"
 """Its fingers, thumb and palm lie as the bundled hands' do."""
 
-SIDE = "left_"
+SIDE, WRIST = "left_", 1
+"""Its names begin with the first; the second is the number of the body that the fingers grow from."""
 FLEXIONS = {
     "thumb": ("thumb_CMC_FE", "thumb_MCP_FE", "thumb_IP"),
     "index": ("index_MCP_FE", "index_PIP", "index_DIP"),
@@ -59,12 +61,17 @@ class SharpaHand(Hand):
             ValueError: if there is no Menagerie; the message says where it was looked for.
         """
         model = _menagerie_model()
-        wrist = model.body_rootid[1]
-        palm = add_palm(spec, float(model.body_subtreemass[wrist] - model.body_mass[wrist]))
-        bodies = {int(wrist): palm}
-        self._add_geoms(bodies[int(wrist)], model, int(wrist), f"{HAND_GEOM_PREFIX}palm", at_wrist=True)
-        for i in range(int(wrist) + 1, model.nbody):
-            bodies[i] = self._add_body(bodies[int(model.body_parentid[i])], model, i)
+        palm = add_palm(spec, float(model.body_mass[WRIST + 1 :].sum()))
+        wrist = palm.add_frame(pos=WRIST_POS_M, quat=WRIST_QUAT)
+        bodies = {WRIST: palm}
+        for geom in _add_geoms(palm, model, WRIST, "palm"):
+            geom.set_frame(wrist)
+        for i in range(WRIST + 1, model.nbody):
+            parent = int(model.body_parentid[i])
+            bodies[i] = _add_body(bodies[parent], model, i)
+            if parent == WRIST:
+                bodies[i].name = f"{_finger_of(model, i)}_base"
+                bodies[i].set_frame(wrist)
         for name, joint in zip(JOINT_NAMES, _flexions(), strict=True):
             source = model.joint(SIDE + joint)
             inertia = float(model.dof_armature[source.dofadr[0]])
@@ -80,59 +87,58 @@ class SharpaHand(Hand):
         Fingers that cannot come that close stop at full closure.
         """
         closure, distance = _closure_table()
-        joints = [
-            np.asarray(CLOSURE_RAD[finger]) * np.interp(-grasp_radius_m, -distance[i], closure)
-            for i, finger in enumerate(FINGERS)
+        return close_around(grasp_radius_m, closure, distance, [CLOSURE_RAD[finger] for finger in FINGERS])
+
+
+def _add_body(parent: mujoco.MjsBody, model: mujoco.MjModel, i: int) -> mujoco.MjsBody:
+    """Add body ``i`` of the model with its inertia, its joint if it is one that flexes, its geoms and its tip."""
+    finger, name = _finger_of(model, i), model.body(i).name
+    body = parent.add_body(name=name, pos=model.body_pos[i], quat=model.body_quat[i], gravcomp=1.0)
+    body.explicitinertial = True
+    body.mass = max(float(model.body_mass[i]), LIGHTEST_LINK_KG)
+    body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
+    body.inertia = np.maximum(model.body_inertia[i], LEAST_INERTIA)
+    for joint in np.flatnonzero(model.jnt_bodyid == i):
+        _add_flexion(body, model, int(joint))
+    _add_geoms(body, model, i, f"{finger}_{name}")
+    for site in np.flatnonzero(model.site_bodyid == i):
+        if model.site(site).name == SIDE + TIPS[finger]:
+            body.add_site(name=f"{finger}_tip", pos=model.site_pos[site], quat=quat_z_to(np.array([1.0, 0.0, 0.0])))
+    return body
+
+
+def _add_flexion(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
+    """Add a joint that flexes, turned so that positive angles close; other joints stay as they are at zero."""
+    name = model.joint(joint).name.removeprefix(SIDE)
+    if name not in _flexions():
+        return
+    low, high = model.jnt_range[joint]
+    sign = 1.0 if high >= -low else -1.0
+    low, high = sorted((sign * low, sign * high))
+    body.add_joint(
+        name=JOINT_NAMES[_flexions().index(name)],
+        pos=model.jnt_pos[joint],
+        axis=sign * model.jnt_axis[joint],
+        range=(min(low, IDLE_RANGE_RAD), high),
+        limited=True,
+        armature=model.dof_armature[model.jnt_dofadr[joint]],
+    )
+
+
+def _add_geoms(body: mujoco.MjsBody, model: mujoco.MjModel, i: int, name: str) -> list[mujoco.MjsGeom]:
+    """Add what collides of body ``i``, and return it: primitives as they are, meshes as the boxes around them."""
+    geoms = []
+    for geom in np.flatnonzero((model.geom_bodyid == i) & (model.geom_contype > 0)):
+        kind, size, pos = int(model.geom_type[geom]), model.geom_size[geom], model.geom_pos[geom]
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            center = np.zeros(3)
+            mujoco.mju_rotVecQuat(center, model.geom_aabb[geom, :3], model.geom_quat[geom])
+            kind, size, pos = mujoco.mjtGeom.mjGEOM_BOX, model.geom_aabb[geom, 3:], pos + center
+        label = f"{HAND_GEOM_PREFIX}{name}_{len(geoms)}"
+        geoms += [
+            body.add_geom(name=label, type=kind, size=size, pos=pos, quat=model.geom_quat[geom], rgba=SKIN, mass=0)
         ]
-        return np.concatenate(joints)
-
-    def _add_body(self, parent: mujoco.MjsBody, model: mujoco.MjModel, i: int) -> mujoco.MjsBody:
-        """Add body ``i`` of the model with its inertia, its joint if it is one that flexes, its geoms and its tip."""
-        finger = _finger_of(model, i)
-        at_wrist = parent.name == "palm"
-        pos, quat = _from_wrist(model.body_pos[i], model.body_quat[i]) if at_wrist else (
-            model.body_pos[i], model.body_quat[i])  # fmt: skip
-        name = f"{finger}_base" if at_wrist else model.body(i).name.removeprefix(SIDE)
-        body = parent.add_body(name=name, pos=pos, quat=quat, gravcomp=1.0)
-        body.explicitinertial = True
-        body.mass = max(float(model.body_mass[i]), LIGHTEST_LINK_KG)
-        body.ipos, body.iquat = model.body_ipos[i], model.body_iquat[i]
-        body.inertia = np.maximum(model.body_inertia[i], LEAST_INERTIA)
-        for joint in range(model.body_jntadr[i], model.body_jntadr[i] + model.body_jntnum[i]):
-            self._add_joint(body, model, joint)
-        self._add_geoms(body, model, i, f"{HAND_GEOM_PREFIX}{finger}_{model.body(i).name}")
-        for site in np.flatnonzero(model.site_bodyid == i):
-            if model.site(site).name == SIDE + TIPS[finger]:
-                body.add_site(name=f"{finger}_tip", pos=model.site_pos[site], quat=quat_z_to(np.array([1.0, 0.0, 0.0])))
-        return body
-
-    def _add_joint(self, body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
-        """Add a joint that flexes, turned so that positive angles close; the others stay as they are at zero."""
-        name = model.joint(joint).name.removeprefix(SIDE)
-        if name not in _flexions():
-            return
-        low, high = model.jnt_range[joint]
-        sign = 1.0 if high >= -low else -1.0
-        low, high = sorted((sign * low, sign * high))
-        body.add_joint(
-            name=JOINT_NAMES[_flexions().index(name)],
-            pos=model.jnt_pos[joint],
-            axis=sign * model.jnt_axis[joint],
-            range=(min(low, IDLE_RANGE_RAD), high),
-            limited=True,
-            armature=model.dof_armature[model.jnt_dofadr[joint]],
-        )
-
-    def _add_geoms(
-        self, body: mujoco.MjsBody, model: mujoco.MjModel, i: int, name: str, *, at_wrist: bool = False
-    ) -> None:
-        """Add what collides of body ``i``: primitives as they are, meshes as the boxes around them."""
-        colliding = (model.geom_bodyid == i) & (model.geom_contype > 0)
-        for number, geom in enumerate(np.flatnonzero(colliding)):
-            kind, size, pos, quat = _primitive(model, int(geom))
-            if at_wrist:
-                pos, quat = _from_wrist(pos, quat)
-            body.add_geom(name=f"{name}_{number}", type=kind, size=size, pos=pos, quat=quat, rgba=SKIN, mass=0.0)
+    return geoms
 
 
 def menagerie_model_path() -> Path:
@@ -167,24 +173,6 @@ def _finger_of(model: mujoco.MjModel, i: int) -> str:
     """Return the finger that body ``i`` belongs to."""
     first = model.body(i).name.removeprefix(SIDE).split("_")[0]
     return {joints[0].split("_")[0]: finger for finger, joints in FLEXIONS.items()}[first]
-
-
-def _from_wrist(pos: np.ndarray, quat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a pose of the wrist's frame in the palm's."""
-    turned, whole = np.zeros(3), np.zeros(4)
-    mujoco.mju_rotVecQuat(turned, pos, WRIST_QUAT)
-    mujoco.mju_mulQuat(whole, WRIST_QUAT, quat)
-    return WRIST_POS_M + turned, whole
-
-
-def _primitive(model: mujoco.MjModel, geom: int) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-    """Return type, size, position and quaternion of a geom, or of the box around it if it is a mesh."""
-    pos, quat, kind = model.geom_pos[geom], model.geom_quat[geom], int(model.geom_type[geom])
-    if kind != mujoco.mjtGeom.mjGEOM_MESH:
-        return kind, model.geom_size[geom], pos, quat
-    center = np.zeros(3)
-    mujoco.mju_rotVecQuat(center, model.geom_aabb[geom, :3], quat)
-    return mujoco.mjtGeom.mjGEOM_BOX, model.geom_aabb[geom, 3:], pos + center, quat
 
 
 @functools.cache
