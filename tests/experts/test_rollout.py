@@ -19,7 +19,7 @@ from tests.world.playing import digest
 
 QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=32)
 SEEDS = (0, 1, 2, 5, 4, 10)
-ALLOWED = {"images", "state", "fingertips", "phase", "tasks", "touch"}
+ALLOWED = {"images", "state", "fingertips", "phase", "tasks", "touch", "views"}
 
 
 class Clumsy(Expert):
