@@ -16,7 +16,7 @@ from lerobot_policy_obact.model_card import describe
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.metrics import METRICS
 
-SHOWN = ("S_loc", "E_loc", "S_gra", "E_gra", "S_joint", "Q_smooth", "Q_line", "R_time")
+SHOWN = ("S_hold", "S_loc", "E_loc", "S_gra", "E_gra", "S_joint", "Q_smooth", "Q_line", "R_time")
 HEADER = """---
 library_name: lerobot
 license: apache-2.0
@@ -26,7 +26,7 @@ tags: [lerobot, robotics, obact, dynahoi]
 
 # ObAct, trained on two CPU cores
 
-`dynahoi view --policy docs/obact_cpu --motion planar --out catch.gif` plays it.
+`dynahoi view --policy {out} --capture {capture} --motion planar --out catch.gif` plays it.
 """
 
 
@@ -45,7 +45,8 @@ def main() -> None:
     for pipeline in make_pre_post_processors(config, pretrained_path=str(args.checkpoint)):
         pipeline.save_pretrained(args.out)
     description = describe(config, n_parameters=sum(p.numel() for p in policy.model.parameters()))
-    (args.out / "README.md").write_text(HEADER + description + results_section(args.results))
+    header = HEADER.format(out=args.out, capture=read_results(args.results).info.capture)
+    (args.out / "README.md").write_text(header + description + results_section(args.results))
 
 
 def results_section(folder: Path) -> str:
@@ -55,6 +56,8 @@ def results_section(folder: Path) -> str:
     lines = [title, "| metric | value | 95 % interval |", "|---|---|---|"]
     for name in SHOWN:
         estimate = results.summary()[name].as_json()
+        if estimate["value"] is None:
+            continue
         scale = 100 if METRICS[name].unit == "fraction" else 1
         low, high = (scale * value for value in (estimate["low"], estimate["high"]))
         lines.append(f"| {name} | {scale * estimate['value']:.2f} | [{low:.2f}, {high:.2f}] |")
