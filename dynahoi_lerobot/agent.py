@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dynahoi_lerobot.pictured import Pictured
+
 if TYPE_CHECKING:
     from dynahoi_lerobot.episode_spec import EpisodeSpec
 
 
 @dataclass(frozen=True, eq=False)
-class Observation:
+class Observation(Pictured):
     """What a policy may see of N worlds at one frame.
 
     Attributes:
@@ -33,11 +35,6 @@ class Observation:
     tasks: tuple[str, ...]
     touch: np.ndarray | None = None
     views: dict[str, np.ndarray] = field(default_factory=dict)
-
-    @property
-    def pictures(self) -> dict[str, np.ndarray]:
-        """Every picture by the name of its view, the hand's camera first; none where nothing was rendered."""
-        return {} if self.images is None else {"ego": self.images, **self.views}
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.conventions import GRASP_FRACTION, PALM_DOF
+from dynahoi_lerobot.pictured import Pictured
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class EpisodeMeta:
 
 
 @dataclass(frozen=True, eq=False)
-class Episode:
+class Episode(Pictured):
     """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
 
     World frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``action[t]`` is the command executed from
@@ -114,11 +115,6 @@ class Episode:
     def __len__(self) -> int:
         """Return T, the number of frames."""
         return len(self.state)
-
-    @property
-    def pictures(self) -> dict[str, np.ndarray]:
-        """Every picture by the name of its view, the hand's camera first; none where nothing was rendered."""
-        return {} if self.images is None else {"ego": self.images, **self.views}
 
     @property
     def control(self) -> slice:

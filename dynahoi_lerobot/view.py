@@ -72,7 +72,7 @@ def _played(args: argparse.Namespace) -> Shown:
     actor = make_actor(args.policy, args.capture)
     size = args.image_size or getattr(actor, "image_size", None) or 256
     views = {*getattr(actor, "views", ()), args.view} - {"ego"}
-    recipe = Recipe(split=seed_stream(args.split), image_size=size, views=tuple(views), capture=args.capture)
+    recipe = Recipe(split=seed_stream(args.split), image_size=size, views=tuple(sorted(views)), capture=args.capture)
     spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]
     return _shown(next(evaluate(make_batch(recipe, 1), actor, [spec], images=True)), args.view)
 

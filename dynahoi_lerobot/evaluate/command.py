@@ -12,6 +12,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Agent, Expert
+from dynahoi_lerobot.arguments import names
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.delay import DelayedAgent
 from dynahoi_lerobot.episode import Episode
@@ -39,11 +40,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val or one of the ood_ splits")
     parser.add_argument("--out", type=Path, help="result folder; goes on where an earlier run stopped")
     parser.add_argument("--episodes", type=int, help="only the first so many episodes of the split")
-    parser.add_argument("--motions", help="comma-separated kinds of motion; all of the split by default")
+    parser.add_argument(
+        "--motions", type=names, default=(), help="comma-separated kinds of motion; all of the split by default"
+    )
     parser.add_argument("--capture", default="attach", help="capture rule")
     parser.add_argument("--hand", default="", help="embodiment; the capture rule's own by default")
     parser.add_argument("--protocol", default="observe_before_act", help="or direct_act")
-    parser.add_argument("--appearance", help="comma-separated: what of it is randomised more strongly than in training")
+    parser.add_argument(
+        "--appearance",
+        type=names,
+        default=(),
+        help="comma-separated: what varies more strongly than in training",
+    )
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
     parser.add_argument("--device", help="torch device of the policy")
@@ -120,16 +128,15 @@ def make_actor(name: str, capture: str = "attach", device: str | None = None) ->
 
 def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
     size = args.image_size or getattr(actor, "image_size", None) or 128
-    motions = tuple(args.motions.split(",")) if args.motions else ()
     return Recipe(
         split=seed_stream(args.split),
-        motions=motions,
+        motions=args.motions,
         capture=args.capture,
         hand=args.hand,
         protocol=args.protocol,
         image_size=size,
         views=getattr(actor, "views", ()),
-        appearance=tuple(args.appearance.split(",")) if args.appearance else (),
+        appearance=args.appearance,
     )
 
 

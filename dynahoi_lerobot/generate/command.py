@@ -12,6 +12,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from dynahoi_lerobot.arguments import names
 from dynahoi_lerobot.generate.codecs.base import CODECS, Encoding
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, Executor, Fleet
 from dynahoi_lerobot.generate.manifest import Manifest
@@ -28,9 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--episodes", type=int, required=True, help="number of successful episodes")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
     parser.add_argument("--image-size", type=int, help="side of the square frames [pixels]; 0 for no camera")
-    parser.add_argument("--views", help="comma-separated further pictures: side, ego_depth, ego_segmentation, ...")
-    parser.add_argument("--appearance", help="comma-separated: materials, lights, specular, transparency, distractors")
-    parser.add_argument("--motions", help="comma-separated kinds of motion")
+    parser.add_argument(
+        "--views", type=names, help="comma-separated further pictures: side, ego_depth, side_segmentation"
+    )
+    parser.add_argument(
+        "--appearance", type=names, help="comma-separated: materials, lights, specular, transparency, distractors"
+    )
+    parser.add_argument("--motions", type=names, help="comma-separated kinds of motion")
     parser.add_argument("--capture", help="capture rule, with its own hand and expert")
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
@@ -87,12 +92,7 @@ def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
     changes: dict[str, Any] = {}
     if args.image_size:
         changes["image_size"] = args.image_size
-    if args.views:
-        changes["views"] = tuple(args.views.split(","))
-    if args.appearance:
-        changes["appearance"] = tuple(args.appearance.split(","))
-    if args.motions:
-        changes["motions"] = tuple(args.motions.split(","))
+    changes |= {name: getattr(args, name) for name in ("views", "appearance", "motions") if getattr(args, name)}
     if args.capture:
         changes |= {"capture": args.capture, "hand": "", "expert": ""}
     return Plan(

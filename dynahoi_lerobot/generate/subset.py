@@ -91,6 +91,7 @@ class _Copy:
     """A video file that takes over some of the frames of another."""
 
     def __init__(self, source: Path, target: Path) -> None:
+        self._source = source
         stream = (container := av.open(str(source))).streams.video[0]
         self._packets = (packet for packet in container.demux(stream) if packet.size)
         self._output = av.open(str(target), "w", options={"fflags": "+bitexact"})
@@ -99,7 +100,11 @@ class _Copy:
         self._read = self._written = 0
 
     def frames(self, start: int, count: int) -> tuple[int, int]:
-        """Copy ``count`` frames from the source's frame ``start`` on; return where they begin and end here."""
+        """Copy ``count`` frames from the source's frame ``start`` on; return where they begin and end here.
+
+        Raises:
+            ValueError: if the source is shorter than that.
+        """
         begin = self._written
         for packet in itertools.islice(self._packets, start - self._read, start - self._read + count):
             packet.stream = self._stream
@@ -108,6 +113,8 @@ class _Copy:
             packet.duration = 1
             self._output.mux(packet)
             self._written += 1
+        if self._written - begin < count:
+            raise ValueError(f"{self._source} ends before frame {start + count}")
         self._read = start + count
         return begin, self._written
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import pyarrow as pa
 from av.error import FFmpegError
 
 from dynahoi_lerobot.generate.checks.base import CHECKS, Check, Columns, Evidence
@@ -21,16 +22,22 @@ class Pictures(Check):
 
     def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
         """Yield pictures that cannot be decoded or do not belong to the episode."""
-        if row["episode_index"] in evidence.sample:
-            for key in evidence.pictures:
-                yield from _view(evidence, row, key)
+        if row["episode_index"] not in evidence.sample or not evidence.pictures:
+            return
+        try:
+            table = evidence.frames(row)
+        except (OSError, ValueError) as error:
+            yield f"the pictures of episode {row['episode_index']} cannot be decoded: {error}"
+            return
+        for key in evidence.pictures:
+            yield from _view(evidence, row, table, key)
 
 
-def _view(evidence: Evidence, row: Row, key: str) -> Iterator[str]:
-    """Yield what is wrong with one view of an episode."""
+def _view(evidence: Evidence, row: Row, table: pa.Table, key: str) -> Iterator[str]:
+    """Yield what is wrong with one view of an episode, whose frames are ``table``."""
     name = f"{key} of episode {row['episode_index']}"
     try:
-        images = evidence.images(row, evidence.frames(row), key)
+        images = evidence.images(row, table, key)
     except (OSError, FFmpegError, ValueError) as error:
         yield f"{name} cannot be decoded: {error}"
         return

@@ -7,7 +7,7 @@ from __future__ import annotations
 import warp as wp
 
 from dynahoi_lerobot.renderers.raycast.layout import FAR, TILE, Lens, Shape
-from dynahoi_lerobot.renderers.raycast.rows import Indices, Row, enter_row, light_row, paper_row, shine_row
+from dynahoi_lerobot.renderers.raycast.rows import Indices, Row, enter_row, light_row, paper_row
 
 TIE = wp.constant(1.0e-6)
 """Of surfaces this close together, relatively, the later geom shows, as in MuJoCo."""
@@ -92,13 +92,10 @@ def _shade(
             shape = shapes[w, s]
             first = shape.from_camera * ray
             step = shape.from_camera * wp.vec3(1.0 / lens.focal, 0.0, 0.0)
-            sun, front = light_row(shape, depths, first, step)
+            sun, front, highlight = light_row(shape, depths, first, step, shine[0] > 0.0)
             paper = Row(1.0)
             if shape.texture >= 0:
                 paper = paper_row(shape, depths, first, step, textures)
-            highlight = Row(0.0)
-            if shine[0] > 0.0:
-                highlight = shine_row(shape, depths, first, step)
             for i in range(TILE):
                 light = lamps.ambient + daylight * sun[i] + lamps.headlight * front[i]
                 color = wp.cw_mul(shape.tint, light) * paper[i] + shine * (shape.gloss * highlight[i])

@@ -58,36 +58,27 @@ def _entering(enter: wp.Function) -> wp.Function:
 
 
 def _lighting(normal: wp.Function) -> wp.Function:
-    """Return a function that finds how squarely the sun and the headlight meet the points of a row."""
+    """Return a function that finds how the sun and the headlight light the points of a row."""
 
     @wp.func
-    def lit(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3) -> tuple[Row, Row]:
+    def lit(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3, shiny: bool) -> tuple[Row, Row, Row]:
         sun = Row()
         front = Row()
+        highlight = Row(0.0)
         for i in range(TILE):
             n = normal(shape.size, shape.camera + depths[i] * (first + float(i) * step))
             sun[i] = wp.max(0.0, wp.dot(n, shape.sun))
             front[i] = wp.max(0.0, wp.dot(n, shape.from_camera * wp.vec3(0.0, 0.0, 1.0)))
-        return sun, front
+        if shiny:
+            for i in range(TILE):
+                ray = first + float(i) * step
+                n = normal(shape.size, shape.camera + depths[i] * ray)
+                halfway = wp.normalize(shape.sun - wp.normalize(ray))
+                facing = wp.where(sun[i] > 0.0, wp.dot(n, halfway), 0.0)
+                highlight[i] = wp.pow(wp.max(facing, 0.0), HIGHLIGHT_EXPONENT)
+        return sun, front, highlight
 
     return lit
-
-
-def _shining(normal: wp.Function) -> wp.Function:
-    """Return a function that finds how nearly the points of a row mirror the sun into the camera."""
-
-    @wp.func
-    def shone(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3) -> Row:
-        row = Row()
-        for i in range(TILE):
-            ray = first + float(i) * step
-            n = normal(shape.size, shape.camera + depths[i] * ray)
-            halfway = wp.normalize(shape.sun - wp.normalize(ray))
-            facing = wp.where(wp.dot(n, shape.sun) > 0.0, wp.dot(n, halfway), 0.0)
-            row[i] = wp.pow(wp.max(facing, 0.0), HIGHLIGHT_EXPONENT)
-        return row
-
-    return shone
 
 
 def _papering(uv: wp.Function) -> wp.Function:
@@ -114,12 +105,6 @@ _paper_capsule, _paper_cylinder, _paper_ellipsoid = (
     _papering(uv_cylinder),
     _papering(uv_ellipsoid),
 )
-_shine_plane, _shine_sphere, _shine_capsule = _shining(normal_plane), _shining(normal_sphere), _shining(normal_capsule)
-_shine_cylinder, _shine_ellipsoid, _shine_box = (
-    _shining(normal_cylinder),
-    _shining(normal_ellipsoid),
-    _shining(normal_box),
-)
 _enter_box, _light_box, _paper_box = _entering(enter_box), _lighting(normal_box), _papering(uv_box)
 
 
@@ -140,35 +125,19 @@ def enter_row(kind: int, size: wp.vec3, o: wp.vec3, first: wp.vec3, step: wp.vec
 
 
 @wp.func
-def light_row(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3) -> tuple[Row, Row]:
-    """Return how squarely the sun and the headlight meet the surface, 0 to 1."""
+def light_row(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3, shiny: bool) -> tuple[Row, Row, Row]:
+    """Return how squarely sun and headlight meet the surface, and if asked the sun's highlight (Blinn, 1977)."""
     if shape.kind == PLANE:
-        return _light_plane(shape, depths, first, step)
+        return _light_plane(shape, depths, first, step, shiny)
     if shape.kind == CAPSULE:
-        return _light_capsule(shape, depths, first, step)
+        return _light_capsule(shape, depths, first, step, shiny)
     if shape.kind == BOX:
-        return _light_box(shape, depths, first, step)
+        return _light_box(shape, depths, first, step, shiny)
     if shape.kind == CYLINDER:
-        return _light_cylinder(shape, depths, first, step)
+        return _light_cylinder(shape, depths, first, step, shiny)
     if shape.kind == ELLIPSOID:
-        return _light_ellipsoid(shape, depths, first, step)
-    return _light_sphere(shape, depths, first, step)
-
-
-@wp.func
-def shine_row(shape: Shape, depths: Row, first: wp.vec3, step: wp.vec3) -> Row:
-    """Return the highlight of the sun, 0 to 1 (Blinn, 1977)."""
-    if shape.kind == PLANE:
-        return _shine_plane(shape, depths, first, step)
-    if shape.kind == CAPSULE:
-        return _shine_capsule(shape, depths, first, step)
-    if shape.kind == BOX:
-        return _shine_box(shape, depths, first, step)
-    if shape.kind == CYLINDER:
-        return _shine_cylinder(shape, depths, first, step)
-    if shape.kind == ELLIPSOID:
-        return _shine_ellipsoid(shape, depths, first, step)
-    return _shine_sphere(shape, depths, first, step)
+        return _light_ellipsoid(shape, depths, first, step, shiny)
+    return _light_sphere(shape, depths, first, step, shiny)
 
 
 @wp.func

@@ -18,7 +18,7 @@ from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.spec import ACTION, FINGERTIPS, PHASE, PICTURE_PREFIX, STATE, TOUCH, picture_feature
 from dynahoi_lerobot.splits import seed_stream
-from dynahoi_lerobot.views import VIEWS, check_views
+from dynahoi_lerobot.views import VIEWS
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 RAW_KEYS = {
@@ -86,8 +86,7 @@ class DynahoiEnvConfig(EnvConfig):
         Raises:
             ValueError: for an unknown name, naming the ones there are.
         """
-        kinds_of(self.task, Recipe(split=seed_stream(self.split)).motion_names)
-        check_views(self.views)
+        kinds_of(self.task, self._recipe().motion_names)
         pictures = [picture_feature(self.image_size, view) for view in ("ego", *self.views)]
         touch = [TOUCH] if CAPTURES[self.capture].feels else []
         shapes = {feature.key: feature.shape for feature in (*pictures, STATE, FINGERTIPS, PHASE, *touch, ACTION)}
@@ -106,14 +105,17 @@ class DynahoiEnvConfig(EnvConfig):
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async."""
         del use_async_envs
-        kinds = kinds_of(self.task, Recipe(split=seed_stream(self.split)).motion_names)
-        recipe = Recipe(**{**self.gym_kwargs, "split": seed_stream(self.split)})
+        recipe = self._recipe()
+        kinds = kinds_of(self.task, recipe.motion_names)
         log = ResultsLog(self._results_folder(), self.split, recipe)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
             tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **self.gym_kwargs)
         return suites
+
+    def _recipe(self) -> Recipe:
+        return Recipe(**{**self.gym_kwargs, "split": seed_stream(self.split)})
 
     def _results_folder(self) -> Path:
         if self.results_dir is not None:
