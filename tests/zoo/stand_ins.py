@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lerobot.policies.groot.groot_n1_7 import GR00T_N1_7_DEFAULTS, GR00TN17, GR00TN17Config
+from lerobot_policy_actiontokens.openvla import OpenVLAConfig, OpenVLAForActionPrediction
 from tokenizers import Tokenizer, models, pre_tokenizers
 from transformers import (
     CLIPConfig,
@@ -66,6 +67,38 @@ def save_smolvlm(folder: Path) -> None:
     images = SmolVLMImageProcessor(size=small, max_image_size=small, do_image_splitting=False)
     length = (vision["image_size"] // vision["patch_size"]) ** 2 // config.scale_factor**2  # tokens of an image
     SmolVLMProcessor(images, tokenizer, SmolVLMVideoProcessor(), image_seq_len=length).save_pretrained(folder)
+
+
+def save_openvla(folder: Path, size: int) -> None:
+    """Write an OpenVLA for ``size`` actions in the files of the released ones, which name remote code."""
+    words = ["<s>", "<unk>", "</s>", "▁", *WORDS, *FILLERS]
+    tokenizer = PreTrainedTokenizerFast(
+        tokenizer_object=_words(words), bos_token="<s>", eos_token="</s>", unk_token="<unk>", pad_token="<PAD>"
+    )
+    tokenizer.save_pretrained(folder)
+    text = {**TOWER, "model_type": "llama", "vocab_size": len(words) + 64, "num_key_value_heads": 2}
+    text |= {"pad_token_id": len(words), "bos_token_id": 0, "eos_token_id": 2}
+    config = OpenVLAConfig(
+        timm_model_ids=["test_vit2", "test_vit"],
+        image_sizes=[32, 32],
+        image_seq_length=4,
+        text_config=text,
+        norm_stats={
+            "hands": {"action": {"q01": [-2.0] * size, "q99": [4.0] * size, "mask": [True] * (size - 1) + [False]}}
+        },
+    )
+    OpenVLAForActionPrediction(config).save_pretrained(folder)
+    remote = {"AutoConfig": "configuration_prismatic.OpenVLAConfig", "AutoProcessor": "x.PrismaticProcessor"}
+    remote |= {"AutoModelForVision2Seq": "modeling_prismatic.OpenVLAForActionPrediction"}
+    _edit(folder / "config.json", auto_map=remote)
+    tower = {"input_sizes": [3, 32, 32], "interpolations": "bicubic", "means": [0.5, 0.4, 0.3], "stds": [0.2, 0.3, 0.4]}
+    pictures = {key: [value, value] for key, value in tower.items()} | {"image_resize_strategy": "resize-naive"}
+    pictures |= {"processor_class": "PrismaticProcessor", "image_processor_type": "PrismaticImageProcessor"}
+    (folder / "preprocessor_config.json").write_text(json.dumps(pictures | {"auto_map": remote}))
+
+
+def _edit(path: Path, **changes: Any) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
 
 
 def save_paligemma_tokenizer(folder: Path) -> None:

@@ -19,6 +19,7 @@ from tests.zoo.stand_ins import (
     save_clip,
     save_cosmos,
     save_groot,
+    save_openvla,
     save_paligemma_tokenizer,
     save_smolvlm,
     shrink_paligemma,
@@ -43,6 +44,7 @@ SMALL = {
         "num_inference_steps": 2,
     },
     "actiontokens": {"vlm_name": "SMOLVLM", "load_vlm_weights": False},
+    "openvla": {"vlm_name": "OPENVLA", "load_vlm_weights": False, "dtype": "float32"},
     "smolvla": {
         "vlm_model_name": "SMOLVLM",
         "load_vlm_weights": False,
@@ -80,9 +82,11 @@ SMALL = {
 def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     root = tmp_path_factory.mktemp("models")
     folders = {"CLIP": root / "clip", "SMOLVLM": root / "smolvlm", "FAST": root / "fast", "HUB": root / "hub"}
+    folders["OPENVLA"] = root / "openvla"
     folders["GROOT"] = root / "GR00T-N1.7"
     save_clip(folders["CLIP"])
     save_smolvlm(folders["SMOLVLM"])
+    save_openvla(folders["OPENVLA"], size=18)
     save_action_tokenizer(folders["FAST"])
     save_paligemma_tokenizer(folders["HUB"] / PALIGEMMA)
     save_cosmos(folders["HUB"] / COSMOS)

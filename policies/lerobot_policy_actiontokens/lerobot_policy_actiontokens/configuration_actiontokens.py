@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from lerobot.configs import NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamWConfig
 
+from . import openvla  # noqa: F401, so that transformers opens its checkpoints
+
 
 @PreTrainedConfig.register_subclass("actiontokens")
 @dataclass
@@ -14,8 +16,10 @@ class ActionTokensConfig(PreTrainedConfig):
     """A vision-language model that writes actions.
 
     Attributes:
-        vlm_name: folder or Hub name of any image-text model of `transformers`, with its processor.
+        vlm_name: folder or Hub name of any image-text model of `transformers`, with its processor, or of OpenVLA.
         load_vlm_weights: Start from its published weights; a checkpoint brings its own.
+        unnorm_key: Dataset among an OpenVLA checkpoint's ``norm_stats`` by whose percentiles actions are normalised;
+            none for those of the data that is trained on.
         freeze_vision: Leave the vision tower as it is.
         chunk_size: Actions written at a time.
         n_action_steps: How many of them are executed.
@@ -24,6 +28,7 @@ class ActionTokensConfig(PreTrainedConfig):
 
     vlm_name: str = "HuggingFaceTB/SmolVLM2-500M-Video-Instruct"
     load_vlm_weights: bool = True
+    unnorm_key: str | None = None
     freeze_vision: bool = True
     chunk_size: int = 1
     n_action_steps: int = 1

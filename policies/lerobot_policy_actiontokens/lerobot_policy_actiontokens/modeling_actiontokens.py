@@ -16,6 +16,8 @@ from .bins import N_BINS, decode, encode, token_ids
 from .configuration_actiontokens import ActionTokensConfig
 
 PROMPT = "{image}In: What action should the robot take to {instruction}?\nOut: "
+VISION = ("vision_model", "vision_tower", "vision_backbone", "visual")
+"""What models of `transformers` call the part that sees."""
 
 
 class ActionTokensPolicy(PreTrainedPolicy):
@@ -125,7 +127,7 @@ class ActionTokensPolicy(PreTrainedPolicy):
 
     def _vision(self) -> torch.nn.Module:
         named = dict(self.vlm.named_modules())
-        return next(named[name] for name in named if name.endswith(("vision_model", "vision_tower", "visual")))
+        return next(named[name] for name in named if name.endswith(VISION))
 
 
 class _ActionsOnly(LogitsProcessor):

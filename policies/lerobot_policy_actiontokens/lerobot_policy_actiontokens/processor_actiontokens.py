@@ -6,6 +6,8 @@ from typing import Any
 
 import torch
 from lerobot.processor.factory import make_default_pre_post_processors
+from lerobot.utils.constants import ACTION
+from transformers import AutoConfig
 
 from .configuration_actiontokens import ActionTokensConfig
 
@@ -13,5 +15,31 @@ from .configuration_actiontokens import ActionTokensConfig
 def make_actiontokens_pre_post_processors(
     config: ActionTokensConfig, dataset_stats: dict[str, dict[str, torch.Tensor]] | None = None
 ) -> tuple[Any, Any]:
-    """Return the pipelines LeRobot runs before and after the policy, its defaults."""
+    """Return the pipelines LeRobot runs before and after the policy, its defaults.
+
+    Raises:
+        ValueError: if ``config.unnorm_key`` is not in the checkpoint.
+    """
+    if config.unnorm_key is not None:
+        dataset_stats = (dataset_stats or {}) | {ACTION: action_stats(config.vlm_name, config.unnorm_key)}
     return make_default_pre_post_processors(config, dataset_stats)
+
+
+def action_stats(vlm_name: str, key: str) -> dict[str, torch.Tensor]:
+    """Return the percentiles by which an OpenVLA checkpoint normalised the actions of the dataset ``key``.
+
+    What its mask leaves out was not normalised, so its percentiles are -1 and 1.
+
+    Returns:
+        ``q01`` and ``q99``, (A,) float32.
+
+    Raises:
+        ValueError: if there is no such dataset, naming those there are.
+    """
+    known = getattr(AutoConfig.from_pretrained(vlm_name), "norm_stats", None) or {}
+    if key not in known:
+        raise ValueError(f"unnorm_key is {key!r}, but {vlm_name} has {', '.join(sorted(known)) or 'no norm_stats'}.")
+    stats = known[key]["action"]
+    low, high = (torch.tensor(stats[name], dtype=torch.float32) for name in ("q01", "q99"))
+    normalised = torch.tensor(stats.get("mask", [True] * len(low)))
+    return {"q01": torch.where(normalised, low, -1.0), "q99": torch.where(normalised, high, 1.0)}
