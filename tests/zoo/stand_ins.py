@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import torch
+from diffusers import VQModel
 from lerobot.policies.groot.groot_n1_7 import GR00T_N1_7_DEFAULTS, GR00TN17, GR00TN17Config
 from lerobot_policy_actiontokens.openvla import OpenVLAConfig, OpenVLAForActionPrediction
 from tokenizers import Tokenizer, models, pre_tokenizers
@@ -13,6 +15,8 @@ from transformers import (
     CLIPConfig,
     CLIPModel,
     PaliGemmaConfig,
+    PhiConfig,
+    PhiForCausalLM,
     PreTrainedTokenizerFast,
     Qwen2VLImageProcessor,
     Qwen3VLConfig,
@@ -95,6 +99,25 @@ def save_openvla(folder: Path, size: int) -> None:
     pictures = {key: [value, value] for key, value in tower.items()} | {"image_resize_strategy": "resize-naive"}
     pictures |= {"processor_class": "PrismaticProcessor", "image_processor_type": "PrismaticImageProcessor"}
     (folder / "preprocessor_config.json").write_text(json.dumps(pictures | {"auto_map": remote}))
+
+
+def save_phi(folder: Path) -> None:
+    """Write a Phi with its tokenizer."""
+    words = ["<|endoftext|>", "<unk>", *WORDS]
+    ends = {"bos_token": words[0], "eos_token": words[0], "unk_token": "<unk>"}
+    PreTrainedTokenizerFast(tokenizer_object=_words(words), **ends).save_pretrained(folder)
+    rows = {"vocab_size": len(words), "max_position_embeddings": 512, "bos_token_id": 0, "eos_token_id": 0}
+    PhiForCausalLM(PhiConfig(**TOWER | {"hidden_size": 32}, **rows)).save_pretrained(folder)
+
+
+def save_image_tokenizer(folder: Path) -> None:
+    """Write a vector-quantised autoencoder of 16 codes, one for 2 x 2 pixels."""
+    blocks = {"down_block_types": ["DownEncoderBlock2D"] * 2, "up_block_types": ["UpDecoderBlock2D"] * 2}
+    sizes = {"block_out_channels": [8, 8], "norm_num_groups": 4, "latent_channels": 4, "num_vq_embeddings": 16}
+    model = VQModel(**blocks, **sizes)
+    latents = model.encode(torch.rand(1, 3, 8, 8)).latents[0].flatten(1)  # else one code would be nearest to all
+    model.quantize.embedding.weight.data = latents.T.detach().contiguous()
+    model.save_pretrained(folder)
 
 
 def _edit(path: Path, **changes: Any) -> None:

@@ -19,8 +19,10 @@ from tests.zoo.stand_ins import (
     save_clip,
     save_cosmos,
     save_groot,
+    save_image_tokenizer,
     save_openvla,
     save_paligemma_tokenizer,
+    save_phi,
     save_smolvlm,
     shrink_paligemma,
     tiny_florence,
@@ -64,6 +66,14 @@ SMALL = {
         "validate_action_token_prefix": False,  # random weights do not write it
     },
     "groot": {"base_model_path": "GROOT", "use_bf16": False, "tune_llm": False},
+    "upvla": {
+        "llm_name": "PHI",
+        "image_tokenizer": "CODES",
+        "image_tokenizer_folder": "",
+        "load_weights": False,
+        "image_size": 16,
+        "dtype": "float32",
+    },
     "xvla": {
         "dtype": "float32",
         "florence_config": tiny_florence(),
@@ -82,11 +92,13 @@ SMALL = {
 def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     root = tmp_path_factory.mktemp("models")
     folders = {"CLIP": root / "clip", "SMOLVLM": root / "smolvlm", "FAST": root / "fast", "HUB": root / "hub"}
-    folders["OPENVLA"] = root / "openvla"
+    folders |= {"OPENVLA": root / "openvla", "PHI": root / "phi", "CODES": root / "codes"}
     folders["GROOT"] = root / "GR00T-N1.7"
     save_clip(folders["CLIP"])
     save_smolvlm(folders["SMOLVLM"])
     save_openvla(folders["OPENVLA"], size=18)
+    save_phi(folders["PHI"])
+    save_image_tokenizer(folders["CODES"])
     save_action_tokenizer(folders["FAST"])
     save_paligemma_tokenizer(folders["HUB"] / PALIGEMMA)
     save_cosmos(folders["HUB"] / COSMOS)

@@ -1,0 +1,7 @@
+"""Seeing ahead and acting in one pass, as a LeRobot policy plugin: ``lerobot-train --policy.type=upvla``."""
+
+from .configuration_upvla import UPVLAConfig
+from .modeling_upvla import UPVLAPolicy
+from .processor_upvla import make_upvla_pre_post_processors
+
+__all__ = ["UPVLAConfig", "UPVLAPolicy", "make_upvla_pre_post_processors"]

@@ -1,0 +1,17 @@
+"""LeRobot's own pre- and postprocessing: actions to [-1, 1] by their 1st and 99th percentile, and back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from lerobot.processor.factory import make_default_pre_post_processors
+
+from .configuration_upvla import UPVLAConfig
+
+
+def make_upvla_pre_post_processors(
+    config: UPVLAConfig, dataset_stats: dict[str, dict[str, torch.Tensor]] | None = None
+) -> tuple[Any, Any]:
+    """Return the pipelines LeRobot runs before and after the policy, its defaults."""
+    return make_default_pre_post_processors(config, dataset_stats)
