@@ -45,8 +45,8 @@ SMALL = {
         "num_heads": 2,
         "num_inference_steps": 2,
     },
-    "actiontokens": {"vlm_name": "SMOLVLM", "load_vlm_weights": False},
-    "openvla": {"vlm_name": "OPENVLA", "load_vlm_weights": False, "dtype": "float32"},
+    "actiontokens": {"vlm_name": "SMOLVLM", "load_weights": False},
+    "openvla": {"vlm_name": "OPENVLA", "load_weights": False, "dtype": "float32"},
     "smolvla": {
         "vlm_model_name": "SMOLVLM",
         "load_vlm_weights": False,

@@ -3,5 +3,13 @@
 from .configuration_actiontokens import ActionTokensConfig
 from .modeling_actiontokens import ActionTokensPolicy
 from .processor_actiontokens import make_actiontokens_pre_post_processors
+from .upvla import UPVLAConfig, UPVLAPolicy, make_upvla_pre_post_processors
 
-__all__ = ["ActionTokensConfig", "ActionTokensPolicy", "make_actiontokens_pre_post_processors"]
+__all__ = [
+    "ActionTokensConfig",
+    "ActionTokensPolicy",
+    "UPVLAConfig",
+    "UPVLAPolicy",
+    "make_actiontokens_pre_post_processors",
+    "make_upvla_pre_post_processors",
+]

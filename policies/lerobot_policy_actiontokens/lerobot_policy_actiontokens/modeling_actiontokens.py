@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
@@ -13,6 +11,7 @@ from torch import Tensor
 from transformers import AutoConfig, AutoModelForImageTextToText, AutoProcessor, LogitsProcessor
 
 from .bins import N_BINS, decode, encode, token_ids
+from .chunks import Chunks, instructions, within
 from .configuration_actiontokens import ActionTokensConfig
 
 PROMPT = "{image}In: What action should the robot take to {instruction}?\nOut: "
@@ -20,7 +19,7 @@ VISION = ("vision_model", "vision_tower", "vision_backbone", "visual")
 """What models of `transformers` call the part that sees."""
 
 
-class ActionTokensPolicy(PreTrainedPolicy):
+class ActionTokensPolicy(Chunks, PreTrainedPolicy):
     """A vision-language model that writes each action dimension as one of 256 tokens (OpenVLA, Section 3).
 
     Args:
@@ -38,7 +37,7 @@ class ActionTokensPolicy(PreTrainedPolicy):
         super().__init__(config)
         config.validate_features()
         dtype = getattr(torch, config.dtype)
-        if config.load_vlm_weights:
+        if config.load_weights:
             self.vlm = AutoModelForImageTextToText.from_pretrained(config.vlm_name, dtype=dtype)
         else:
             self.vlm = AutoModelForImageTextToText.from_config(AutoConfig.from_pretrained(config.vlm_name), dtype=dtype)
@@ -66,7 +65,8 @@ class ActionTokensPolicy(PreTrainedPolicy):
         logits = self.vlm(**inputs, position_ids=(mask.cumsum(1) - 1).clamp_min(0)).logits
         logits = logits[:, -written.shape[1] - 1 : -1].float()  # (B, H*A, V): each position tells the next token
         losses = torch.nn.functional.cross_entropy(logits.transpose(1, 2), written, reduction="none")  # (B, H*A)
-        losses = (losses * self._kept(batch, actions)).mean(1)  # (B,)
+        kept = within(batch, ACTION, actions[..., 0]).repeat_interleave(actions.shape[2], dim=1)  # (B, H*A)
+        losses = (losses * kept).mean(1)  # (B,)
         return (losses if reduction == "none" else losses.mean()), {}
 
     @torch.no_grad()
@@ -85,45 +85,18 @@ class ActionTokensPolicy(PreTrainedPolicy):
         )[:, -count:]
         return decode(written, self.vocabulary).reshape(len(written), -1, size)
 
-    @torch.no_grad()
-    def select_action(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
-        """Return the next action, shape ``(B, A)``, normalised; a chunk is written when the last one is used up."""
-        if not self._queue:
-            chunk = self.predict_action_chunk(batch)[:, : self.config.n_action_steps]
-            self._queue.extend(chunk.transpose(0, 1))
-        return self._queue.popleft()
-
-    def reset(self) -> None:
-        """Forget the last episode."""
-        self._queue: deque[Tensor] = deque()
-
-    def get_optim_params(self) -> list[Tensor]:
-        """Return what is trained."""
-        return [p for p in self.parameters() if p.requires_grad]
-
-    @classmethod
-    def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
-        """Open a checkpoint, which carries its own weights."""
-        config = kwargs.pop("config", None) or ActionTokensConfig.from_pretrained(pretrained_name_or_path)
-        config.load_vlm_weights = False
-        return super().from_pretrained(pretrained_name_or_path, config=config, **kwargs)
-
     def _prompt(self, batch: dict[str, Any]) -> dict[str, Tensor]:
         """Return the model's inputs: one image and one instruction per sample."""
-        images = batch[next(iter(self.config.image_features))]  # (B, 3, H, W) in [0, 1]
+        images = batch[self.camera]  # (B, 3, H, W) in [0, 1]
         pictures = [[image] for image in (images.clamp(0, 1) * 255).round().to(torch.uint8).cpu()]
-        tasks = [batch["task"]] * len(images) if isinstance(batch["task"], str) else batch["task"]
         token = str(getattr(self.processor, "image_token", "<image>"))
-        texts = [PROMPT.format(image=token, instruction=task.rstrip(".").lower()) for task in tasks]
+        texts = [
+            PROMPT.format(image=token, instruction=task.rstrip(".").lower())
+            for task in instructions(batch, len(images))
+        ]
         inputs = self.processor(images=pictures, text=texts, padding=True, return_tensors="pt")
         inputs["pixel_values"] = inputs["pixel_values"].to(self.vlm.dtype)
         return {key: value.to(images.device) for key, value in inputs.items()}
-
-    def _kept(self, batch: dict[str, Any], actions: Tensor) -> Tensor:
-        """(B, H*A) 1 for tokens of actions within the episode."""
-        pad = batch.get(f"{ACTION}_is_pad")
-        keep = torch.ones_like(actions[..., 0]) if pad is None else (~pad.bool()).to(actions.dtype)
-        return keep.reshape(len(actions), -1, 1).expand_as(actions).flatten(1)
 
     def _vision(self) -> torch.nn.Module:
         named = dict(self.vlm.named_modules())

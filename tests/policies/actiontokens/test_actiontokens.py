@@ -28,7 +28,7 @@ def make_policy(vlm: str, **changes: object) -> ActionTokensPolicy:
     config = ActionTokensConfig(
         vlm_name=vlm,
         device="cpu",
-        load_vlm_weights=False,
+        load_weights=False,
         push_to_hub=False,
         input_features={"observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32))},
         output_features={"action": PolicyFeature(FeatureType.ACTION, (SIZE,))},

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot_policy_upvla import UPVLAConfig, UPVLAPolicy
-from lerobot_policy_upvla.sequence import Vocabulary, lay_out
+from lerobot_policy_actiontokens import UPVLAConfig, UPVLAPolicy
+from lerobot_policy_actiontokens.upvla.sequence import Vocabulary, lay_out
 
 from tests.zoo.stand_ins import save_image_tokenizer, save_phi
 
@@ -152,24 +152,3 @@ def test_a_checkpoint_brings_its_own_weights(models: Path, tmp_path: Path) -> No
     batch = now(make_batch(policy))
     torch.testing.assert_close(again.predict_action_chunk(batch), policy.predict_action_chunk(batch))
     torch.testing.assert_close(again.predict_image(batch), policy.predict_image(batch))
-
-
-def test_one_pass_per_chunk(models: Path) -> None:
-    policy = make_policy(models, n_action_steps=2)
-    batch = now(make_batch(policy))
-    chunk = policy.predict_action_chunk(batch)
-    for t in range(2):
-        torch.testing.assert_close(policy.select_action(batch), chunk[:, t])
-    assert not policy._queue
-    policy.select_action(batch)
-    policy.reset()
-    assert not policy._queue
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [({"n_action_steps": 5}, "n_action_steps is 5, but must be 1 to 4"), ({"dtype": "int8"}, "int8")],
-)
-def test_bad_values_are_named(models: Path, changes: dict, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        make_policy(models, **changes)
