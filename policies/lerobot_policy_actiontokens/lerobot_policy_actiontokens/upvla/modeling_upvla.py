@@ -77,7 +77,8 @@ class UPVLAPolicy(Chunks, PreTrainedPolicy):
 
     def _run(self, images: Tensor, batch: dict[str, Any]) -> tuple[Tensor, Tensor]:
         """Return (B, N, V) logits of the image to come and (B, H, A) actions."""
-        texts = [task + self.tokenizer.eos_token for task in instructions(batch, len(images))]
+        begin, end = self.tokenizer.bos_token or "", self.tokenizer.eos_token
+        texts = [begin + task + end for task in instructions(batch, len(images))]
         words = self.tokenizer(texts, padding=True, return_tensors="pt").to(images.device)
         codes = self.images.encode(images)
         sequence = lay_out(words["input_ids"], words["attention_mask"], codes, self.config.chunk_size, self.vocabulary)
