@@ -49,8 +49,6 @@ class ObActConfig(PreTrainedConfig):
         privileged_key: Column of the dataset with a position in the coordinates of ``observation.state`` that the
             encoder learns to see in every frame, here "target.pose"; "" learns from actions alone.
         privileged_weight: Weight of that loss.
-        foresight: How far ahead of a decision its observed frames must tell that position, within the horizon
-            [frames]; empty asks for nothing.
         random_shift_px: Augmentation, largest image shift, the same for all frames of a sample [px].
         color_jitter: Augmentation, largest relative change of brightness and contrast.
         noise_seed: Seed of the noise that a chunk starts from while acting, None draws from the global
@@ -89,7 +87,6 @@ class ObActConfig(PreTrainedConfig):
 
     privileged_key: str = ""
     privileged_weight: float = 1.0
-    foresight: list[int] = field(default_factory=list)
     random_shift_px: int = 0
     color_jitter: float = 0.0
     noise_seed: int | None = 0
@@ -124,10 +121,6 @@ class ObActConfig(PreTrainedConfig):
         self._require(self.action_frame in ACTION_FRAMES, "action_frame", f"one of {', '.join(ACTION_FRAMES)}")
         self._require(self.relative_weight > 0, "relative_weight", "above 0")
         self._require(self.privileged_weight >= 0, "privileged_weight", "0 or more")
-        within = all(0 <= frames < self.horizon for frames in self.foresight)
-        self._require(within, "foresight", f"a list of 0 to {self.horizon - 1} (before the horizon)")
-        known = bool(self.privileged_key) or not self.foresight
-        self._require(known, "foresight", "empty without a privileged_key")
         self._require(self.noise_scale >= 0, "noise_scale", "0 or more")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 (off) or more and below 1")
         self._require(self.width % (2 * self.n_attention_heads) == 0, "width", "a multiple of 2 x n_attention_heads")

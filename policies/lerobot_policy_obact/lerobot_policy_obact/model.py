@@ -33,9 +33,6 @@ class ObActModel(nn.Module):
         spec = ActionSpec(config.horizon, config.action_feature.shape[0], state_dim, width, n_heads, config.dropout)
         self.head = heads.build(config.head, spec, options=config.head_options)
         self.probe = PositionProbe(width, config.relative_dims) if config.privileged_key else None
-        self.foresight = (
-            PositionProbe(width, config.relative_dims * len(config.foresight)) if config.foresight else None
-        )
 
     def conditions(self, observation: Observation, tokens: Tensor, frame_index: Tensor, age_s: Tensor) -> Condition:
         """Fuse the window of each decision.

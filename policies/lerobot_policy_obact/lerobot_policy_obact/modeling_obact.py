@@ -23,7 +23,7 @@ from .history import ChunkQueue, History
 from .model import ObActModel
 from .model_card import describe
 from .observation import Observation
-from .privileged import FrameColumn, Supervision
+from .privileged import FrameColumn
 from .rtc import rtc_guide
 
 
@@ -56,7 +56,7 @@ class ObActPolicy(PreTrainedPolicy):
         if config.action_frame == "auto":
             config.action_frame = _choose_action_frame(config, dataset_stats)
         self.frame = ActionFrame(config.relative_dims if config.action_frame == "relative" else 0)
-        self.supervision = self._supervised(dataset_meta)
+        self.labels = _labels(config, dataset_meta)
         self._set_stats(dataset_stats)
         self.model = ObActModel(config)
         if load_pretrained:
@@ -91,11 +91,12 @@ class ObActPolicy(PreTrainedPolicy):
         condition = self._acting_model.conditions(observation, tokens, index, self._age_s(index.device))
 
         actions = batch[ACTION][:, chunk_index].flatten(0, 1)  # (B, L, A) -> (B, K, H, A) -> (B*K, H, A)
-        within = _kept_actions(batch)[:, chunk_index].flatten(0, 1)  # (B, L) -> (B, K, H) -> (B*K, H)
-        keep = within & self._executed(batch, index[:, -1]).to(within.device)
+        keep = _kept_actions(batch)[:, chunk_index].flatten(0, 1)  # (B, L) -> (B, K, H) -> (B*K, H)
+        keep = keep & self._executed(batch, index[:, -1]).to(keep.device)
         position = observation.position[:, index[:, -1]].flatten(0, 1)  # (B, K, P) -> (B*K, P)
         error = self._chunk_error(actions, position, condition, keep)  # (B*K, H)
-        privileged = self._privileged_error(batch, observation, tokens, condition, within)  # (B,)
+        seen = self._privileged_error(batch, observation, tokens)  # (B, T)
+        privileged = self.config.privileged_weight * _masked_mean(seen, observation.keep, len(tokens))  # (B,)
         if reduction == "none":
             loss = _masked_mean(error, keep, len(tokens)) + privileged
             return loss, {"loss": loss.mean().item()}
@@ -132,21 +133,13 @@ class ObActPolicy(PreTrainedPolicy):
         value = value.reshape(len(value), n_frames, -1)  # (B, T, D), or (B, T) as LeRobot stores single numbers
         return (value[:, moments, -1] >= 0).reshape(-1, 1)  # (B, K) -> (B*K, 1)
 
-    def _privileged_error(
-        self, batch: dict[str, Tensor], observation: Observation, tokens: Tensor, condition: Condition, within: Tensor
-    ) -> Tensor:
-        """Return the weighted loss of the probes, ``(B,)``."""
-        if self.supervision is None:
-            return tokens.new_zeros(len(tokens))
-        model, index = self._acting_model, batch["index"]
-        seen = self.supervision.seen(model.probe, index, observation.position, tokens)  # (B, T)
-        error = _masked_mean(seen, observation.keep, len(tokens))
-        if model.foresight is not None:
-            moments = [window[-1] for window in self.config.windows.frame_index]
-            position = observation.position[:, moments].flatten(0, 1)  # (B, K, P) -> (B*K, P)
-            told = self.supervision.foreseen(model.foresight, index, position, condition.tokens)  # (B*K, F)
-            error = error + _masked_mean(told, within[:, self.config.foresight], len(tokens))
-        return self.config.privileged_weight * error
+    def _privileged_error(self, batch: dict[str, Tensor], observation: Observation, tokens: Tensor) -> Tensor:
+        """Return how far off the probe is in every frame, in units of the normalised state, ``(B, T)``."""
+        if self.labels is None:
+            return torch.zeros_like(observation.keep, dtype=tokens.dtype)
+        place = self.labels(batch["index"], self.config.windows.observation_offsets)  # (B, T, P)
+        offset = self.frame.normalise_state(place) - observation.position[..., : place.shape[-1]]
+        return (self._acting_model.probe(tokens) - offset).abs().mean(-1)
 
     def _augmented(self, observation: Observation) -> Observation:
         shape = observation.images.shape
@@ -308,19 +301,6 @@ class ObActPolicy(PreTrainedPolicy):
         card.text += describe(self.config, n_parameters=sum(p.numel() for p in self.model.parameters()))
         return card
 
-    def _supervised(self, meta: Any | None) -> Supervision | None:
-        """Open the privileged column while training, where the config names one."""
-        config = self.config
-        if not config.privileged_key or meta is None:
-            return None
-        if config.action_frame != "relative":
-            raise ValueError(
-                f"privileged_key is {config.privileged_key!r}, but only action_frame='relative' knows the coordinates "
-                f"of 'observation.state'; action_frame is {config.action_frame!r}, so privileged_key must be ''."
-            )
-        column = FrameColumn(meta, config.privileged_key, config.relative_dims)
-        return Supervision(column, self.frame, config.windows, config.foresight)
-
     def _set_stats(self, stats: dict[str, dict[str, Any]] | None) -> None:
         if stats is None:
             return
@@ -339,6 +319,18 @@ def _choose_action_frame(config: ObActConfig, stats: dict[str, dict[str, Any]] |
     if not config.can_be_relative or not stats or ACTION not in stats or OBS_STATE not in stats:
         return "absolute"
     return "relative" if looks_absolute(stats[ACTION], stats[OBS_STATE], config.relative_dims) else "absolute"
+
+
+def _labels(config: ObActConfig, meta: Any | None) -> FrameColumn | None:
+    """Open the privileged column while training, where the config names one."""
+    if not config.privileged_key or meta is None:
+        return None
+    if config.action_frame != "relative":
+        raise ValueError(
+            f"privileged_key is {config.privileged_key!r}, but only action_frame='relative' knows the coordinates of "
+            f"'observation.state'; action_frame is {config.action_frame!r}, so privileged_key must be ''."
+        )
+    return FrameColumn(meta, config.privileged_key, config.relative_dims)
 
 
 def _kept_actions(batch: dict[str, Tensor]) -> Tensor:

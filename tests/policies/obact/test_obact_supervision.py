@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot_policy_obact import ObActPolicy
 from lerobot_policy_obact.backbones.conv import saturation
 from lerobot_policy_obact.observation import Observation
-from lerobot_policy_obact.privileged import FrameColumn, Supervision
+from lerobot_policy_obact.privileged import FrameColumn
 from obact_helpers import FPS, fit, make_batch, make_policy, mean_loss, randomise
 
 STATS = {
@@ -26,20 +25,6 @@ class Place:
 
     def __call__(self, index: torch.Tensor, offsets: list[int]) -> torch.Tensor:
         return torch.tensor([1.0, -2.0, 0.5]).expand(len(index), len(offsets), 3)
-
-
-class Line:
-    """A target that moves along x at a speed which is the sample's own number [m/frame]."""
-
-    def __call__(self, index: torch.Tensor, offsets: list[int]) -> torch.Tensor:
-        x = index[:, None] * torch.tensor(offsets)[None]
-        return torch.stack([x, torch.zeros_like(x), torch.zeros_like(x)], dim=-1).float()
-
-
-def supervise(policy: ObActPolicy, place: Place | Line | None = None) -> None:
-    """Tell the policy where the target is."""
-    column = Place() if place is None else place
-    policy.supervision = Supervision(column, policy.frame, policy.config.windows, policy.config.foresight)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +68,7 @@ def test_privileged_supervision_needs_relative_actions(target_root: Path) -> Non
 
 def test_the_probe_learns_where_the_target_is_relative_to_the_palm() -> None:
     policy = make_policy(**RELATIVE, privileged_key="target.pose", ema_decay=0.0)
-    supervise(policy)
+    policy.labels = Place()
     batch = make_batch(policy) | {"index": torch.arange(3)}
     policy.config.privileged_weight = 10.0
     before = mean_loss(policy, batch)
@@ -97,7 +82,7 @@ def test_the_probe_learns_where_the_target_is_relative_to_the_palm() -> None:
 
 def test_padded_frames_do_not_teach_the_probe() -> None:
     policy = randomise(make_policy(**RELATIVE, privileged_key="target.pose"))
-    supervise(policy)
+    policy.labels = Place()
     batch = make_batch(policy) | {"index": torch.arange(3)}
     batch["action_is_pad"][:] = True  # what remains is the probe's loss
     batch["observation.state_is_pad"][:, 0] = True
@@ -111,52 +96,9 @@ def test_padded_frames_do_not_teach_the_probe() -> None:
     assert mean_loss(policy, batch, 1) > masked + 1
 
 
-def test_foresight_is_learned_at_every_decision() -> None:
-    options = {"n_decisions": 2, "decision_stride": 2, "foresight": [0, 3]}
-    policy = make_policy(**RELATIVE, privileged_key="target.pose", privileged_weight=10.0, ema_decay=0.0, **options)
-    supervise(policy, Line())
-    batch = make_batch(policy) | {"index": torch.arange(3)}
-    fit(policy, batch, 200, 1e-2)
-    observation, windows = Observation.from_batch(batch, policy.config), policy.config.windows
-    tokens = policy.model.encode_frames(observation)
-    index = torch.tensor(windows.frame_index)
-    condition = policy.model.conditions(observation, tokens, index, policy._age_s(tokens.device))
-    told = policy.model.foresight(condition.tokens).reshape(3, 2, 2, 3)  # sample, decision, ahead, place
-    for sample in range(3):
-        for k, moment in enumerate([0, 2]):
-            here = observation.position[sample, windows.frame_index[k][-1], :3]
-            for f, ahead in enumerate([0, 3]):
-                wanted = torch.tensor([sample * (moment + ahead), 0.0, 0.0]) / 2.0 - here
-                assert (told[sample, k, f] - wanted).abs().mean() < 0.25
-
-
-def test_what_comes_after_the_episode_is_not_foreseen() -> None:
-    policy = randomise(make_policy(**RELATIVE, privileged_key="target.pose", foresight=[3]))
-    supervise(policy, Line())
-    batch = make_batch(policy) | {"index": torch.arange(3)}
-    batch["action_is_pad"][:, 3:] = True
-    ended = mean_loss(policy, batch, 1)
-    policy.config.foresight = []
-    supervise(policy, Line())
-    policy.model.foresight = policy.ema.module.foresight = None
-    assert mean_loss(policy, batch, 1) == pytest.approx(ended)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"privileged_key": "target.pose", "foresight": [8], "horizon": 8}, "0 to 7"),
-        ({"foresight": [0]}, "empty without a privileged_key"),
-    ],
-)
-def test_foresight_that_cannot_be_is_refused(changes: dict, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        make_policy(**RELATIVE, **changes)
-
-
 def test_acting_needs_no_privileged_column(tmp_path: Path) -> None:
-    policy = make_policy(**RELATIVE, privileged_key="target.pose", foresight=[0, 2])
-    assert policy.supervision is None
+    policy = make_policy(**RELATIVE, privileged_key="target.pose")
+    assert policy.labels is None
     policy.save_pretrained(tmp_path)
     again = type(policy).from_pretrained(tmp_path)
     batch = make_batch(policy)
