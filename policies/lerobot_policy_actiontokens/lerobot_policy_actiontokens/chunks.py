@@ -11,6 +11,7 @@ import torch
 from lerobot.configs import NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamWConfig
 from torch import Tensor
+from transformers import AutoConfig
 
 
 @dataclass
@@ -105,6 +106,20 @@ class Chunks:
     def camera(self) -> str:
         """Key of the image that it sees, the first."""
         return next(iter(self.config.image_features))
+
+
+def open_model(kind: Any, name: str, config: ChunkConfig) -> Any:
+    """Return the model ``name`` of `transformers`, with its published weights if the config says so.
+
+    Args:
+        kind: the `transformers` class that opens it, as ``AutoModelForCausalLM``.
+        name: folder or Hub name.
+        config: of the policy.
+    """
+    dtype = getattr(torch, config.dtype)
+    if config.load_weights:
+        return kind.from_pretrained(name, dtype=dtype)
+    return kind.from_config(AutoConfig.from_pretrained(name), dtype=dtype)
 
 
 def within(batch: dict[str, Any], key: str, like: Tensor) -> Tensor:

@@ -8,10 +8,10 @@ import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
 from torch import Tensor
-from transformers import AutoConfig, AutoModelForImageTextToText, AutoProcessor, LogitsProcessor
+from transformers import AutoModelForImageTextToText, AutoProcessor, LogitsProcessor
 
 from .bins import N_BINS, decode, encode, token_ids
-from .chunks import Chunks, instructions, within
+from .chunks import Chunks, instructions, open_model, within
 from .configuration_actiontokens import ActionTokensConfig
 
 PROMPT = "{image}In: What action should the robot take to {instruction}?\nOut: "
@@ -36,11 +36,7 @@ class ActionTokensPolicy(Chunks, PreTrainedPolicy):
     def __init__(self, config: ActionTokensConfig, **kwargs: Any) -> None:
         super().__init__(config)
         config.validate_features()
-        dtype = getattr(torch, config.dtype)
-        if config.load_weights:
-            self.vlm = AutoModelForImageTextToText.from_pretrained(config.vlm_name, dtype=dtype)
-        else:
-            self.vlm = AutoModelForImageTextToText.from_config(AutoConfig.from_pretrained(config.vlm_name), dtype=dtype)
+        self.vlm = open_model(AutoModelForImageTextToText, config.vlm_name, config)
         self.processor = AutoProcessor.from_pretrained(config.vlm_name)
         self.processor.tokenizer.padding_side = "left"  # actions follow the prompt without a gap
         self.vocabulary = self.processor.tokenizer.vocab_size

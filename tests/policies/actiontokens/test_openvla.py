@@ -35,7 +35,7 @@ def model(checkpoint: str) -> OpenVLAForActionPrediction:
     return AutoModelForImageTextToText.from_pretrained(checkpoint).eval()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture  # of each test its own, as some change it
 def processor(checkpoint: str) -> PrismaticProcessor:
     return AutoProcessor.from_pretrained(checkpoint)
 

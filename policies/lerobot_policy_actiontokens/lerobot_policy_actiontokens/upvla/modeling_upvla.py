@@ -9,9 +9,9 @@ from diffusers import VQModel
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
 from torch import Tensor, nn
-from transformers import AutoConfig, AutoModelForCausalLM, AutoTokenizer
+from transformers import AutoModelForCausalLM, AutoTokenizer
 
-from lerobot_policy_actiontokens.chunks import Chunks, instructions, within
+from lerobot_policy_actiontokens.chunks import Chunks, instructions, open_model, within
 
 from .codes import ImageCodes
 from .configuration_upvla import UPVLAConfig
@@ -34,7 +34,7 @@ class UPVLAPolicy(Chunks, PreTrainedPolicy):
         super().__init__(config)
         config.validate_features()
         self.images = ImageCodes(_image_tokenizer(config), config.image_size)
-        self.llm = _language_model(config)
+        self.llm = open_model(AutoModelForCausalLM, config.llm_name, config)
         self.vocabulary = Vocabulary(self.llm.get_input_embeddings().num_embeddings, self.images.n_codes)
         self.llm.resize_token_embeddings(len(self.vocabulary), mean_resizing=False)  # codes differ from the start
         self.tokenizer = AutoTokenizer.from_pretrained(config.llm_name, padding_side="left")
@@ -90,13 +90,6 @@ class UPVLAPolicy(Chunks, PreTrainedPolicy):
         actions = self.to_actions(self.pooling(hidden[:, sequence.actions].float()))  # (B, H * A)
         logits = self.llm.get_output_embeddings()(hidden[:, sequence.codes])
         return logits, actions.unflatten(1, (self.config.chunk_size, -1))
-
-
-def _language_model(config: UPVLAConfig) -> Any:
-    dtype = getattr(torch, config.dtype)
-    if config.load_weights:
-        return AutoModelForCausalLM.from_pretrained(config.llm_name, dtype=dtype)
-    return AutoModelForCausalLM.from_config(AutoConfig.from_pretrained(config.llm_name), dtype=dtype)
 
 
 def _image_tokenizer(config: UPVLAConfig) -> VQModel:
