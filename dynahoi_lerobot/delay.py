@@ -15,8 +15,8 @@ from dynahoi_lerobot.conventions import CONTROL_DT
 class DelayedAgent(Agent):
     """Executes every command a whole number of frames after the observation that it answers.
 
-    Until the first one arrives the hand holds still. A command is due at the first frame at which it is there: 150 ms
-    are three frames, 370 ms are eight.
+    Commands given while observing are void, as they are without a delay; until the first other one arrives the hand
+    holds still. A command is due at the first frame at which it is there: 150 ms are three frames, 370 ms are eight.
     """
 
     def __init__(self, agent: Agent, delay_ms: float) -> None:
@@ -30,7 +30,7 @@ class DelayedAgent(Agent):
         self.frames = ceil(delay_ms / 1000 / CONTROL_DT - 1e-9)
         self.name, self.sees_images = agent.name, agent.sees_images
         self.image_size, self.views = agent.image_size, agent.views
-        self._agent, self._pending = agent, deque[np.ndarray]()
+        self._agent, self._pending = agent, deque[tuple[np.ndarray, np.ndarray]]()
 
     def reset(self, count: int) -> None:
         """Forget everything, also what is on its way."""
@@ -39,10 +39,12 @@ class DelayedAgent(Agent):
 
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) the commands that are due."""
-        self._pending.append(self._agent.act(observation))
+        self._pending.append((self._agent.act(observation), observation.phase > 0))
+        still = observation.state.astype(np.float64)
         if len(self._pending) <= self.frames:
-            return observation.state.astype(np.float64)
-        return self._pending.popleft()
+            return still
+        command, valid = self._pending.popleft()
+        return np.where(valid, command, still)
 
     def report(self) -> dict[str, Any]:
         """Return the agent's report and the delay."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
@@ -56,6 +56,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
     parser.add_argument("--device", help="torch device of the policy")
     parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change the config of the policy, as n_action_steps=2; may be repeated",
+    )
+    parser.add_argument(
         "--delay-ms", type=float, default=0.0, help="inference time to pretend [ms]; the world moves on"
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
@@ -70,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play, write and print; return the exit code."""
-    actor = _delayed(_vlm(args) if args.policy == VLM else make_actor(args.policy, args.capture, args.device), args)
+    actor = _delayed(_actor(args), args)
     recipe = _recipe(args, actor)
     recorder = Recorder.resume(args.out) if args.out else Recorder()
     specs = _specs(args, recipe, recorder)
@@ -104,6 +111,12 @@ def _delayed(actor: Agent | Expert, args: argparse.Namespace) -> Agent | Expert:
     return DelayedAgent(actor, args.delay_ms)
 
 
+def _actor(args: argparse.Namespace) -> Agent | Expert:
+    if args.policy == VLM and not args.set:
+        return _vlm(args)
+    return make_actor(args.policy, args.capture, args.device, args.set)
+
+
 def _vlm(args: argparse.Namespace) -> Agent:
     """Return the vision-language model that the arguments name."""
     from dynahoi_lerobot.vlm.agent import VlmAgent
@@ -120,10 +133,24 @@ def _vlm(args: argparse.Namespace) -> Agent:
     return VlmAgent(client, name=f"vlm:{args.model}", concurrency=args.batch_size)
 
 
-def make_actor(name: str, capture: str = "attach", device: str | None = None) -> Agent | Expert:
-    """Return the expert called ``name``, the capture rule's own for "expert", or else load it as a policy."""
+def make_actor(
+    name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = ()
+) -> Agent | Expert:
+    """Return the expert called ``name``, the capture rule's own for "expert", or else load it as a policy.
+
+    Args:
+        name: of an expert, or of a policy as `PolicyAgent` takes it.
+        capture: rule under which it is to catch.
+        device: torch device of a policy, its own if None.
+        settings: changes of a policy's config, ``KEY=VALUE`` each.
+
+    Raises:
+        ValueError: if there is no such policy, or its config cannot be changed so.
+    """
     key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
-    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device)
+    if settings and key in (*EXPERTS.names(), VLM):
+        raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
+    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings)
 
 
 def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:

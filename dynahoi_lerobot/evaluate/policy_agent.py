@@ -5,6 +5,8 @@ Nothing here imports torch or LeRobot before a policy is loaded.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -25,18 +27,19 @@ class PolicyError(ValueError):
 class PolicyAgent(Agent):
     """Plays a checkpoint folder or a Hub repository, exactly as ``lerobot-eval`` would."""
 
-    def __init__(self, path: str, device: str | None = None) -> None:
+    def __init__(self, path: str, device: str | None = None, settings: Sequence[str] = ()) -> None:
         """Load the policy and its processors.
 
         Args:
             path: a ``pretrained_model`` folder, or a Hub repository id.
             device: torch device, the policy's own if None.
+            settings: changes of its config, ``KEY=VALUE`` each.
 
         Raises:
-            PolicyError: if there is no such policy.
+            PolicyError: if there is no such policy, or its config cannot be changed so.
         """
         self.name = path
-        self._policy, self._before, self._after = _load(path, device)
+        self._policy, self._before, self._after = _load(path, device, settings)
         inputs = self._policy.config.input_features
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
@@ -58,7 +61,7 @@ class PolicyAgent(Agent):
         return self._after(action).to("cpu").numpy()
 
 
-def _load(path: str, device: str | None) -> tuple[Any, Any, Any]:
+def _load(path: str, device: str | None, settings: Sequence[str]) -> tuple[Any, Any, Any]:
     """Policy, preprocessor and postprocessor."""
     try:
         from lerobot.configs import PreTrainedConfig
@@ -67,7 +70,7 @@ def _load(path: str, device: str | None) -> tuple[Any, Any, Any]:
     except ImportError as error:
         raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
     register_third_party_plugins()
-    config = _config(PreTrainedConfig, path)
+    config = _config(PreTrainedConfig, path, settings)
     if device is not None:
         config.device = device
     policy = get_policy_class(config.type).from_pretrained(path, config=config).eval()
@@ -76,7 +79,7 @@ def _load(path: str, device: str | None) -> tuple[Any, Any, Any]:
     return policy, before, after
 
 
-def _config(config_class: Any, path: str) -> Any:
+def _config(config_class: Any, path: str, settings: Sequence[str]) -> Any:
     if not Path(path).is_dir() and path.count("/") != 1:
         raise PolicyError(f"there is no policy {path!r}; {REMEDY}")
     if Path(path).is_dir() and not (Path(path) / "config.json").is_file():
@@ -84,6 +87,20 @@ def _config(config_class: Any, path: str) -> Any:
         hint = f"; did you mean {nested[-1]}?" if nested else ""
         raise PolicyError(f"{path} holds no policy (no config.json){hint}")
     try:
-        return config_class.from_pretrained(path)
+        config = config_class.from_pretrained(path)
     except Exception as error:
         raise PolicyError(f"there is no policy {path!r} ({type(error).__name__}); {REMEDY}") from error
+    return _changed(config, path, settings) if settings else config
+
+
+def _changed(config: Any, path: str, settings: Sequence[str]) -> Any:
+    """Open the config again with ``settings``, through LeRobot's own parser."""
+    known = [field.name for field in fields(config)]
+    for setting in settings:
+        key, equals, _ = setting.partition("=")
+        if not equals or key not in known:
+            raise PolicyError(f"cannot set {setting!r}: must be KEY=VALUE, KEY one of {', '.join(known)}")
+    try:
+        return config.from_pretrained(path, cli_overrides=[f"--{setting}" for setting in settings])
+    except Exception as error:
+        raise PolicyError(f"cannot set {', '.join(settings)}: {error.__cause__ or error}") from error

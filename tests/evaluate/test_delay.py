@@ -26,8 +26,9 @@ class Clock(Agent):
         return np.full((2, 18), float(self.t))
 
 
-def observation() -> Observation:
-    return Observation(None, np.full((2, 18), -1, np.float32), np.zeros((2, 30)), np.ones((2, 1)), ("", ""))
+def observation(phase: tuple[int, int] = (1, 1)) -> Observation:
+    phases = np.array(phase, np.float32)[:, None]
+    return Observation(None, np.full((2, 18), -1, np.float32), np.zeros((2, 30)), phases, ("", ""))
 
 
 @pytest.mark.parametrize(("delay_ms", "frames"), [(0, 0), (1, 1), (50, 1), (51, 2), (150, 3), (370, 8)])
@@ -38,6 +39,13 @@ def test_a_command_takes_effect_so_many_frames_late(delay_ms: float, frames: int
         commanded = [agent.act(observation())[0, 0] for _ in range(12)]
         assert commanded == [-1.0] * frames + list(range(1, 13 - frames))
     assert agent.report() == {"delay_frames": frames}
+
+
+def test_commands_given_while_observing_are_void_even_if_they_arrive_later():
+    agent = DelayedAgent(Clock(), 100)
+    phases = [(0, 0), (0, 1), (1, 1), (1, 1), (1, 1)]
+    commanded = np.array([agent.act(observation(phase))[:, 0] for phase in phases])
+    assert commanded.T.tolist() == [[-1, -1, -1, -1, 3], [-1, -1, -1, 2, 3]]
 
 
 @pytest.mark.parametrize("delay_ms", [-1, float("nan"), float("inf")])

@@ -27,6 +27,8 @@ class ObActConfig(PreTrainedConfig):
         image_size: Side to which every image is resized [px]; 0 keeps the size of the dataset.
         horizon: Actions in a predicted chunk.
         n_action_steps: Actions of a chunk that are executed before the policy plans again.
+        latency_frames: Frames between an observation and the execution of the action that answers it. A chunk begins
+            at its observation, so that many of its actions are past when it is ready, and are skipped.
         replan_key: Observation whose rise (0 -> 1) drops the rest of the chunk; "" never does. Chunks planned
             before the rise are never executed, so none are learned from.
         action_frame: "absolute", "relative" (the first `relative_dims` actions are predicted as displacements
@@ -67,6 +69,7 @@ class ObActConfig(PreTrainedConfig):
 
     horizon: int = 16
     n_action_steps: int = 8
+    latency_frames: int = 0
     replan_key: str = "observation.phase"
     action_frame: str = "auto"
     relative_dims: int = 3
@@ -118,6 +121,8 @@ class ObActConfig(PreTrainedConfig):
         self._require(self.n_obs_frames >= 0, "n_obs_frames", "0 (single-frame control) or more")
         self._require(self.fps > 0, "fps", "above 0 Hz")
         self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
+        most = self.horizon - self.n_action_steps
+        self._require(0 <= self.latency_frames <= most, "latency_frames", f"0 to {most} (horizon - n_action_steps)")
         self._require(self.action_frame in ACTION_FRAMES, "action_frame", f"one of {', '.join(ACTION_FRAMES)}")
         self._require(self.relative_weight > 0, "relative_weight", "above 0")
         self._require(self.privileged_weight >= 0, "privileged_weight", "0 or more")

@@ -188,7 +188,7 @@ class ObActPolicy(PreTrainedPolicy):
         if rows:
             start = self._noise([self.queue.n_planned[row] for row in rows]) if noise is None else noise[rows]
             chunks = self._plan(self.history.window().rows(rows), start)
-            self.queue.put(rows, chunks[:, : self.config.n_action_steps])
+            self.queue.put(rows, chunks[:, self.config.latency_frames :][:, : self.config.n_action_steps])
         return self.queue.pop()
 
     @torch.no_grad()

@@ -63,6 +63,17 @@ def test_a_chunk_is_executed_in_order_and_then_replanned() -> None:
     torch.testing.assert_close(actions[:, :N_EXECUTED], chunk[:, :N_EXECUTED])
 
 
+def test_with_latency_the_actions_that_are_past_are_skipped() -> None:
+    policy = acting_policy(latency_frames=3)
+    plans = count_plans(policy)
+    step = make_step(policy)
+    actions = run(policy, [step] * 2 * N_EXECUTED)
+    policy.reset()
+    chunk = policy.predict_action_chunk(step)
+    assert plans == [3, 3, 3]
+    torch.testing.assert_close(actions[:, :N_EXECUTED], chunk[:, 3 : 3 + N_EXECUTED])
+
+
 def test_a_rising_phase_replans_only_its_own_rows() -> None:
     policy = acting_policy()
     plans = count_plans(policy)

@@ -38,6 +38,7 @@ def test_shared_frames_are_loaded_once() -> None:
     [
         ({"n_obs_frames": -1}, "n_obs_frames is -1"),
         ({"n_action_steps": 99}, "n_action_steps is 99, but must be 1 to 8"),
+        ({"latency_frames": 5, "n_action_steps": 4}, r"latency_frames is 5, but must be 0 to 4 \(horizon - n_action"),
         ({"action_frame": "delta"}, "one of auto, absolute, relative"),
         ({"ema_decay": 1.0}, "ema_decay is 1.0"),
         ({"noise_scale": -0.5}, "noise_scale is -0.5, but must be 0 or more"),

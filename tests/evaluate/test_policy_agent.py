@@ -1,0 +1,33 @@
+"""A checkpoint as an agent: its config can be changed for one evaluation, never silently."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
+
+CHECKPOINT = str(Path(__file__).parents[2] / "docs" / "obact_cpu")
+
+
+def test_settings_change_the_config_and_nothing_else() -> None:
+    plain = PolicyAgent(CHECKPOINT)._policy.config
+    changed = PolicyAgent(CHECKPOINT, settings=["n_action_steps=2", "latency_frames=3"])._policy.config
+    assert (plain.n_action_steps, plain.latency_frames) == (1, 0)
+    assert (changed.n_action_steps, changed.latency_frames) == (2, 3)
+    assert {**changed.__dict__, "n_action_steps": 1, "latency_frames": 0} == plain.__dict__
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("latency=3", "cannot set 'latency=3': must be KEY=VALUE, KEY one of .*latency_frames"),
+        ("latency_frames", "cannot set 'latency_frames': must be KEY=VALUE"),
+        ("latency_frames=8", "cannot set latency_frames=8: latency_frames is 8, but must be 0 to 7"),
+        ("latency_frames=few", "cannot set latency_frames=few: .*'few'"),
+    ],
+)
+def test_what_cannot_be_set_is_said(setting: str, sentence: str) -> None:
+    with pytest.raises(PolicyError, match=sentence):
+        PolicyAgent(CHECKPOINT, settings=[setting])
