@@ -7,12 +7,14 @@ from collections import deque
 import torch
 from torch import Tensor
 
-from .observation import Observation
+from .frames import EncodedFrames
 from .windows import DecisionWindows
 
 
 class History:
-    """A ring buffer of the last observations, read as the window of one decision.
+    """A ring buffer of the last frames, read as the window of one decision.
+
+    It keeps what was made of them, so acting encodes every frame once, however many decisions see it.
 
     Args:
         windows: Which frames a decision sees.
@@ -20,9 +22,9 @@ class History:
 
     def __init__(self, windows: DecisionWindows) -> None:
         self.lookback = windows.lookback
-        self._frames: deque[Observation] = deque(maxlen=1 - self.lookback[0])
+        self._frames: deque[EncodedFrames] = deque(maxlen=1 - self.lookback[0])
 
-    def append(self, frame: Observation) -> None:
+    def append(self, frame: EncodedFrames) -> None:
         """Remember the newest frame.
 
         Raises:
@@ -35,11 +37,11 @@ class History:
             )
         self._frames.append(frame)
 
-    def window(self) -> Observation:
+    def window(self) -> EncodedFrames:
         """Return the frames of a decision now; those before the first one are padding, as in a dataset."""
         oldest = 1 - len(self._frames)
         frames = [self._frames[-1 + back] if back >= oldest else self._frames[0].padding() for back in self.lookback]
-        return Observation.concatenate(frames)
+        return EncodedFrames.concatenate(frames)
 
     def clear(self) -> None:
         """Forget everything."""

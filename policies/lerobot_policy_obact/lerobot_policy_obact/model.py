@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from .attention import SpatioTemporalAttention
 from .backbones import backbones
 from .configuration_obact import ObActConfig
+from .frames import EncodedFrames
 from .heads import ActionSpec, Condition, heads
 from .observation import Observation
 from .privileged import PositionProbe
@@ -34,12 +35,11 @@ class ObActModel(nn.Module):
         self.head = heads.build(config.head, spec, options=config.head_options)
         self.probe = PositionProbe(width, config.relative_dims) if config.privileged_key else None
 
-    def conditions(self, observation: Observation, tokens: Tensor, frame_index: Tensor, age_s: Tensor) -> Condition:
+    def conditions(self, frames: EncodedFrames, frame_index: Tensor, age_s: Tensor) -> Condition:
         """Fuse the window of each decision.
 
         Args:
-            observation: Frames of ``B`` samples.
-            tokens: What `encode_frames` made of them, shape ``(B, T, N, D)``.
+            frames: Frames of ``B`` samples.
             frame_index: Frames each of the ``K`` decisions sees, its own last, shape ``(K, s + 1)``.
             age_s: Time of those frames before their decision [s], shape ``(s + 1,)``.
 
@@ -47,19 +47,22 @@ class ObActModel(nn.Module):
             Conditions of ``B * K`` chunks, decisions of one sample in a row.
         """
         n_decisions = len(frame_index)
-        fused = self.attention(tokens, frame_index, age_s, observation.keep)  # (B*K, N, D)
-        state = observation.proprioception[:, frame_index[:, -1]].flatten(0, 1)  # (B, K, S) -> (B*K, S)
+        fused = self.attention(frames.tokens, frame_index, age_s, frames.keep)  # (B*K, N, D)
+        state = frames.proprioception[:, frame_index[:, -1]].flatten(0, 1)  # (B, K, S) -> (B*K, S)
         if self.text is not None:
-            said = self.text(observation.texts).repeat_interleave(n_decisions, 0)  # (B, 1, D) -> (B*K, 1, D)
+            said = self.text(frames.texts).repeat_interleave(n_decisions, 0)  # (B, 1, D) -> (B*K, 1, D)
             fused = torch.cat([fused, said.to(fused.dtype)], dim=1)
         return Condition(fused, state)
 
-    def encode_frames(self, observation: Observation) -> Tensor:
-        """Turn each frame into image tokens and one proprioceptive token, shape ``(B, T, N, D)``."""
+    def encode(self, observation: Observation) -> EncodedFrames:
+        """Turn each frame, by itself, into the tokens of its images and one of proprioception."""
         images = observation.images
         n_batch, n_frames, n_cameras = images.shape[:3]
         texts = [text for text in observation.texts for _ in range(n_frames * n_cameras)] if self.text is None else None
         seen = self.backbone(images.flatten(0, 2), texts)  # (B*T*C, n, D)
         seen = seen.unflatten(0, (n_batch, n_frames, n_cameras)) + self.camera  # (B, T, C, n, D)
         felt = self.proprioception(observation.proprioception)[:, :, None]  # (B, T, 1, D)
-        return torch.cat([seen.flatten(2, 3), felt.to(seen.dtype)], dim=2)  # (B, T, N, D) with N = C*n + 1
+        tokens = torch.cat([seen.flatten(2, 3), felt.to(seen.dtype)], dim=2)  # (B, T, N, D) with N = C*n + 1
+        return EncodedFrames(
+            tokens, observation.proprioception, observation.position, observation.keep, observation.texts
+        )

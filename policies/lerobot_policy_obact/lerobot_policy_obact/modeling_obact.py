@@ -18,6 +18,7 @@ from torch.optim.swa_utils import AveragedModel
 from .action_frame import ActionFrame, affine_of, looks_absolute
 from .augment import jitter_colors, shift_images
 from .configuration_obact import ObActConfig
+from .frames import EncodedFrames
 from .heads.base import Condition, Guide
 from .history import ChunkQueue, History
 from .model import ObActModel
@@ -87,18 +88,18 @@ class ObActPolicy(PreTrainedPolicy):
             observation = self._augmented(observation)
         index = torch.tensor(windows.frame_index, device=batch[ACTION].device)  # (K, s+1)
         chunk_index = torch.tensor(windows.action_index, device=batch[ACTION].device)  # (K, H)
-        tokens = self._acting_model.encode_frames(observation)  # (B, T, N, D)
-        condition = self._acting_model.conditions(observation, tokens, index, self._age_s(index.device))
+        frames = self._acting_model.encode(observation)
+        condition = self._acting_model.conditions(frames, index, self._age_s(index.device))
 
         actions = batch[ACTION][:, chunk_index].flatten(0, 1)  # (B, L, A) -> (B, K, H, A) -> (B*K, H, A)
         keep = _kept_actions(batch)[:, chunk_index].flatten(0, 1)  # (B, L) -> (B, K, H) -> (B*K, H)
         keep = keep & self._executed(batch, index[:, -1]).to(keep.device)
-        position = observation.position[:, index[:, -1]].flatten(0, 1)  # (B, K, P) -> (B*K, P)
+        position = frames.position[:, index[:, -1]].flatten(0, 1)  # (B, K, P) -> (B*K, P)
         error = self._chunk_error(actions, position, condition, keep)  # (B*K, H)
-        seen = self._privileged_error(batch, observation, tokens)  # (B, T)
-        privileged = self.config.privileged_weight * _masked_mean(seen, observation.keep, len(tokens))  # (B,)
+        seen = self._privileged_error(batch, frames)  # (B, T)
+        privileged = self.config.privileged_weight * _masked_mean(seen, frames.keep, len(frames.keep))  # (B,)
         if reduction == "none":
-            loss = _masked_mean(error, keep, len(tokens)) + privileged
+            loss = _masked_mean(error, keep, len(frames.keep)) + privileged
             return loss, {"loss": loss.mean().item()}
         return (error * keep).sum() / keep.sum().clamp_min(1) + privileged.mean(), {}
 
@@ -133,13 +134,13 @@ class ObActPolicy(PreTrainedPolicy):
         value = value.reshape(len(value), n_frames, -1)  # (B, T, D), or (B, T) as LeRobot stores single numbers
         return (value[:, moments, -1] >= 0).reshape(-1, 1)  # (B, K) -> (B*K, 1)
 
-    def _privileged_error(self, batch: dict[str, Tensor], observation: Observation, tokens: Tensor) -> Tensor:
+    def _privileged_error(self, batch: dict[str, Tensor], frames: EncodedFrames) -> Tensor:
         """Return how far off the probe is in every frame, in units of the normalised state, ``(B, T)``."""
         if self.labels is None:
-            return torch.zeros_like(observation.keep, dtype=tokens.dtype)
+            return torch.zeros_like(frames.keep, dtype=frames.tokens.dtype)
         place = self.labels(batch["index"], self.config.windows.observation_offsets)  # (B, T, P)
-        offset = self.frame.normalise_state(place) - observation.position[..., : place.shape[-1]]
-        return (self._acting_model.probe(tokens) - offset).abs().mean(-1)
+        offset = self.frame.normalise_state(place) - frames.position[..., : place.shape[-1]]
+        return (self._acting_model.probe(frames.tokens) - offset).abs().mean(-1)
 
     def _augmented(self, observation: Observation) -> Observation:
         shape = observation.images.shape
@@ -182,7 +183,7 @@ class ObActPolicy(PreTrainedPolicy):
             **kwargs: Unused.
         """
         self.eval()
-        frame = Observation.from_batch(batch, self.config)
+        frame = self._acting_model.encode(Observation.from_batch(batch, self.config))
         self.history.append(frame)
         rows = self.queue.rows_to_plan(self._trigger(batch), n_rows=len(frame.keep))
         if rows:
@@ -220,21 +221,20 @@ class ObActPolicy(PreTrainedPolicy):
             guide = rtc_guide(self.rtc_processor, leftover, inference_delay or 0, execution_horizon)
         return self._plan(window, start, guide)
 
-    def _plan(self, window: Observation, noise: Tensor, guide: Guide | None = None) -> Tensor:
+    def _plan(self, window: EncodedFrames, noise: Tensor, guide: Guide | None = None) -> Tensor:
         index = torch.arange(window.keep.shape[1], device=noise.device)[None]  # (1, s+1)
-        tokens = self._acting_model.encode_frames(window)
-        condition = self._acting_model.conditions(window, tokens, index, self._age_s(noise.device))
+        condition = self._acting_model.conditions(window, index, self._age_s(noise.device))
         chunk = self._acting_model.head.sample(condition, noise, guide)  # (B, H, A)
         return self.frame.to_actions(chunk, window.position[:, -1])
 
-    def _window(self, observation: Observation) -> Observation:
+    def _window(self, observation: Observation) -> EncodedFrames:
         n_frames, windows = observation.keep.shape[1], self.config.windows
         if n_frames == len(windows.lookback):
-            return observation
+            return self._acting_model.encode(observation)
         if n_frames == len(windows.observation_offsets):
-            return observation.frames(windows.frame_index[0])
+            return self._acting_model.encode(observation.frames(windows.frame_index[0]))
         if n_frames == 1:
-            self.history.append(observation)
+            self.history.append(self._acting_model.encode(observation))
             return self.history.window()
         raise ValueError(
             f"the batch has {n_frames} frames per sample, but must have 1 or "

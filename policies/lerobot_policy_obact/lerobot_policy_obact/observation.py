@@ -48,15 +48,6 @@ class Observation:
             texts=_texts(batch, shape[0]),
         )
 
-    @classmethod
-    def concatenate(cls, frames: list[Observation]) -> Observation:
-        """Join observations of the same samples along time."""
-        joined = {
-            name: torch.cat([getattr(frame, name) for frame in frames], dim=1)
-            for name in ("images", "proprioception", "position", "keep")
-        }
-        return cls(**joined, texts=frames[-1].texts)
-
     def frames(self, index: list[int]) -> Observation:
         """Return the frames at ``index`` of every sample."""
         return Observation(
@@ -66,18 +57,6 @@ class Observation:
             self.keep[:, index],
             self.texts,
         )
-
-    def rows(self, index: list[int]) -> Observation:
-        """Return the samples at ``index``."""
-        texts = [self.texts[i] for i in index]
-        return Observation(
-            self.images[index], self.proprioception[index], self.position[index], self.keep[index], texts
-        )
-
-    def padding(self) -> Observation:
-        """Return a copy that no one may look at."""
-        keep = torch.zeros_like(self.keep)
-        return Observation(self.images, self.proprioception, self.position, keep, self.texts)
 
 
 def _with_time(x: Tensor, n_axes: int) -> Tensor:

@@ -52,6 +52,16 @@ def test_before_the_first_frame_there_is_padding() -> None:
     torch.testing.assert_close(policy.predict_action_chunk(step, noise), policy.predict_action_chunk(batch, noise))
 
 
+def test_acting_encodes_every_frame_once() -> None:
+    policy = acting_policy(n_action_steps=1)
+    seen: list[int] = []
+    backbone = policy._acting_model.backbone
+    backbone.register_forward_hook(lambda _, inputs, __: seen.append(len(inputs[0])))
+    run(policy, [make_step(policy, seed=t) for t in range(6)])
+    n_cameras = len(policy.config.image_features)
+    assert seen == [3 * n_cameras] * 6
+
+
 def test_a_chunk_is_executed_in_order_and_then_replanned() -> None:
     policy = acting_policy()
     plans = count_plans(policy)

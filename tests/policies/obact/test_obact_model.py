@@ -87,9 +87,7 @@ def test_decisions_are_causal(decision: int) -> None:
 
     def condition(b: dict) -> torch.Tensor:
         observation = Observation.from_batch(b, policy.config)
-        tokens = policy.model.conditions(
-            observation, policy.model.encode_frames(observation), index, policy._age_s(index.device)
-        ).tokens
+        tokens = policy.model.conditions(policy.model.encode(observation), index, policy._age_s(index.device)).tokens
         return tokens.unflatten(0, (-1, 3))[:, decision]
 
     later = scrambled(batch, slice(now + 1, None))
@@ -105,15 +103,11 @@ def test_several_decisions_equal_the_same_decisions_one_by_one() -> None:
     batch, windows = make_batch(many), many.config.windows
     observation = Observation.from_batch(batch, many.config)
     index = torch.tensor(windows.frame_index)
-    together = many.model.conditions(
-        observation, many.model.encode_frames(observation), index, many._age_s(index.device)
-    ).tokens.unflatten(0, (-1, 3))
+    frames = many.model.encode(observation)
+    together = many.model.conditions(frames, index, many._age_s(index.device)).tokens.unflatten(0, (-1, 3))
     for k, row in enumerate(windows.frame_index):
         alone = one.model.conditions(
-            observation.frames(row),
-            one.model.encode_frames(observation.frames(row)),
-            torch.arange(3)[None],
-            one._age_s(index.device),
+            one.model.encode(observation.frames(row)), torch.arange(3)[None], one._age_s(index.device)
         )
         torch.testing.assert_close(together[:, k], alone.tokens, rtol=1e-4, atol=1e-5)
 

@@ -75,7 +75,7 @@ def test_the_probe_learns_where_the_target_is_relative_to_the_palm() -> None:
     fit(policy, batch, 150, 1e-2)
     assert mean_loss(policy, batch) < 0.5 * before
     observation = Observation.from_batch(batch, policy.config)
-    seen = policy.model.probe(policy.model.encode_frames(observation))
+    seen = policy.model.probe(policy.model.encode(observation).tokens)
     wanted = torch.tensor([1.0, -2.0, 0.5]) / 2.0 - observation.position[..., :3]
     assert (seen - wanted).abs().mean() < 0.3 * wanted.abs().mean()
 

@@ -1,0 +1,48 @@
+"""Frames as attention reads them: encoded once, whoever looks at them later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class EncodedFrames:
+    """``T`` encoded frames of ``B`` samples, oldest first.
+
+    Attributes:
+        tokens: Tokens of every image and of proprioception, shape ``(B, T, N, D)``.
+        proprioception: All vector observations joined, normalised, shape ``(B, T, S)``.
+        position: What relative actions refer to, normalised, shape ``(B, T, P)``; P may be 0.
+        keep: False where a frame is padding, shape ``(B, T)``.
+        texts: One instruction per sample.
+    """
+
+    tokens: Tensor
+    proprioception: Tensor
+    position: Tensor
+    keep: Tensor
+    texts: list[str]
+
+    @classmethod
+    def concatenate(cls, frames: list[Self]) -> Self:
+        """Join frames of the same samples along time; the newest says what the instructions are."""
+        joined = {
+            name: torch.cat([getattr(frame, name) for frame in frames], dim=1)
+            for name in ("tokens", "proprioception", "position", "keep")
+        }
+        return cls(**joined, texts=frames[-1].texts)
+
+    def rows(self, index: list[int]) -> EncodedFrames:
+        """Return the samples at ``index``."""
+        texts = [self.texts[i] for i in index]
+        return EncodedFrames(
+            self.tokens[index], self.proprioception[index], self.position[index], self.keep[index], texts
+        )
+
+    def padding(self) -> EncodedFrames:
+        """Return a copy that no one may look at."""
+        return replace(self, keep=torch.zeros_like(self.keep))
