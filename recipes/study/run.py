@@ -2,9 +2,9 @@
 
     python recipes/study/run.py recipes/study/cpu.yaml --out outputs/study
 
-Variants run one after another through ``lerobot-train`` and ``dynahoi evaluate``; those that are done are skipped, so
-the same command goes on after an interruption. Each result folder says what the variant was (``extra`` in
-``metrics.json``), which is what the report's figures on observed frames and data scaling read.
+Variants run one after another through ``lerobot-train`` and ``dynahoi evaluate``, and the report grows with each; those
+that are done are skipped, so the same command goes on after an interruption. Each result folder says what the variant
+was (``extra`` in ``metrics.json``), which is what the report's figures on observed frames and data scaling read.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -22,6 +23,8 @@ from typing import Any
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
+PACE_STEPS = (50, 250)
+"""The steps of two short runs, whose difference in time says how long a step takes."""
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
 
 
@@ -34,6 +37,7 @@ class Variant:
         config: a training recipe, relative to the repository.
         options: what it changes, as ``lerobot-train`` options.
         data_fraction: share of the episodes it learns from, the first ones.
+        as_long_as: another variant, whose training time this one gets instead of its number of steps.
         extra: what its results say about it.
     """
 
@@ -41,6 +45,7 @@ class Variant:
     config: str
     options: dict[str, Any] = field(default_factory=dict)
     data_fraction: float = 1.0
+    as_long_as: str = ""
     extra: dict[str, Any] = field(default_factory=dict)
 
 
@@ -49,7 +54,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", type=Path)
     parser.add_argument("--out", type=Path, default=Path("outputs/study"))
-    parser.add_argument("--data", type=Path, help="training data; generated in OUT if there is none")
+    parser.add_argument("--data", type=Path, help="training data; generated in OUT by default")
     parser.add_argument("--only", help="comma-separated names of variants")
     args = parser.parse_args()
     study = yaml.safe_load(args.study.read_text())
@@ -57,45 +62,67 @@ def main() -> None:
     if args.only:
         variants = [variant for variant in variants if variant.name in args.only.split(",")]
     data = args.data or args.out / "data"
-    if not data.exists():
+    if args.data is None:
         generate(study["data"], data)
+    for name in study["baselines"]:
+        for split in study["splits"]:
+            play(name, split, args.out / "results" / f"{name}-{split}", study["image_size"])
     for variant in variants:
         train(variant, study["common"], data, args.out / variant.name)
         for split in study["splits"]:
-            evaluate(variant, split, args.out / variant.name)
-    for name in study["baselines"]:
-        for split in study["splits"]:
-            play(name, split, args.out / "results" / f"{name}-{split}")
-    folders = sorted((args.out / "results").iterdir())
-    dynahoi("report", *map(str, folders), "--out", str(args.out / "report.html"))
+            evaluate(variant, split, args.out / variant.name, study["image_size"])
+        folders = sorted((args.out / "results").iterdir())
+        dynahoi("report", *map(str, folders), "--out", str(args.out / "report.html"))
 
 
 def generate(data: dict[str, Any], root: Path) -> None:
-    """Write the training data."""
-    words = ["--recipe", str(ROOT / data["recipe"]), "--episodes", str(data["episodes"])]
-    dynahoi("generate", *words, "--workers", str(os.cpu_count() or 1), "--root", str(root))
+    """Write what is still missing of the training data."""
+    what = ["--recipe", str(ROOT / data["recipe"]), "--episodes", str(data["episodes"])]
+    dynahoi("generate", *what, "--workers", str(os.cpu_count() or 1), "--root", str(root))
 
 
 def train(variant: Variant, common: dict[str, Any], data: Path, out: Path) -> None:
     """Train one variant unless its last checkpoint is there."""
     if checkpoint(out).exists():
         return
-    options = {**common, "dataset.root": data, "output_dir": out / "training", **variant.options}
+    options = {**common, "dataset.root": data, **variant.options}
     if variant.data_fraction < 1:
         episodes = json.loads((data / "meta" / "info.json").read_text())["total_episodes"]
         options["dataset.episodes"] = list(range(round(variant.data_fraction * episodes)))
-    words = [f"--{key}={json.dumps(value, default=str).strip(chr(34))}" for key, value in options.items()]
+    if variant.as_long_as:
+        seconds = json.loads((out.parent / variant.as_long_as / "seconds.json").read_text())
+        options["steps"] = steps_within(seconds, variant, options, out)
+    seconds = lerobot_train(variant, options, out / "training")
+    (out / "seconds.json").write_text(json.dumps(round(seconds)))
+
+
+def steps_within(seconds: float, variant: Variant, options: dict[str, Any], out: Path) -> int:
+    """Return how many steps of a variant take ``seconds``, start-up included, on this machine."""
+    few, more = PACE_STEPS
+    short = {**options, "save_checkpoint": False}
+    took = {steps: lerobot_train(variant, {**short, "steps": steps}, out / f"pace_{steps}") for steps in PACE_STEPS}
+    step = (took[more] - took[few]) / (more - few)
+    return max(1, round(few + (seconds - took[few]) / step))
+
+
+def lerobot_train(variant: Variant, options: dict[str, Any], out: Path) -> float:
+    """Train into ``out``, with a log beside it, from the start; return how long it took [s]."""
+    shutil.rmtree(out, ignore_errors=True)  # of a run that was interrupted
+    where = [f"--config_path={ROOT / variant.config}", f"--output_dir={out}"]
     start = time.monotonic()
-    config = f"--config_path={ROOT / variant.config}"
-    run([sys.executable, "-m", "lerobot.scripts.lerobot_train", config, *words], out.with_suffix(".log"))
-    (out / "seconds.json").write_text(json.dumps(round(time.monotonic() - start)))
+    run([sys.executable, "-m", "lerobot.scripts.lerobot_train", *where, *words(options)], out.with_suffix(".log"))
+    return time.monotonic() - start
 
 
-def evaluate(variant: Variant, split: str, out: Path) -> None:
+def words(options: dict[str, Any]) -> list[str]:
+    """Return options as LeRobot reads them from a command line."""
+    return [f"--{key}={json.dumps(value, default=str).strip(chr(34))}" for key, value in options.items()]
+
+
+def evaluate(variant: Variant, split: str, out: Path, image_size: int) -> None:
     """Evaluate one trained variant on a split, and write down what it was."""
     folder = out.parent / "results" / f"{variant.name}-{split}"
-    if not folder.exists():
-        play(str(checkpoint(out)), split, folder)
+    play(str(checkpoint(out)), split, folder, image_size)
     path = folder / "metrics.json"
     head = json.loads(path.read_text())
     head["policy"] = variant.name
@@ -104,10 +131,10 @@ def evaluate(variant: Variant, split: str, out: Path) -> None:
     path.write_text(json.dumps(head, indent=2) + "\n")
 
 
-def play(policy: str, split: str, folder: Path) -> None:
-    """Play a split, unless it has been played."""
-    if not folder.exists():
-        dynahoi("evaluate", "--policy", policy, "--split", split, "--out", str(folder), "--image-size", "64")
+def play(policy: str, split: str, folder: Path, image_size: int) -> None:
+    """Play what has not been played of a split."""
+    what = ["--policy", policy, "--split", split, "--image-size", str(image_size)]
+    dynahoi("evaluate", *what, "--out", str(folder))
 
 
 def checkpoint(out: Path) -> Path:
@@ -115,9 +142,9 @@ def checkpoint(out: Path) -> Path:
     return out / "training" / "checkpoints" / "last" / "pretrained_model"
 
 
-def dynahoi(*words: str) -> None:
+def dynahoi(*arguments: str) -> None:
     """Run one of our commands."""
-    run([sys.executable, "-m", "dynahoi_lerobot.cli", *words])
+    run([sys.executable, "-m", "dynahoi_lerobot.cli", *arguments])
 
 
 def run(command: list[str], log: Path | None = None) -> None:

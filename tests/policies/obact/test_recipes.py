@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
+import json
+import sys
 from pathlib import Path
+from typing import Any
 
 import draccus
 import pytest
@@ -14,14 +18,25 @@ from lerobot.utils.import_utils import register_third_party_plugins
 from dynahoi_lerobot.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[3] / "recipes"
-STUDY = RECIPES / "study" / "cpu.yaml"
+STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in yaml.safe_load(path.read_text()))
 TRAINING = sorted(
     [
         *RECIPES.glob("train/*.yaml"),
         *RECIPES.glob("zoo/*.yaml"),
-        *(p for p in RECIPES.glob("study/*.yaml") if p != STUDY),
+        *(path for path in RECIPES.glob("study/*.yaml") if path not in STUDIES),
     ]
 )
+
+
+def _script(path: Path) -> Any:
+    """Import a script that no package holds."""
+    spec = importlib.util.spec_from_file_location(f"recipe_{path.stem}", path)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+STUDY = _script(RECIPES / "study" / "run.py")
 
 
 @pytest.mark.parametrize("path", sorted(RECIPES.glob("generate/*.yaml")), ids=str)
@@ -38,16 +53,40 @@ def test_a_training_recipe_is_read(path: Path) -> None:
     assert get_policy_class(config.policy.type).name == config.policy.type
 
 
-def test_a_study_changes_options_that_exist() -> None:
+@pytest.mark.parametrize("path", STUDIES, ids=str)
+def test_a_study_changes_options_that_exist(path: Path) -> None:
     register_third_party_plugins()
-    study = yaml.safe_load(STUDY.read_text())
+    study = yaml.safe_load(path.read_text())
     names = [variant["name"] for variant in study["variants"]]
     assert len(set(names)) == len(names)
     for variant in study["variants"]:
         row = {**study["defaults"], **variant}
+        assert row.get("as_long_as", "") in ("", *names[: names.index(row["name"])]), "its time must be known by then"
         options = {**study["common"], **row.get("options", {}), "policy.device": "cpu"}
-        words = [f"--{key}={value}" for key, value in options.items()]
-        config = draccus.parse(TrainPipelineConfig, config_path=RECIPES.parent / row["config"], args=words)
+        config = draccus.parse(
+            TrainPipelineConfig, config_path=RECIPES.parent / row["config"], args=STUDY.words(options)
+        )
         for key, value in options.items():
             owner, _, name = key.rpartition(".")
-            assert getattr(getattr(config, owner) if owner else config, name) == value, variant["name"]
+            found = draccus.encode(getattr(getattr(config, owner) if owner else config, name))
+            assert found == value, variant["name"]
+
+
+def test_a_variant_gets_as_many_steps_as_fit_in_the_time_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second per ten steps after 7 s of start-up: 107 s are 1,000 steps."""
+    trained: list[int] = []
+
+    def lerobot_train(variant: Any, options: dict[str, Any], out: Path) -> float:
+        trained.append(options["steps"])
+        return 7 + options["steps"] / 10
+
+    monkeypatch.setattr(STUDY, "lerobot_train", lerobot_train)
+    (tmp_path / "slow").mkdir()
+    (tmp_path / "fast").mkdir()
+    (tmp_path / "slow" / "seconds.json").write_text("107")
+    variant = STUDY.Variant("fast", "any.yaml", as_long_as="slow")
+    STUDY.train(variant, {"steps": 5}, tmp_path / "data", tmp_path / "fast")
+    assert trained == [*STUDY.PACE_STEPS, 1000]
+    assert json.loads((tmp_path / "fast" / "seconds.json").read_text()) == 107
