@@ -47,5 +47,5 @@ class DelayedAgent(Agent):
         return np.where(valid, command, still)
 
     def report(self) -> dict[str, Any]:
-        """Return the agent's report and the delay."""
+        """Return the agent's report and the delay in frames."""
         return {**self._agent.report(), "delay_frames": self.frames}

@@ -79,16 +79,16 @@ def run(args: argparse.Namespace) -> int:
     """Play, write and print; return the exit code."""
     actor = _delayed(_actor(args), args)
     recipe = _recipe(args, actor)
-    recorder = Recorder.resume(args.out) if args.out else Recorder()
-    specs = _specs(args, recipe, recorder)
     info = RunInfo(
         actor.name if args.policy == VLM else args.policy,
         args.split,
         args.capture,
         " ".join(sys.argv),
         recipe.fingerprint(),
-        {"recipe": asdict(recipe)},
+        {"recipe": asdict(recipe), "delay_ms": args.delay_ms, "settings": args.set},
     )
+    recorder = Recorder.resume(args.out, info) if args.out else Recorder()
+    specs = _specs(args, recipe, recorder)
     for episodes in _played(args, recipe, actor, specs):
         recorder.extend(episodes)
         info.extra.update(actor.report() if isinstance(actor, Agent) else {})

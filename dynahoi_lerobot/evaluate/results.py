@@ -28,7 +28,8 @@ class RunInfo:
         capture: the capture rule, ``attach`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: anything a figure may need, such as ``n_obs_frames`` or ``data_fraction``.
+        extra: anything a figure may need, such as ``n_obs_frames`` or ``data_fraction``; ``delay_ms`` and ``settings``,
+            where the policy was delayed or its config changed.
     """
 
     policy: str
@@ -37,6 +38,17 @@ class RunInfo:
     command: str
     fingerprint: str
     extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """What all episodes of one evaluation have in common, in words for a message."""
+        changed = {name: self.extra.get(name) or "none" for name in ("delay_ms", "settings")}
+        return {
+            "policy": self.policy,
+            "split": self.split,
+            "capture rule": self.capture,
+            "recipe": self.fingerprint,
+        } | changed
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +96,18 @@ class Recorder:
         self._actions = list(actions)
 
     @classmethod
-    def resume(cls, folder: Path) -> Recorder:
+    def resume(cls, folder: Path, info: RunInfo) -> Recorder:
         """Return a recorder that goes on where the results in ``folder`` end, empty if there are none.
 
         Raises:
-            ResultsError: if there are results and they are damaged.
+            ResultsError: if there are results and they are damaged, or of another evaluation than ``info``'s.
         """
         if not (Path(folder) / files.METRICS_FILE).exists():
             return cls()
         earlier = read_results(folder)
+        for what, value in info.conditions.items():
+            if (before := earlier.info.conditions[what]) != value:
+                raise ResultsError(f"{folder} holds results with {what} {before}, not {value}; name another folder")
         return cls(earlier.rows, earlier.actions)
 
     def __len__(self) -> int:

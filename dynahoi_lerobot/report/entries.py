@@ -69,8 +69,8 @@ def read_entries(folders: Sequence[Path]) -> list[Entry]:
 
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
-    """Return a label per result: the policy, with the folder, then a number, where that is not unique."""
-    labels = [short_name(result.info.policy) for result in results]
+    """Return a label per result: the policy and its delay, with the folder, then a number, where that is not unique."""
+    labels = [_delayed(short_name(result.info.policy), result.info.extra.get("delay_ms")) for result in results]
     labels = [
         clip(f"{label} ({result.folder.name})") if _is_repeated(label, labels) else label
         for label, result in zip(labels, results, strict=True)
@@ -99,6 +99,10 @@ def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
     """Return one row for every episode that any evaluation played."""
     rows = {tuple(row[name] for name in IDENTITY): row for entry in entries for row in entry.results.rows}
     return list(rows.values())
+
+
+def _delayed(name: str, delay_ms: float | None) -> str:
+    return f"{name} +{delay_ms:g} ms" if delay_ms else name
 
 
 def _is_repeated(label: str, labels: Sequence[str]) -> bool:

@@ -120,10 +120,12 @@ def words(options: dict[str, Any]) -> list[str]:
 
 
 def evaluate(variant: Variant, split: str, out: Path, image_size: int) -> None:
-    """Evaluate one trained variant on a split, and write down what it was."""
+    """Evaluate one trained variant on a split, and write down what it was, which says that all was played."""
     folder = out.parent / "results" / f"{variant.name}-{split}"
-    play(str(checkpoint(out)), split, folder, image_size)
     path = folder / "metrics.json"
+    if path.exists() and json.loads(path.read_text())["policy"] == variant.name:
+        return
+    play(str(checkpoint(out)), split, folder, image_size)
     head = json.loads(path.read_text())
     head["policy"] = variant.name
     seconds = json.loads((out / "seconds.json").read_text())

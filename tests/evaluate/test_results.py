@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -103,17 +104,33 @@ def test_the_same_episodes_give_the_same_bytes(folder: Path):
 
 def test_a_stopped_run_goes_on_where_it_ended(tmp_path: Path):
     every = list(episodes())
-    assert len(Recorder.resume(tmp_path / "part")) == 0
+    assert len(Recorder.resume(tmp_path / "part", RunInfo(**RUN))) == 0
     first = Recorder()
     first.extend(every[:2])
     first.write(tmp_path / "part", RunInfo(**RUN))
-    second = Recorder.resume(tmp_path / "part")
+    second = Recorder.resume(tmp_path / "part", RunInfo(**RUN))
     assert second.seeds == {0, 1}
     second.extend(episode for episode in every if episode.meta.seed not in second.seeds)
     second.write(tmp_path / "part", RunInfo(**RUN))
     whole = write_results(tmp_path / "whole", every, **RUN)
     assert read_results(tmp_path / "part").rows == whole.rows
     assert len(read_results(tmp_path / "part").actions) == 6
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"policy": "other"}, "results with policy reach, not other; name another folder"),
+        ({"split": "val"}, "split test, not val"),
+        ({"capture": "contact"}, "capture rule attach, not contact"),
+        ({"fingerprint": "f2"}, "recipe f1, not f2"),
+        ({"extra": {"delay_ms": 150.0}}, "delay_ms none, not 150.0"),
+        ({"extra": {"settings": ["n_action_steps=2"]}}, r"settings none, not \['n_action_steps=2'\]"),
+    ],
+)
+def test_a_run_does_not_go_on_with_the_results_of_another(folder: Path, change: dict[str, Any], sentence: str):
+    with pytest.raises(ResultsError, match=sentence):
+        Recorder.resume(folder, RunInfo(**{**RUN, **change}))
 
 
 def test_images_are_not_kept():

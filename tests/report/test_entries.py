@@ -47,6 +47,11 @@ def test_equal_names_are_told_apart_by_folder_and_then_by_number():
     assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
 
 
+def test_a_delayed_policy_is_labelled_as_such():
+    late = replace(named("obact"), info=replace(named("obact").info, extra={"delay_ms": 150.0}))
+    assert unique_labels([late, named("obact")]) == ["obact +150 ms", "obact"]
+
+
 def test_entries_come_best_first_and_once(tmp_path: Path):
     example_run(tmp_path / "weak", "weak", 0.2, 6)
     example_run(tmp_path / "strong", "strong", 1.0, 8)
