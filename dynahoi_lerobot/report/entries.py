@@ -102,7 +102,7 @@ def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
 
 
 def _delayed(name: str, delay_ms: float | None) -> str:
-    return f"{name} +{delay_ms:g} ms" if delay_ms else name
+    return clip(f"{name} +{delay_ms:g} ms") if delay_ms else name
 
 
 def _is_repeated(label: str, labels: Sequence[str]) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
 
 import torch
 from torch import Tensor
@@ -28,7 +27,7 @@ class EncodedFrames:
     texts: list[str]
 
     @classmethod
-    def concatenate(cls, frames: list[Self]) -> Self:
+    def concatenate(cls, frames: list[EncodedFrames]) -> EncodedFrames:
         """Join frames of the same samples along time; the newest says what the instructions are."""
         joined = {
             name: torch.cat([getattr(frame, name) for frame in frames], dim=1)

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 from .frames import EncodedFrames
+from .observation import Observation
 from .windows import DecisionWindows
 
 
 class History:
     """A ring buffer of the last frames, read as the window of one decision.
 
-    It keeps what was made of them, so acting encodes every frame once, however many decisions see it.
+    A frame is encoded when a decision first looks at it, once, however many look at it later.
 
     Args:
         windows: Which frames a decision sees.
@@ -22,9 +24,9 @@ class History:
 
     def __init__(self, windows: DecisionWindows) -> None:
         self.lookback = windows.lookback
-        self._frames: deque[EncodedFrames] = deque(maxlen=1 - self.lookback[0])
+        self._frames: deque[Observation | EncodedFrames] = deque(maxlen=1 - self.lookback[0])
 
-    def append(self, frame: EncodedFrames) -> None:
+    def append(self, frame: Observation) -> None:
         """Remember the newest frame.
 
         Raises:
@@ -37,11 +39,20 @@ class History:
             )
         self._frames.append(frame)
 
-    def window(self) -> EncodedFrames:
+    def window(self, encode: Callable[[Observation], EncodedFrames]) -> EncodedFrames:
         """Return the frames of a decision now; those before the first one are padding, as in a dataset."""
-        oldest = 1 - len(self._frames)
-        frames = [self._frames[-1 + back] if back >= oldest else self._frames[0].padding() for back in self.lookback]
-        return EncodedFrames.concatenate(frames)
+        newest = len(self._frames) - 1
+        places = [newest + back for back in self.lookback]
+        frames = [self._encoded(max(place, 0), encode) for place in places]
+        return EncodedFrames.concatenate(
+            [frame if place >= 0 else frame.padding() for place, frame in zip(places, frames, strict=True)]
+        )
+
+    def _encoded(self, place: int, encode: Callable[[Observation], EncodedFrames]) -> EncodedFrames:
+        frame = self._frames[place]
+        if isinstance(frame, Observation):
+            frame = self._frames[place] = encode(frame)
+        return frame
 
     def clear(self) -> None:
         """Forget everything."""

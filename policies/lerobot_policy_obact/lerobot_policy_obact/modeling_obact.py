@@ -183,12 +183,12 @@ class ObActPolicy(PreTrainedPolicy):
             **kwargs: Unused.
         """
         self.eval()
-        frame = self._acting_model.encode(Observation.from_batch(batch, self.config))
+        frame = Observation.from_batch(batch, self.config)
         self.history.append(frame)
         rows = self.queue.rows_to_plan(self._trigger(batch), n_rows=len(frame.keep))
         if rows:
             start = self._noise([self.queue.n_planned[row] for row in rows]) if noise is None else noise[rows]
-            chunks = self._plan(self.history.window().rows(rows), start)
+            chunks = self._plan(self.history.window(self._acting_model.encode).rows(rows), start)
             self.queue.put(rows, chunks[:, self.config.latency_frames :][:, : self.config.n_action_steps])
         return self.queue.pop()
 
@@ -234,8 +234,8 @@ class ObActPolicy(PreTrainedPolicy):
         if n_frames == len(windows.observation_offsets):
             return self._acting_model.encode(observation.frames(windows.frame_index[0]))
         if n_frames == 1:
-            self.history.append(self._acting_model.encode(observation))
-            return self.history.window()
+            self.history.append(observation)
+            return self.history.window(self._acting_model.encode)
         raise ValueError(
             f"the batch has {n_frames} frames per sample, but must have 1 or "
             f"{len(windows.observation_offsets)}: those at {windows.observation_offsets}."

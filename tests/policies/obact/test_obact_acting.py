@@ -52,36 +52,30 @@ def test_before_the_first_frame_there_is_padding() -> None:
     torch.testing.assert_close(policy.predict_action_chunk(step, noise), policy.predict_action_chunk(batch, noise))
 
 
-def test_acting_encodes_every_frame_once() -> None:
-    policy = acting_policy(n_action_steps=1)
+@pytest.mark.parametrize(("n_action_steps", "n_steps", "n_encoded"), [(1, 6, 6), (4, 5, 3)])
+def test_acting_encodes_once_every_frame_that_a_decision_sees(
+    n_action_steps: int, n_steps: int, n_encoded: int
+) -> None:
+    """Decisions at frames 0 and 4 see frames 0, 2 and 4."""
+    policy = acting_policy(n_action_steps=n_action_steps)
     seen: list[int] = []
     backbone = policy._acting_model.backbone
     backbone.register_forward_hook(lambda _, inputs, __: seen.append(len(inputs[0])))
-    run(policy, [make_step(policy, seed=t) for t in range(6)])
+    run(policy, [make_step(policy, seed=t) for t in range(n_steps)])
     n_cameras = len(policy.config.image_features)
-    assert seen == [3 * n_cameras] * 6
+    assert seen == [3 * n_cameras] * n_encoded
 
 
-def test_a_chunk_is_executed_in_order_and_then_replanned() -> None:
-    policy = acting_policy()
+@pytest.mark.parametrize("late", [0, 3])
+def test_a_chunk_is_executed_in_order_without_what_is_past_and_then_replanned(late: int) -> None:
+    policy = acting_policy(latency_frames=late)
     plans = count_plans(policy)
     step = make_step(policy)
     actions = run(policy, [step] * 2 * N_EXECUTED)
     policy.reset()
     chunk = policy.predict_action_chunk(step)
     assert plans == [3, 3, 3]
-    torch.testing.assert_close(actions[:, :N_EXECUTED], chunk[:, :N_EXECUTED])
-
-
-def test_with_latency_the_actions_that_are_past_are_skipped() -> None:
-    policy = acting_policy(latency_frames=3)
-    plans = count_plans(policy)
-    step = make_step(policy)
-    actions = run(policy, [step] * 2 * N_EXECUTED)
-    policy.reset()
-    chunk = policy.predict_action_chunk(step)
-    assert plans == [3, 3, 3]
-    torch.testing.assert_close(actions[:, :N_EXECUTED], chunk[:, 3 : 3 + N_EXECUTED])
+    torch.testing.assert_close(actions[:, :N_EXECUTED], chunk[:, late : late + N_EXECUTED])
 
 
 def test_a_rising_phase_replans_only_its_own_rows() -> None:
