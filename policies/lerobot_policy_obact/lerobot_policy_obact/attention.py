@@ -21,6 +21,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from .decisions import Decisions
+
 # Adam moves a parameter by about one learning rate a step, whatever its gradient. A gate that starts at zero
 # would need thousands of steps to open; this factor makes it hundreds.
 GATE_GAIN = 10.0
@@ -63,31 +65,50 @@ class Attention(nn.Module):
 
     def forward(self, x: Tensor, memory: Tensor) -> Tensor:
         """Let queries ``(B, Q, D)`` read a memory ``(B, K, D)``; shape ``(B, Q, D)``."""
-        return self.attend(x, *self.keys_values(memory))
-
-    def keys_values(self, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Return keys and values of a memory, each of its shape ``(..., D)``."""
-        return self.k_proj(memory), self.v_proj(memory)
-
-    def attend(self, x: Tensor, keys: Tensor, values: Tensor, keep: Tensor | None = None) -> Tensor:
-        """Let queries read given keys and values.
-
-        Args:
-            x: Queries, shape ``(B, Q, D)``.
-            keys: Shape ``(B, K, D)``.
-            values: Shape ``(B, K, D)``.
-            keep: True where the memory may be read, shape ``(B, K)``; None reads all of it.
-
-        Returns:
-            Shape ``(B, Q, D)``.
-        """
-        q, k, v = self._split(self.q_proj(x)), self._split(keys), self._split(values)
-        mask = None if keep is None else keep[:, None, None, :]  # (B, 1, 1, K)
-        out = F.scaled_dot_product_attention(q, k, v, mask, dropout_p=self.dropout if self.training else 0.0)
+        q, k, v = self._split(self.q_proj(x)), self._split(self.k_proj(memory)), self._split(self.v_proj(memory))
+        out = F.scaled_dot_product_attention(q, k, v, dropout_p=self.dropout if self.training else 0.0)
         return self.o_proj(out.transpose(1, 2).flatten(2))  # (B, heads, Q, d) -> (B, Q, D)
 
     def _split(self, x: Tensor) -> Tensor:
-        return x.unflatten(-1, (self.n_heads, -1)).transpose(1, 2)  # (B, N, D) -> (B, heads, N, d)
+        return x.unflatten(-1, (self.n_heads, -1)).transpose(-3, -2)  # (..., N, D) -> (..., heads, N, d)
+
+
+class TemporalAttention(Attention):
+    """Lets each token of each decision read its own past.
+
+    Neighbouring decisions see mostly the same frames. All of them are therefore compared with all frames of the
+    sample at once, in small dense products, and each picks its window from the scores; copying every window's keys
+    and values would move ``W`` times as much memory. What the age of a frame adds to its keys and values is the same
+    for every frame of that age, and is compared apart.
+    """
+
+    def forward(self, x: Tensor, frames: Tensor, decisions: Decisions, age: tuple[Tensor, Tensor]) -> Tensor:
+        """Read a window of frames per decision.
+
+        Args:
+            x: Queries of the wanted decisions, shape ``(R, N, D)``.
+            frames: Tokens of every frame, shape ``(B, T, N, D)``.
+            decisions: Who may look where.
+            age: What a frame's place in the window adds to its keys and to its values, ``(W, D)`` each.
+
+        Returns:
+            Shape ``(R, N, D)``.
+        """
+        q = self._tracks(decisions.spread(self.q_proj(x)))  # (B, N, heads, K, d)
+        k, v = self._tracks(self.k_proj(frames)), self._tracks(self.v_proj(frames))  # (B, N, heads, T, d)
+        age_k, age_v = (self._split(part) for part in age)  # (heads, W, d)
+        of_frames = q @ k.transpose(-1, -2)  # (B, N, heads, K, T)
+        of_ages = q @ age_k.transpose(-1, -2)  # (B, N, heads, K, W)
+        place = decisions.frame_index.expand(of_ages.shape)
+        scores = (of_frames.gather(-1, place) + of_ages) * q.shape[-1] ** -0.5
+        scores = scores.masked_fill(~decisions.keep[:, None, None], float("-inf"))  # (B, 1, 1, K, W)
+        weights = F.dropout(scores.softmax(-1), self.dropout, self.training).to(v.dtype)
+        read = torch.zeros_like(of_frames).scatter(-1, place, weights) @ v + weights @ age_v  # (B, N, heads, K, d)
+        return self.o_proj(decisions.pick(read.permute(0, 3, 1, 2, 4)).flatten(2))  # (R, N, heads, d) -> (R, N, D)
+
+    def _tracks(self, x: Tensor) -> Tensor:
+        """Put the time of each token and head side by side, ``(B, T, N, D) -> (B, N, heads, T, d)``."""
+        return x.unflatten(-1, (self.n_heads, -1)).permute(0, 2, 3, 1, 4)
 
 
 def feed_forward(width: int, dropout: float = 0.0, expansion: int = 2) -> nn.Sequential:
@@ -131,44 +152,28 @@ class SpatioTemporalBlock(nn.Module):
         self.norm_query = nn.LayerNorm(width)
         self.norm_frames = nn.LayerNorm(width)
         self.age = AgeEmbedding(width)
-        self.time = Attention(width, n_heads, dropout)
+        self.time = TemporalAttention(width, n_heads, dropout)
         self.norm_read = nn.LayerNorm(width)
         self.space = Attention(width, n_heads, dropout)
         self.gate = nn.Parameter(torch.zeros(width))
         self.norm_ff = nn.LayerNorm(width)
         self.ff = feed_forward(width, dropout)
 
-    def forward(self, x: Tensor, frames: Tensor, frame_index: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
-        """Let the current tokens of each decision read its window.
+    def forward(self, x: Tensor, frames: Tensor, decisions: Decisions) -> Tensor:
+        """Let the current tokens of each wanted decision read its window.
 
         Args:
-            x: Current tokens, shape ``(B * K, N, D)``.
+            x: Current tokens, shape ``(R, N, D)``.
             frames: Tokens of every frame, shape ``(B, T, N, D)``.
-            frame_index: Frames in the window of each decision, shape ``(K, W)``.
-            age_s: Time of those frames before their decision [s], shape ``(W,)``.
-            keep: False where a frame of a window is padding, shape ``(B * K, W)``.
+            decisions: Who may look where.
 
         Returns:
-            Current tokens, shape ``(B * K, N, D)``.
+            Current tokens, shape ``(R, N, D)``.
         """
-        moved = self.read_time(self.norm_query(x), self.norm_frames(frames), frame_index, age_s, keep)
+        moved = self.time(self.norm_query(x), self.norm_frames(frames), decisions, self.age(decisions.age_s))
         h = self.norm_read(moved)
         x = x + torch.tanh(GATE_GAIN * self.gate) * (moved + self.space(h, h))
         return x + self.ff(self.norm_ff(x))
-
-    def read_time(self, q: Tensor, frames: Tensor, frame_index: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
-        """Return what each token reads from its own past, shape ``(B * K, N, D)``; see `forward`."""
-        n_tokens = q.shape[1]
-        tracks = [
-            (per_frame[:, frame_index] + age[:, None])  # (B, T, N, D) -> (B, K, W, N, D), and (W, 1, D)
-            .flatten(0, 1)
-            .transpose(1, 2)
-            .flatten(0, 1)  # (B * K * N, W, D)
-            for per_frame, age in zip(self.time.keys_values(frames), self.age(age_s), strict=True)
-        ]
-        queries = q.flatten(0, 1)[:, None]  # (B * K * N, 1, D)
-        read = self.time.attend(queries, *tracks, keep.repeat_interleave(n_tokens, dim=0))
-        return read.reshape(q.shape)
 
 
 class SpatioTemporalAttention(nn.Module):
@@ -186,21 +191,17 @@ class SpatioTemporalAttention(nn.Module):
         self.blocks = nn.ModuleList(SpatioTemporalBlock(width, n_heads, dropout) for _ in range(n_layers))
         self.norm = nn.LayerNorm(width)
 
-    def forward(self, frames: Tensor, frame_index: Tensor, age_s: Tensor, keep: Tensor) -> Tensor:
-        """Fuse the window of each of ``K`` decisions into its current frame.
+    def forward(self, frames: Tensor, decisions: Decisions) -> Tensor:
+        """Fuse the window of each wanted decision into its current frame.
 
         Args:
             frames: Tokens of every frame, shape ``(B, T, N, D)``.
-            frame_index: Frames in the window of each decision, its current one last, shape ``(K, W)``.
-            age_s: Time of those frames before their decision [s], shape ``(W,)``.
-            keep: False where a frame is padding, shape ``(B, T)``.
+            decisions: Who may look where.
 
         Returns:
-            Tokens of each current frame, aware of the others, shape ``(B * K, N, D)``.
+            Tokens of each current frame, aware of the others, shape ``(R, N, D)``.
         """
-        keep = keep[:, frame_index].flatten(0, 1)  # (B, K, W) -> (B * K, W)
-        keep = torch.cat([keep[:, :-1], torch.ones_like(keep[:, -1:])], dim=1)  # a query always sees its own frame
-        x = frames[:, frame_index[:, -1]].flatten(0, 1)  # (B, K, N, D) -> (B * K, N, D)
+        x = decisions.current(frames)
         for block in self.blocks:
-            x = block(x, frames, frame_index, age_s, keep)
+            x = block(x, frames, decisions)
         return self.norm(x)

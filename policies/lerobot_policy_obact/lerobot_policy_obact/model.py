@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from .attention import SpatioTemporalAttention
 from .backbones import backbones
 from .configuration_obact import ObActConfig
+from .decisions import Decisions
 from .frames import EncodedFrames
 from .heads import ActionSpec, Condition, heads
 from .observation import Observation
@@ -35,24 +36,13 @@ class ObActModel(nn.Module):
         self.head = heads.build(config.head, spec, options=config.head_options)
         self.probe = PositionProbe(width, config.relative_dims) if config.privileged_key else None
 
-    def conditions(self, frames: EncodedFrames, frame_index: Tensor, age_s: Tensor) -> Condition:
-        """Fuse the window of each decision.
-
-        Args:
-            frames: Frames of ``B`` samples.
-            frame_index: Frames each of the ``K`` decisions sees, its own last, shape ``(K, s + 1)``.
-            age_s: Time of those frames before their decision [s], shape ``(s + 1,)``.
-
-        Returns:
-            Conditions of ``B * K`` chunks, decisions of one sample in a row.
-        """
-        n_decisions = len(frame_index)
-        fused = self.attention(frames.tokens, frame_index, age_s, frames.keep)  # (B*K, N, D)
-        state = frames.proprioception[:, frame_index[:, -1]].flatten(0, 1)  # (B, K, S) -> (B*K, S)
+    def conditions(self, frames: EncodedFrames, decisions: Decisions) -> Condition:
+        """Fuse the window of each wanted decision into the condition of its chunk, decisions of one sample in a row."""
+        fused = self.attention(frames.tokens, decisions)  # (R, N, D)
         if self.text is not None:
-            said = self.text(frames.texts).repeat_interleave(n_decisions, 0)  # (B, 1, D) -> (B*K, 1, D)
+            said = decisions.of_sample(self.text(frames.texts))  # (B, 1, D) -> (R, 1, D)
             fused = torch.cat([fused, said.to(fused.dtype)], dim=1)
-        return Condition(fused, state)
+        return Condition(fused, decisions.current(frames.proprioception))
 
     def encode(self, observation: Observation) -> EncodedFrames:
         """Turn each frame, by itself, into the tokens of its images and one of proprioception."""

@@ -18,8 +18,9 @@ from torch.optim.swa_utils import AveragedModel
 from .action_frame import ActionFrame, affine_of, looks_absolute
 from .augment import jitter_colors, shift_images
 from .configuration_obact import ObActConfig
+from .decisions import Decisions
 from .frames import EncodedFrames
-from .heads.base import Condition, Guide
+from .heads.base import Guide
 from .history import ChunkQueue, History
 from .model import ObActModel
 from .model_card import describe
@@ -83,38 +84,32 @@ class ObActPolicy(PreTrainedPolicy):
         Returns:
             Loss, and what to log.
         """
-        observation, windows = Observation.from_batch(batch, self.config), self.config.windows
+        observation = Observation.from_batch(batch, self.config)
         if self.training:
             observation = self._augmented(observation)
-        index = torch.tensor(windows.frame_index, device=batch[ACTION].device)  # (K, s+1)
-        chunk_index = torch.tensor(windows.action_index, device=batch[ACTION].device)  # (K, H)
         frames = self._acting_model.encode(observation)
-        condition = self._acting_model.conditions(frames, index, self._age_s(index.device))
+        chunk_index = torch.tensor(self.config.windows.action_index, device=batch[ACTION].device)  # (K, H)
+        keep = _kept_actions(batch)[:, chunk_index] & self._executed(batch)  # (B, L) -> (B, K, H)
+        # Where no chunk has an action to keep all are computed, masked: every weight needs a gradient, if only a zero.
+        decisions = self._decisions(frames, self.config.windows.frame_index, wanted=keep.any(-1) | ~keep.any())
 
-        actions = batch[ACTION][:, chunk_index].flatten(0, 1)  # (B, L, A) -> (B, K, H, A) -> (B*K, H, A)
-        keep = _kept_actions(batch)[:, chunk_index].flatten(0, 1)  # (B, L) -> (B, K, H) -> (B*K, H)
-        keep = keep & self._executed(batch, index[:, -1]).to(keep.device)
-        position = frames.position[:, index[:, -1]].flatten(0, 1)  # (B, K, P) -> (B*K, P)
-        error = self._chunk_error(actions, position, condition, keep)  # (B*K, H)
+        actions, kept = decisions.pick(batch[ACTION][:, chunk_index]), decisions.pick(keep)  # (R, H, A), (R, H)
+        error = self._chunk_error(actions, kept, frames, decisions) * kept  # (R, H)
         seen = self._privileged_error(batch, frames)  # (B, T)
-        privileged = self.config.privileged_weight * _masked_mean(seen, frames.keep, len(frames.keep))  # (B,)
+        privileged = self.config.privileged_weight * _masked_mean(seen, frames.keep)  # (B,)
         if reduction == "none":
-            loss = _masked_mean(error, keep, len(frames.keep)) + privileged
+            loss = _masked_mean(decisions.spread(error).flatten(1), keep.flatten(1)) + privileged
             return loss, {"loss": loss.mean().item()}
-        return (error * keep).sum() / keep.sum().clamp_min(1) + privileged.mean(), {}
+        return error.sum() / keep.sum().clamp_min(1) + privileged.mean(), {}
 
-    def _chunk_error(self, actions: Tensor, position: Tensor, condition: Condition, keep: Tensor) -> Tensor:
-        """Return the head's loss of every action, ``(B*K, H)``; chunks without any action to keep are skipped.
-
-        Where that is all of them they stay, masked, because every weight needs a gradient, if only a zero one.
-        """
+    def _chunk_error(self, actions: Tensor, keep: Tensor, frames: EncodedFrames, decisions: Decisions) -> Tensor:
+        """Return the head's loss of every action of the wanted chunks, ``(R, H)``, given ``actions (R, H, A)``."""
+        position = decisions.current(frames.position)  # (R, P)
         if self.training:
             self.frame.observe(actions, position, keep)
-        rows, error = keep.any(-1) | ~keep.any(), keep.new_zeros(keep.shape, dtype=actions.dtype)
-        target = self.frame.to_model(actions[rows], position[rows])
-        losses = self._acting_model.head.loss(target, condition.rows(rows))  # (rows, H, A)
-        error[rows] = (losses * self._dimension_weights(losses)).mean(-1).to(error.dtype)
-        return error
+        condition = self._acting_model.conditions(frames, decisions)
+        losses = self._acting_model.head.loss(self.frame.to_model(actions, position), condition)  # (R, H, A)
+        return (losses * self._dimension_weights(losses)).mean(-1)
 
     def _dimension_weights(self, losses: Tensor) -> Tensor:
         """Return the weight of each action dimension, ``(A,)`` with mean 1."""
@@ -122,17 +117,17 @@ class ObActPolicy(PreTrainedPolicy):
         weights[: self.frame.n_dims] = self.config.relative_weight
         return weights / weights.mean()
 
-    def _executed(self, batch: dict[str, Tensor], moments: Tensor) -> Tensor:
-        """Tell which decisions are ever executed, shape ``(B*K, 1)``: those after the rise of ``replan_key``.
+    def _executed(self, batch: dict[str, Tensor]) -> Tensor:
+        """Tell which decisions are ever executed, broadcast to ``(B, K, H)``: those after the rise of ``replan_key``.
 
         A normalised indicator is negative before its rise, and zero where it never changes.
         """
-        value = batch.get(self.config.replan_key)
+        value, windows = batch.get(self.config.replan_key), self.config.windows
         if value is None:
-            return torch.ones(1, 1, dtype=torch.bool)
-        n_frames = len(self.config.windows.observation_offsets)
-        value = value.reshape(len(value), n_frames, -1)  # (B, T, D), or (B, T) as LeRobot stores single numbers
-        return (value[:, moments, -1] >= 0).reshape(-1, 1)  # (B, K) -> (B*K, 1)
+            return torch.ones(1, 1, 1, dtype=torch.bool, device=batch[ACTION].device)
+        value = value.reshape(len(value), len(windows.observation_offsets), -1)  # (B, T, D), or (B, T) of numbers
+        moments = [index[-1] for index in windows.frame_index]
+        return value[:, moments, -1:] >= 0  # (B, K, 1)
 
     def _privileged_error(self, batch: dict[str, Tensor], frames: EncodedFrames) -> Tensor:
         """Return how far off the probe is in every frame, in units of the normalised state, ``(B, T)``."""
@@ -154,11 +149,14 @@ class ObActPolicy(PreTrainedPolicy):
             self.ema.update_parameters(self.model)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
-        """Return parameter groups: weight decay for matrices, none for biases, norms and gates."""
+        """Return parameter groups: weight decay for matrices, none for biases, norms and gates.
+
+        One kernel steps a whole group; of many small weights, one by one, that takes a quarter of the time.
+        """
         trained = [p for p in self.model.parameters() if p.requires_grad]
         return [
-            {"params": [p for p in trained if p.dim() >= 2]},
-            {"params": [p for p in trained if p.dim() < 2], "weight_decay": 0.0},
+            {"params": [p for p in trained if p.dim() >= 2], "fused": True},
+            {"params": [p for p in trained if p.dim() < 2], "fused": True, "weight_decay": 0.0},
         ]
 
     # -- acting ---------------------------------------------------------------------------------------------
@@ -222,8 +220,8 @@ class ObActPolicy(PreTrainedPolicy):
         return self._plan(window, start, guide)
 
     def _plan(self, window: EncodedFrames, noise: Tensor, guide: Guide | None = None) -> Tensor:
-        index = torch.arange(window.keep.shape[1], device=noise.device)[None]  # (1, s+1)
-        condition = self._acting_model.conditions(window, index, self._age_s(noise.device))
+        whole = [list(range(window.keep.shape[1]))]
+        condition = self._acting_model.conditions(window, self._decisions(window, whole))
         chunk = self._acting_model.head.sample(condition, noise, guide)  # (B, H, A)
         return self.frame.to_actions(chunk, window.position[:, -1])
 
@@ -255,8 +253,11 @@ class ObActPolicy(PreTrainedPolicy):
         value = batch.get(self.config.replan_key)
         return None if value is None else value.flatten(1)[:, -1]  # (B, 1) -> (B,)
 
-    def _age_s(self, device: torch.device) -> Tensor:
-        return -torch.tensor(self.config.windows.lookback, device=device) / self.config.fps  # (s + 1,)
+    def _decisions(
+        self, frames: EncodedFrames, frame_index: list[list[int]], wanted: Tensor | None = None
+    ) -> Decisions:
+        age_s = -torch.tensor(self.config.windows.lookback, device=frames.keep.device) / self.config.fps  # (s + 1,)
+        return Decisions.among(frames.keep, frame_index, age_s, wanted)
 
     @property
     def _acting_model(self) -> ObActModel:
@@ -338,10 +339,9 @@ def _kept_actions(batch: dict[str, Tensor]) -> Tensor:
     return torch.ones_like(batch[ACTION][..., 0], dtype=torch.bool) if pad is None else ~pad.bool()  # (B, L)
 
 
-def _masked_mean(error: Tensor, keep: Tensor, n_samples: int) -> Tensor:
-    """Average ``(B * K, H)`` over the kept actions of each sample, shape ``(B,)``."""
-    error, keep = (error * keep).reshape(n_samples, -1), keep.reshape(n_samples, -1)
-    return error.sum(-1) / keep.sum(-1).clamp_min(1)
+def _masked_mean(error: Tensor, keep: Tensor) -> Tensor:
+    """Average ``(B, n)`` over what is kept of each sample, shape ``(B,)``."""
+    return (error * keep).sum(-1) / keep.sum(-1).clamp_min(1)
 
 
 def _averaged(model: nn.Module, decay: float) -> AveragedModel:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 import torch
-from lerobot_policy_obact.attention import Attention, SpatioTemporalAttention
+from lerobot_policy_obact.attention import SpatioTemporalAttention, TemporalAttention
 from lerobot_policy_obact.backbones import backbones
+from lerobot_policy_obact.decisions import Decisions
 from lerobot_policy_obact.heads import heads
 from lerobot_policy_obact.observation import Observation
 from obact_helpers import HAND_FEATURES, PUSH_FEATURES, fit, make_batch, make_policy, mean_loss, randomise
@@ -82,12 +85,12 @@ def test_decisions_are_causal(decision: int) -> None:
     policy = randomise(make_policy(n_obs_frames=N_OBS, obs_stride=1, n_decisions=3, decision_stride=2)).eval()
     batch = make_batch(policy)
     windows = policy.config.windows
-    index = torch.tensor(windows.frame_index)
     now = windows.frame_index[decision][-1]
 
     def condition(b: dict) -> torch.Tensor:
         observation = Observation.from_batch(b, policy.config)
-        tokens = policy.model.conditions(policy.model.encode(observation), index, policy._age_s(index.device)).tokens
+        frames = policy.model.encode(observation)
+        tokens = policy.model.conditions(frames, policy._decisions(frames, windows.frame_index)).tokens
         return tokens.unflatten(0, (-1, 3))[:, decision]
 
     later = scrambled(batch, slice(now + 1, None))
@@ -102,14 +105,25 @@ def test_several_decisions_equal_the_same_decisions_one_by_one() -> None:
     one.load_state_dict(many.state_dict())
     batch, windows = make_batch(many), many.config.windows
     observation = Observation.from_batch(batch, many.config)
-    index = torch.tensor(windows.frame_index)
     frames = many.model.encode(observation)
-    together = many.model.conditions(frames, index, many._age_s(index.device)).tokens.unflatten(0, (-1, 3))
+    together = many.model.conditions(frames, many._decisions(frames, windows.frame_index))
     for k, row in enumerate(windows.frame_index):
-        alone = one.model.conditions(
-            one.model.encode(observation.frames(row)), torch.arange(3)[None], one._age_s(index.device)
-        )
-        torch.testing.assert_close(together[:, k], alone.tokens, rtol=1e-4, atol=1e-5)
+        seen = one.model.encode(observation.frames(row))
+        alone = one.model.conditions(seen, one._decisions(seen, [[0, 1, 2]]))
+        torch.testing.assert_close(together.tokens.unflatten(0, (-1, 3))[:, k], alone.tokens, rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(together.state.unflatten(0, (-1, 3))[:, k], alone.state)
+
+
+def test_wanted_decisions_do_not_depend_on_the_others() -> None:
+    policy = randomise(make_policy(n_obs_frames=N_OBS, n_decisions=3, decision_stride=4))
+    frames = policy.model.encode(Observation.from_batch(make_batch(policy), policy.config))
+    wanted = torch.tensor([[True, False, True], [False, False, False], [False, True, False]])
+    all_three, some = (
+        policy.model.conditions(frames, policy._decisions(frames, policy.config.windows.frame_index, wanted=which))
+        for which in (None, wanted)
+    )
+    torch.testing.assert_close(some.tokens, all_three.tokens[wanted.flatten()])
+    torch.testing.assert_close(some.state, all_three.state[wanted.flatten()])
 
 
 def test_age_is_in_seconds_so_frame_rate_and_stride_are_exchangeable() -> None:
@@ -121,20 +135,30 @@ def test_age_is_in_seconds_so_frame_rate_and_stride_are_exchangeable() -> None:
     assert (chunk_of(slow, batch) - chunk_of(other, batch)).abs().max() > 1e-4
 
 
-def test_attention_reads_only_what_is_kept() -> None:
+def test_each_token_reads_its_own_kept_past() -> None:
     torch.manual_seed(0)
-    attention = Attention(8, 2)
-    x, memory = torch.randn(1, 3, 8), torch.randn(1, 4, 8)
-    keep = torch.tensor([[True, True, False, False]])
-    masked = attention.attend(x, *attention.keys_values(memory), keep)
-    torch.testing.assert_close(masked, attention(x, memory[:, :2]))
+    attention, index = TemporalAttention(8, 2), [[0, 1, 2], [1, 2, 4]]
+    frames, age_k, age_v = torch.randn(2, 5, 3, 8), torch.randn(3, 8), torch.randn(3, 8)
+    keep = torch.tensor([[True] * 5, [True, False, True, True, True]])
+    decisions = Decisions.among(keep, index, torch.tensor([0.2, 0.1, 0.0]))
+    x = torch.randn(4, 3, 8)
+    read = attention(x, frames, decisions, (age_k, age_v)).unflatten(0, (2, 2))
+    for b, k, n in itertools.product(range(2), range(2), range(3)):
+        seen = [w for w, frame in enumerate(index[k]) if keep[b, frame]]
+        memory = frames[b, [index[k][w] for w in seen], n]  # (seen, 8)
+        keys = (attention.k_proj(memory) + age_k[seen]).unflatten(-1, (2, 4))
+        values = (attention.v_proj(memory) + age_v[seen]).unflatten(-1, (2, 4))
+        query = attention.q_proj(x[2 * b + k, n]).unflatten(-1, (2, 4))
+        weights = (torch.einsum("hd,whd->hw", query, keys) / 2).softmax(-1)
+        expected = attention.o_proj(torch.einsum("hw,whd->hd", weights, values).flatten())
+        torch.testing.assert_close(read[b, k, n], expected)
 
 
 def test_the_gate_of_an_untrained_block_is_open_to_gradients() -> None:
     torch.manual_seed(0)
     module = SpatioTemporalAttention(8, 1, 2)
-    index, age_s, keep = torch.arange(3)[None], torch.tensor([0.2, 0.1, 0.0]), torch.ones(2, 3, dtype=torch.bool)
-    out = module(torch.randn(2, 3, 4, 8), index, age_s, keep)
+    keep, age_s = torch.ones(2, 3, dtype=torch.bool), torch.tensor([0.2, 0.1, 0.0])
+    out = module(torch.randn(2, 3, 4, 8), Decisions.among(keep, [[0, 1, 2]], age_s))
     out.square().sum().backward()
     assert module.blocks[0].gate.grad.abs().min() > 0
 

@@ -167,5 +167,5 @@ def test_an_unknown_prediction_is_refused() -> None:
 def test_saturation_tells_colours_from_greys() -> None:
     grey, red = torch.full((1, 3, 2, 2), 0.4), torch.zeros(1, 3, 2, 2)
     red[:, 0] = 1.0
-    assert saturation(grey).unique().tolist() == [-1.0]
-    assert saturation(red).unique().tolist() == [3.0]
+    assert saturation(grey).unique().tolist() == [0.0]
+    assert saturation(red).unique().tolist() == [1.0]

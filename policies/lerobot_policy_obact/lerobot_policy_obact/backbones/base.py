@@ -34,11 +34,11 @@ class Backbone(nn.Module, ABC):
     ) -> None:
         super().__init__()
         self.width = width
-        self.register_buffer("pixel_mean", torch.tensor(mean).view(3, 1, 1), persistent=False)
-        self.register_buffer("pixel_std", torch.tensor(std).view(3, 1, 1), persistent=False)
+        self.register_buffer("pixel_mean", torch.tensor(mean).view(-1, 1, 1), persistent=False)
+        self.register_buffer("pixel_std", torch.tensor(std).view(-1, 1, 1), persistent=False)
 
     def standardise(self, images: Tensor) -> Tensor:
-        """Map images in [0, 1], shape ``(F, 3, H, W)``, to the range the weights expect."""
+        """Map images in [0, 1], shape ``(F, C, H, W)``, to the range the weights expect."""
         return (images - self.pixel_mean) / self.pixel_std
 
     def load_pretrained(self) -> None:

@@ -55,10 +55,6 @@ class Condition:
     tokens: Tensor
     state: Tensor
 
-    def rows(self, index: Tensor) -> Condition:
-        """Return the condition of the chunks at ``index``, a mask or numbers."""
-        return Condition(self.tokens[index], self.state[index])
-
     def repeat(self, n: int) -> Condition:
         """Return the condition with every row ``n`` times in a row, ``(B * n, ...)``."""
         return Condition(self.tokens.repeat_interleave(n, 0), self.state.repeat_interleave(n, 0))
