@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot_policy_obact.backbones.conv import saturation
+from lerobot_policy_obact.backbones.conv import StandardisedPatches, saturation
 from lerobot_policy_obact.observation import Observation
 from lerobot_policy_obact.privileged import FrameColumn
 from obact_helpers import FPS, fit, make_batch, make_policy, mean_loss, randomise
@@ -169,3 +169,11 @@ def test_saturation_tells_colours_from_greys() -> None:
     red[:, 0] = 1.0
     assert saturation(grey).unique().tolist() == [0.0]
     assert saturation(red).unique().tolist() == [1.0]
+
+
+def test_patches_are_read_as_if_their_pixels_were_standardised() -> None:
+    torch.manual_seed(0)
+    patches, images = StandardisedPatches(2, 3), torch.rand(4, 2, 8, 12)
+    mean, std = torch.tensor([0.5, 0.2]).view(-1, 1, 1), torch.tensor([0.25, 0.5]).view(-1, 1, 1)
+    expected = torch.nn.functional.conv2d((images - mean) / std, patches.weight, patches.bias, stride=4)
+    torch.testing.assert_close(patches(images, mean, std), expected)

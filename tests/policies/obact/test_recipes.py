@@ -12,8 +12,10 @@ import draccus
 import pytest
 import yaml
 from lerobot.configs.train import TrainPipelineConfig
-from lerobot.policies.factory import get_policy_class
+from lerobot.datasets.factory import make_dataset
+from lerobot.policies.factory import get_policy_class, make_policy, make_pre_post_processors
 from lerobot.utils.import_utils import register_third_party_plugins
+from torch.utils.data import default_collate
 
 from dynahoi_lerobot.recipe import load_recipe
 
@@ -51,6 +53,26 @@ def test_a_training_recipe_is_read(path: Path) -> None:
     assert config.policy is not None
     assert config.policy.push_to_hub is False
     assert get_policy_class(config.policy.type).name == config.policy.type
+
+
+def test_the_cpu_recipe_learns_from_the_lean_copy(tmp_path: Path) -> None:
+    register_third_party_plugins()
+    root = STUDY.generate({"recipe": "recipes/generate/train_small.yaml", "episodes": 2}, tmp_path)
+    config = draccus.parse(TrainPipelineConfig, RECIPES / "train/obact_cpu.yaml", args=[f"--dataset.root={root}"])
+    dataset = make_dataset(config)
+    removed = yaml.safe_load((RECIPES / "lean.yaml").read_text())["operation"]["feature_names"]
+    full = json.loads((tmp_path / "data/meta/info.json").read_text())["features"]
+    assert set(dataset.meta.features) == full.keys() - set(removed)
+    assert set(removed) < full.keys()
+
+    policy = make_policy(config.policy, ds_meta=dataset.meta)
+    preprocess, _ = make_pre_post_processors(config.policy, dataset_stats=dataset.meta.stats)
+    batch = default_collate([dataset[0], dataset[len(dataset) // 2]])
+    camera = "observation.images.ego"
+    loss, _ = policy(preprocess(batch | {camera: batch[camera] / 255.0}))
+    loss.backward()
+    assert policy.model.probe is not None
+    assert policy.model.backbone.slot.grad.abs().max() > 0
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=str)

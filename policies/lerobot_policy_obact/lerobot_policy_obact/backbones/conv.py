@@ -29,7 +29,7 @@ class ConvBackbone(Backbone):
         mean = (0.5, 0.5, 0.5, 0.25) if saturation else (0.5, 0.5, 0.5)
         super().__init__(width, mean, std=(0.25,) * len(mean))
         self.grid, self.saturation = grid, saturation
-        self.stem = nn.Sequential(_Patches(len(mean), channels), _conv(channels, channels))
+        self.stem = nn.Sequential(StandardisedPatches(len(mean), channels), _conv(channels, channels))
         self.deep = nn.Sequential(_conv(channels, 2 * channels, stride=2), _conv(2 * channels, 2 * channels))
         self.lateral = nn.Conv2d(2 * channels, channels, kernel_size=1)
         self.keypoints = KeypointTokens(channels, n_keypoints, width)
@@ -50,13 +50,14 @@ class ConvBackbone(Backbone):
         return torch.cat([self.keypoints(features), self.grid_token(pooled)], dim=1) + self.slot  # (F, N, D)
 
 
-class _Patches(nn.Conv2d):
+class StandardisedPatches(nn.Conv2d):
     """Reads 4 x 4 patches at once, at a fraction of the cost of two strided convolutions at full resolution.
 
     It standardises its weights instead of the pixels, which are many more.
     """
 
     def __init__(self, n_in: int, n_out: int) -> None:
+        """Read ``n_in`` channels; return ``n_out``."""
         super().__init__(n_in, n_out, kernel_size=4, stride=4)
 
     def forward(self, images: Tensor, mean: Tensor, std: Tensor) -> Tensor:
