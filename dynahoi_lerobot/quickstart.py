@@ -93,7 +93,7 @@ def _train(out: Path, steps: int) -> None:
         f"--steps={steps}",
         f"--save_freq={steps}",
         "--log_freq=25",
-        "--num_workers=1",
+        "--num_workers=2",
         "--env_eval_freq=0",
     )
 
@@ -140,7 +140,7 @@ def _lerobot(out: Path, script: str, *words: str) -> None:
     log = out / f"{script}.log"
     command = [sys.executable, "-m", f"lerobot.scripts.{script}", *words]
     print(f"{script.replace('_', '-')} {' '.join(words)}\noutput: {log}", flush=True)
-    # one compute thread beside one that decodes: two of each fight over two cores and take several times as long
+    # one compute thread beside those that decode: more fight over two cores and take several times as long
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     with log.open("w") as stream:
         code = subprocess.run(command, stdout=stream, stderr=subprocess.STDOUT, env=environment, check=False).returncode
