@@ -103,7 +103,7 @@ def test_several_decisions_equal_the_same_decisions_one_by_one() -> None:
     many = randomise(make_policy(n_obs_frames=N_OBS, n_decisions=3, decision_stride=4))
     one = make_policy(n_obs_frames=N_OBS)
     one.load_state_dict(many.state_dict())
-    batch, windows = make_batch(many), many.config.windows
+    batch, windows = make_batch(many) | {"task": ["catch the ball", "drop it", ""]}, many.config.windows
     observation = Observation.from_batch(batch, many.config)
     frames = many.model.encode(observation)
     together = many.model.conditions(frames, many._decisions(frames, windows.frame_index))
