@@ -13,10 +13,10 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.gif import phases_of, write_gif
 from dynahoi_lerobot.evaluate.intervals import wilson
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.recorder import Job
-from dynahoi_lerobot.rollout import make_batch, play
-from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.rollout.loop import make_batch, play
+from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
 
 FILMS_EACH = 3
 SHOWN_FRAMES_AFTER = 24

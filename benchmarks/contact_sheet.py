@@ -15,9 +15,9 @@ from PIL import Image, ImageDraw
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import evaluate, make_batch
-from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
 
 TILE_PX, LABEL_PX, COLUMNS = 96, 12, 4
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from isolated import measure_apart
 from stages import stage_shares, stages_alone
 
-from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 FIRST_SEED = 0
 
@@ -33,7 +33,7 @@ def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
     """Generate a dataset as ``dynahoi generate`` does."""
     from dynahoi_lerobot.generate.pipeline import generate
     from dynahoi_lerobot.generate.plan import Plan
-    from dynahoi_lerobot.rollout import record
+    from dynahoi_lerobot.rollout.loop import record
 
     plan = Plan(Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=max(1, episodes // processes))
     with tempfile.TemporaryDirectory() as folder:

@@ -20,12 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import CONTROL_DT
 from dynahoi_lerobot.dataset import open_dataset, read_episodes, write_episodes
+from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.generate.codecs.base import Encoding
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import record
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 STRIDE, PAST, HORIZON = 2, 5, 16
 

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from dynahoi_lerobot.conventions import UNIT_M
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.timing import DURATION_EDGES, DURATION_SHARES, TRAVEL_EDGES_M
+from dynahoi_lerobot.foundation.conventions import UNIT_M
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.sampling.timing import DURATION_EDGES, DURATION_SHARES, TRAVEL_EDGES_M
 
 PAPER_TRAVEL_SHARES = (0.201, 0.477, 0.164, 0.058)
 BLOCK = 220

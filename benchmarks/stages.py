@@ -16,15 +16,15 @@ from unittest import mock
 
 import numpy as np
 
-from dynahoi_lerobot import rollout
-from dynahoi_lerobot.conventions import CONTROL_HZ
-from dynahoi_lerobot.generate.codecs.base import Encoding
-from dynahoi_lerobot.generate.video import VideoWriter
-from dynahoi_lerobot.generate.writer import DatasetWriter
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import make_batch, record
-from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.video import VideoWriter
+from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.rollout import loop as rollout
+from dynahoi_lerobot.rollout.loop import make_batch, record
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 WORLDS = 32
 STEPS = 40

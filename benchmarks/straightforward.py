@@ -16,18 +16,18 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from dynahoi_lerobot.conventions import CONTROL_HZ, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
-from dynahoi_lerobot.drive import drive_for
 from dynahoi_lerobot.env import observation_space
 from dynahoi_lerobot.episode import joints_reached
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import open_hand, reference_grasp
 from dynahoi_lerobot.experts.intercept import Intercept, plan_intercept
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.sampling import sample_spec
-from dynahoi_lerobot.servo import Servo
-from dynahoi_lerobot.spec import ACTION, CAMERA_KEY, OBSERVATIONS, PRIVILEGED, camera_feature
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.features import ACTION, CAMERA_KEY, OBSERVATIONS, PRIVILEGED, camera_feature
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_spec
+from dynahoi_lerobot.scene.servo import Servo
+from dynahoi_lerobot.scene.target_drive import drive_for
+from dynahoi_lerobot.world.batch import WorldBatch
 
 SETTLE_FRAMES = 10
 PRIVILEGED_KEYS = ("target.pose", "target.velocity")

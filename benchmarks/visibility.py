@@ -18,10 +18,10 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import make_batch
-from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.rollout.loop import make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 SEEN_SHARE = 0.8
 EVERY = 2

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dynahoi_lerobot.pictured import Pictured
+from dynahoi_lerobot.camera_images import Pictured
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.episode_spec import EpisodeSpec

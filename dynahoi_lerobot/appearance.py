@@ -1,103 +1,116 @@
-"""Stronger randomisation of appearance, each kind a switch of the recipe; it changes nothing but pictures.
-
-Every switch draws from a stream of its own, so an episode keeps its motion, its instruction and what the other switches
-drew. They answer to what the paper names as its first limitation, that scenes look alike.
-"""
+"""Appearance: procedural textures compiled into the scene, and one seeded choice of them per episode."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.looks import Distractor, Look, hsv
-from dynahoi_lerobot.scene import DISTRACTORS
+TEXTURE_SIZE = 64
+SKIN_TONES = np.array(
+    [[0.95, 0.80, 0.69], [0.87, 0.68, 0.55], [0.72, 0.52, 0.39], [0.52, 0.36, 0.27], [0.36, 0.25, 0.2]]
+)
+Pattern = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
-BEHIND_M = 0.35
-"""Distractors stand at least this far behind the farthest point of the target's path, so that they hide nothing."""
-STREAM = 0xA99EA
-
-
-def vary(spec: EpisodeSpec, switches: Sequence[str]) -> EpisodeSpec:
-    """Return the episode with another look: what each of ``switches`` draws for its seed."""
-    for number, (name, draw) in enumerate(SWITCHES.items()):
-        if name in switches:
-            rng = np.random.default_rng([STREAM, number, spec.seed])
-            spec = replace(spec, look=draw(spec, rng))
-    return spec
+_noise = np.random.default_rng(20260)
+_GRAIN = _noise.random((TEXTURE_SIZE, TEXTURE_SIZE))
+_CLOUD = np.kron(_noise.random((8, 8)), np.ones((8, 8)))
 
 
-def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
-    """Any colour anywhere: pale targets, saturated walls, a hand of metal or plastic."""
-    return replace(
-        spec.look,
-        target_rgb=hsv(rng.random(), rng.uniform(0.0, 1.0), rng.uniform(0.25, 1.0)),
-        floor_rgb=hsv(rng.random(), rng.uniform(0.0, 0.9), rng.uniform(0.2, 1.0)),
-        wall_rgb=hsv(rng.random(), rng.uniform(0.0, 0.9), rng.uniform(0.2, 1.0)),
-        box_rgb=hsv(rng.random(), rng.uniform(0.0, 0.9), rng.uniform(0.2, 1.0)),
-        skin_rgb=hsv(rng.random(), rng.uniform(0.0, 0.6), rng.uniform(0.15, 1.0)),
-    )
+def _wave(phase: np.ndarray) -> np.ndarray:
+    return 0.5 + 0.5 * np.sin(2 * np.pi * phase)
 
 
-def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
-    """Dim to glaring, warm to cold, from any side above."""
-    angle, slant = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 1.5)
-    return replace(
-        spec.look,
-        light_level=rng.uniform(0.15, 1.1),
-        light_rgb=hsv(rng.random(), rng.uniform(0.0, 0.35), 1.0),
-        light_dir=(float(slant * np.cos(angle)), float(slant * np.sin(angle)), -1.0),
-    )
-
-
-def _specular(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
-    """Dull to polished surfaces."""
-    return replace(spec.look, gloss=rng.uniform(0.0, 0.9))
-
-
-def _transparency(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
-    """Targets as clear as coloured glass, or solid."""
-    return replace(spec.look, target_alpha=rng.uniform(0.35, 1.0))
-
-
-def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
-    """Up to four coloured things that stand or float behind the target's path and do not move."""
-    begin = max(float(spec.oracle_path[:, 0].max()), float(spec.home_pos_w[0])) + BEHIND_M
-    chosen = rng.permutation(list(DISTRACTORS))[: rng.integers(1, len(DISTRACTORS) + 1)]
-    things = [
-        Distractor(
-            shape=str(shape),
-            half_size=tuple(rng.uniform(0.03, 0.16, 3).tolist()),
-            pos_w=(
-                begin + rng.uniform(0.0, 1.5),
-                float(spec.home_pos_w[1]) + rng.uniform(-1.0, 1.0),
-                max(float(spec.home_pos_w[2]) + rng.uniform(-0.6, 0.5), 0.2),
-            ),
-            rgb=hsv(rng.random(), rng.uniform(0.6, 1.0), rng.uniform(0.6, 1.0)),
-        )
-        for shape in chosen
-    ]
-    return replace(spec.look, distractors=tuple(things))
-
-
-SWITCHES: dict[str, Callable[[EpisodeSpec, np.random.Generator], Look]] = {
-    "materials": _materials,
-    "lights": _lights,
-    "specular": _specular,
-    "transparency": _transparency,
-    "distractors": _distractors,
+PATTERNS: dict[str, Pattern] = {
+    "plain": lambda u, v: np.ones_like(u),
+    "checker": lambda u, v: (np.floor(4 * u) + np.floor(4 * v)) % 2,
+    "stripes": lambda u, v: np.floor(6 * u) % 2,
+    "bands": lambda u, v: np.floor(5 * v) % 2,
+    "dots": lambda u, v: (np.hypot((4 * u) % 1 - 0.5, (4 * v) % 1 - 0.5) > 0.3).astype(float),
+    "wood": lambda u, v: _wave(6 * u + 0.35 * _wave(2 * v)),
+    "grain": lambda u, v: _GRAIN,
+    "cloud": lambda u, v: _CLOUD,
+    "rings": lambda u, v: _wave(4 * np.hypot(u - 0.5, v - 0.5)),
+    "weave": lambda u, v: 0.5 * _wave(8 * u) + 0.5 * _wave(8 * v),
 }
-"""By the name it has in a recipe. The order decides the streams: append, do not insert."""
+"""Brightness patterns over the unit square; the episode's tint colours them."""
+
+CONTRAST = 0.45
+"""How far a pattern darkens its tint."""
 
 
-def check_appearance(names: Sequence[str]) -> None:
-    """Refuse switches that do not exist.
+def texture_pixels(pattern: str) -> np.ndarray:
+    """Return (64, 64, 3) uint8 grey pixels of a pattern, to be multiplied by a tint."""
+    v, u = np.meshgrid(*[(np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE] * 2, indexing="ij")
+    grey = 1.0 - CONTRAST * (1.0 - PATTERNS[pattern](u, v))
+    return np.repeat(np.round(255 * grey)[..., None], 3, axis=2).astype(np.uint8)
 
-    Raises:
-        ValueError: naming the switch received and the ones there are.
+
+@dataclass(frozen=True)
+class Distractor:
+    """A thing that is only there to be seen: shape, half-sizes [m], position [m] in the world, colour 0 to 1."""
+
+    shape: str
+    half_size: tuple[float, ...]
+    pos_w: tuple[float, float, float]
+    rgb: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one episode looks like.
+
+    Attributes:
+        target_pattern, floor_pattern, wall_pattern, box_pattern: names in ``PATTERNS``.
+        target_rgb, floor_rgb, wall_rgb, box_rgb, skin_rgb: tints, 0 to 1.
+        light_dir: (3,) direction the light travels in, world.
+        light_level: diffuse intensity of the light, 0 to 1.
+        light_rgb: its colour, 0 to 1.
+        gloss: intensity of the highlights, 0 to 1.
+        target_alpha: opacity of the target, 0 to 1.
+        distractors: further things in view, each of another shape.
     """
-    for name in names:
-        if name not in SWITCHES:
-            raise ValueError(f"unknown appearance {name!r}; known: {', '.join(SWITCHES)}")
+
+    target_pattern: str
+    floor_pattern: str
+    wall_pattern: str
+    box_pattern: str
+    target_rgb: tuple[float, float, float]
+    floor_rgb: tuple[float, float, float]
+    wall_rgb: tuple[float, float, float]
+    box_rgb: tuple[float, float, float]
+    skin_rgb: tuple[float, float, float]
+    light_dir: tuple[float, float, float]
+    light_level: float
+    light_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    gloss: float = 0.0
+    target_alpha: float = 1.0
+    distractors: tuple[Distractor, ...] = ()
+
+    @classmethod
+    def sample(cls, rng: np.random.Generator) -> Look:
+        """Draw patterns, tints and light: saturated targets in front of paler surroundings."""
+        patterns = rng.choice(list(PATTERNS), size=4)
+        hue = rng.random()
+        slant = rng.uniform(-0.6, 0.6, 2)
+        return cls(
+            *(str(p) for p in patterns),
+            target_rgb=hsv(hue, rng.uniform(0.7, 1.0), rng.uniform(0.75, 1.0)),
+            floor_rgb=hsv(rng.random(), rng.uniform(0.0, 0.3), rng.uniform(0.35, 0.8)),
+            wall_rgb=hsv(rng.random(), rng.uniform(0.0, 0.3), rng.uniform(0.45, 0.9)),
+            box_rgb=hsv((hue + rng.uniform(0.3, 0.7)) % 1.0, rng.uniform(0.1, 0.4), rng.uniform(0.4, 0.8)),
+            skin_rgb=_rgb(SKIN_TONES[rng.integers(len(SKIN_TONES))]),
+            light_dir=(0.6 + float(slant[0]) * 0.5, float(slant[1]), -1.0),
+            light_level=rng.uniform(0.45, 0.8),
+        )
+
+
+def _rgb(values: np.ndarray) -> tuple[float, float, float]:
+    return (float(values[0]), float(values[1]), float(values[2]))
+
+
+def hsv(hue: float, saturation: float, value: float) -> tuple[float, float, float]:
+    """Hue, saturation and value, each 0 to 1, to red, green and blue."""
+    k = (np.array([5.0, 3.0, 1.0]) + 6 * hue) % 6
+    return _rgb(value - value * saturation * np.clip(np.minimum(k, 4 - k), 0, 1))

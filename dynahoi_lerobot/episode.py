@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import GRASP_FRACTION, PALM_DOF
-from dynahoi_lerobot.pictured import Pictured
+from dynahoi_lerobot.camera_images import Pictured
+from dynahoi_lerobot.foundation.conventions import GRASP_FRACTION, PALM_DOF
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import CONTROL_DT
-from dynahoi_lerobot.looks import Look
+from dynahoi_lerobot.appearance import Look
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
 

@@ -10,9 +10,9 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import evaluate, make_batch
-from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
 from tests.menagerie import write_menagerie
 
 TEST = Recipe(split="test", image_size=32)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import CONTROL_DT
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
-from dynahoi_lerobot.timing import draw_timing
+from dynahoi_lerobot.sampling.timing import draw_timing
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.conventions import PHYSICS_DT, SUBSTEPS
-from dynahoi_lerobot.drive import drive_for
+from dynahoi_lerobot.foundation.conventions import PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.rows import Rows
-from dynahoi_lerobot.scene import ENVIRONMENT, compile_scene
+from dynahoi_lerobot.scene.scene import ENVIRONMENT, compile_scene
+from dynahoi_lerobot.scene.target_drive import drive_for
+from dynahoi_lerobot.scene.world_fields import Rows
 
 
 @dataclass(frozen=True)

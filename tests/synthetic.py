@@ -6,8 +6,8 @@ import json
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 
 REFERENCE = np.full(15, 1.0, np.float32)
 

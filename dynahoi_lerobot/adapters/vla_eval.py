@@ -15,13 +15,13 @@ from vla_eval.benchmarks.base import StepBenchmark, StepResult, repeat_last_hold
 from vla_eval.specs import DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
-from dynahoi_lerobot.conventions import HAND_DOF
-from dynahoi_lerobot.env import DynahoiVectorEnv
+from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.splits import seed_stream
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.splits import seed_stream
 
 
 class DynahoiBenchmark(StepBenchmark):

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Substeps, Track
-from dynahoi_lerobot.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.episode import joints_reached
+from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
-from dynahoi_lerobot.scene import ENVIRONMENT
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.scene.scene import ENVIRONMENT
+from dynahoi_lerobot.world.batch import WorldBatch
 
 
 @CAPTURES.register("attach")

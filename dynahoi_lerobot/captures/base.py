@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.motions import Motion
-from dynahoi_lerobot.registry import Registry
 
 if TYPE_CHECKING:
-    from dynahoi_lerobot.world_batch import WorldBatch
+    from dynahoi_lerobot.world.batch import WorldBatch
 
 CAPTURES: Registry[type[CaptureRule]] = Registry("capture rule", "dynahoi_lerobot.captures")
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Substeps, Track
-from dynahoi_lerobot.conventions import CONTROL_HZ, FINGERS
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGERS
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
-from dynahoi_lerobot.scene import ENVIRONMENT, HAND_BIT
-from dynahoi_lerobot.touch import ELSEWHERE, PALM
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.scene.contact_sensors import ELSEWHERE, PALM
+from dynahoi_lerobot.scene.scene import ENVIRONMENT, HAND_BIT
+from dynahoi_lerobot.world.batch import WorldBatch
 
 HELD_FRAMES = CONTROL_HZ // 2
 """A grip counts once it has lasted half a second."""

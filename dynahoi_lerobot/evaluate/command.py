@@ -12,9 +12,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Agent, Expert
-from dynahoi_lerobot.arguments import names
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.delay import DelayedAgent
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.gif import episode_gif
@@ -22,10 +20,12 @@ from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import evaluate, make_batch
-from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.splits import SMALL_TEST, seed_stream, split_seeds
+from dynahoi_lerobot.foundation.arguments import names
+from dynahoi_lerobot.rollout.delayed_agent import DelayedAgent
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.sampling.splits import SMALL_TEST, seed_stream, split_seeds
 
 VLM = "vlm"
 EXPERT_ALIAS = "expert"

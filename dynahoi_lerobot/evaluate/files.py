@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import HAND_DOF
 from dynahoi_lerobot.evaluate.atomic import write_atomically
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row, row_schema
+from dynahoi_lerobot.foundation.conventions import HAND_DOF
 
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.atomic import write_atomically
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 if TYPE_CHECKING:
     from PIL import Image

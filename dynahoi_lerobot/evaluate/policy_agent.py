@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
-from dynahoi_lerobot.env import as_gym
-from dynahoi_lerobot.spec import CAMERA_KEY, PICTURE_PREFIX
-from dynahoi_lerobot.views import FURTHER_VIEWS
+from dynahoi_lerobot.env.vector_env import as_gym
+from dynahoi_lerobot.features import CAMERA_KEY, PICTURE_PREFIX
+from dynahoi_lerobot.renderers.views import FURTHER_VIEWS
 
 REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
 

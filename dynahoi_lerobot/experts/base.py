@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.agent import Expert
-from dynahoi_lerobot.conventions import FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.conventions import FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF
+from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.hands import HANDS
-from dynahoi_lerobot.registry import Registry
 
 EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from dynahoi_lerobot.agent import Expert, WorldState
-from dynahoi_lerobot.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import CLOSING_FRAMES, EXPERTS, reference_grasp
-from dynahoi_lerobot.timing import HAND_SPEED_M_S
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.sampling.timing import HAND_SPEED_M_S
 
 HORIZON_FRAMES = 60
 

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 
 from dynahoi_lerobot.agent import Expert, WorldState
-from dynahoi_lerobot.conventions import HAND_DOF
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.conventions import HAND_DOF
 
 
 class Plan(Protocol):

@@ -12,10 +12,10 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.arguments import names
-from dynahoi_lerobot.generate.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.foundation.arguments import names
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, Executor, Fleet
-from dynahoi_lerobot.generate.manifest import Manifest
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record, shard_size
 
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
 
     Args:
         args: what ``add_arguments`` declares.
-        record: plays the expert, ``dynahoi_lerobot.rollout.record`` by default.
+        record: plays the expert, ``dynahoi_lerobot.rollout.loop.record`` by default.
         recipe: what the options override, the default recipe or ``--recipe`` by default.
 
     Returns:
@@ -106,14 +106,14 @@ def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
 
 
 def _load_recipe(path: Path | None) -> Any:
-    from dynahoi_lerobot.recipe import Recipe, load_recipe
+    from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 
     return Recipe() if path is None else load_recipe(path)
 
 
 def _record(plan: Plan, threads: int) -> Record:
     """Return the expert's recorder; ``threads`` (0: all cores) share the worlds of one process."""
-    from dynahoi_lerobot.rollout import record
+    from dynahoi_lerobot.rollout.loop import record
 
     return partial(record, threads=threads, images=plan.camera)
 

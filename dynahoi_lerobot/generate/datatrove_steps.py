@@ -9,10 +9,10 @@ from typing import Any
 
 from datatrove.pipeline.base import PipelineStep
 
-from dynahoi_lerobot.generate.fingerprint import code_fingerprint
 from dynahoi_lerobot.generate.pipeline import finished, merge_shards
 from dynahoi_lerobot.generate.plan import GenerationError
 from dynahoi_lerobot.generate.shard import ShardMaker
+from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 
 class MakeShards(PipelineStep):

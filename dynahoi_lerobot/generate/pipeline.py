@@ -7,9 +7,9 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.generate.files import replace_text
-from dynahoi_lerobot.generate.manifest import Manifest
-from dynahoi_lerobot.generate.merge import merge
+from dynahoi_lerobot.dataset.files import replace_text
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.generate.plan import Plan, Progress, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.generate.workers import make_in_processes

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.paths import Layout
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.generate.codecs.base import Encoding
-from dynahoi_lerobot.generate.fingerprint import code_fingerprint
-from dynahoi_lerobot.generate.layout import Layout
+from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 REDRAW_STRIDE = math.lcm(*range(1, 25))
 """A slot whose seed fails is drawn again with ``seed + k * REDRAW_STRIDE``, k = 1, 2, ...

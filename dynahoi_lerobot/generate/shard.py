@@ -10,12 +10,12 @@ from pathlib import Path
 
 from av.error import FFmpegError
 
-from dynahoi_lerobot.generate.features import content_arrays
-from dynahoi_lerobot.generate.files import temporary_sibling
-from dynahoi_lerobot.generate.manifest import Manifest
+from dynahoi_lerobot.dataset.columns import content_arrays
+from dynahoi_lerobot.dataset.files import temporary_sibling
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, Record
-from dynahoi_lerobot.generate.plausibility import implausibilities
-from dynahoi_lerobot.generate.writer import DatasetWriter
+from dynahoi_lerobot.verify.plausibility import implausibilities
 
 Tick = Callable[[], object]
 """Called after each stored episode."""

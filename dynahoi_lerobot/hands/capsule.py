@@ -13,7 +13,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS
+from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, Hand
 from dynahoi_lerobot.hands.closing import close_around
 from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to

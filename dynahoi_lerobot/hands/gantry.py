@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from dynahoi_lerobot.features import PALM_AXES
 from dynahoi_lerobot.hands.base import EGO_CAMERA, PALM_BODY, PALM_SITE, camera_quat
-from dynahoi_lerobot.spec import PALM_AXES
 
 PALM_MASS_KG = 0.8
 PALM_FORCE_N = 120.0

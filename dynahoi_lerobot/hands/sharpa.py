@@ -14,11 +14,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.conventions import FINGER_DOF, FINGERS
+from dynahoi_lerobot.features import JOINT_NAMES
+from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
 from dynahoi_lerobot.hands.closing import close_around
 from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
-from dynahoi_lerobot.spec import JOINT_NAMES
 
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 """Environment variable with the folder of MuJoCo Menagerie."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.registry import Registry
+from dynahoi_lerobot.foundation.registry import Registry
 
 Direction = Literal["higher", "lower"]
 Kind = Literal["rate", "mean"]

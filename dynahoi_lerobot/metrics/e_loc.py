@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dynahoi_lerobot.conventions import UNIT_M
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.foundation.conventions import UNIT_M
 from dynahoi_lerobot.metrics.base import UNIT, metric
 
 

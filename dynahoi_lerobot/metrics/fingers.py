@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import FINGERS, JOINTS_PER_FINGER
 from dynahoi_lerobot.episode import Episode, joints_reached
+from dynahoi_lerobot.foundation.conventions import FINGERS, JOINTS_PER_FINGER
 
 
 def share_of_frames(episode: Episode, at_least: int) -> float:

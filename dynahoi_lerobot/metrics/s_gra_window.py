@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dynahoi_lerobot.conventions import CONTROL_HZ
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.metrics.base import FRACTION, metric
 from dynahoi_lerobot.metrics.fingers import grasps_at
 

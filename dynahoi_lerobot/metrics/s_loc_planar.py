@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.metrics.base import FRACTION, metric
 from dynahoi_lerobot.metrics.trajectory import until_localized
 

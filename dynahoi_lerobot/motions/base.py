@@ -12,9 +12,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.objects.base import OBJECTS
-from dynahoi_lerobot.registry import Registry
 
 Vector = tuple[float, float, float]
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from dynahoi_lerobot.registry import Registry
+from dynahoi_lerobot.foundation.registry import Registry
 
 OBJECTS: Registry[type[ObjectKind]] = Registry("object", "dynahoi_lerobot.objects")
 

@@ -7,9 +7,9 @@ from abc import ABC, abstractmethod
 import numpy as np
 from mujoco.batch import Batch
 
+from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.hands.base import EGO_CAMERA
-from dynahoi_lerobot.registry import Registry
-from dynahoi_lerobot.scene import Scene
+from dynahoi_lerobot.scene.scene import Scene
 
 RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")
 DEFAULT_RENDERER = "tiles"

@@ -22,7 +22,7 @@ from dynahoi_lerobot.renderers.mirror import Mirror  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.layout import TILE, Lens, Shape, place, sort_into_tiles  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.paint import Lamps, paint, survey  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.shapes import KINDS  # noqa: E402
-from dynahoi_lerobot.scene import SHOWN_GROUP, Scene  # noqa: E402
+from dynahoi_lerobot.scene.scene import SHOWN_GROUP, Scene  # noqa: E402
 
 LOOK_FIELDS = {
     "geom_size": wp.vec3,

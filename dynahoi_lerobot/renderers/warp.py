@@ -15,7 +15,7 @@ import mujoco_warp as mjw  # noqa: E402
 from dynahoi_lerobot.hands.base import EGO_CAMERA  # noqa: E402
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
 from dynahoi_lerobot.renderers.mirror import Mirror  # noqa: E402
-from dynahoi_lerobot.scene import SHOWN_GROUP, Scene  # noqa: E402
+from dynahoi_lerobot.scene.scene import SHOWN_GROUP, Scene  # noqa: E402
 
 LOOK_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
 """Model fields whose values differ between worlds and which the ray caster reads."""

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from dynahoi_lerobot.conventions import HAND_DOF
-from dynahoi_lerobot.spec import HAND_NAMES
+from dynahoi_lerobot.features import HAND_NAMES
+from dynahoi_lerobot.foundation.conventions import HAND_DOF
 
 HORIZON = 10
 """T, the frames that one answer commands."""

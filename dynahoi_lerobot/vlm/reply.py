@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import HAND_DOF
+from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS
 
 LARGEST_ANSWER = 64 * 1024

@@ -151,7 +151,7 @@ def checkpoint(out: Path) -> Path:
 
 def dynahoi(*arguments: str) -> None:
     """Run one of our commands."""
-    run([sys.executable, "-m", "dynahoi_lerobot.cli", *arguments])
+    run([sys.executable, "-m", "dynahoi_lerobot.cli.main", *arguments])
 
 
 def run(command: list[str], log: Path | None = None) -> None:

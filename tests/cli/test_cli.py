@@ -10,13 +10,13 @@ import draccus
 import pytest
 from PIL import Image
 
-from dynahoi_lerobot import cli
+from dynahoi_lerobot.cli import main as cli
+from dynahoi_lerobot.cli.listing import LISTS
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.generate.resimulate import replay
-from dynahoi_lerobot.listing import LISTS
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 
 @pytest.mark.parametrize("what", sorted(LISTS))

@@ -14,10 +14,10 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import plan_intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import evaluate, make_batch
-from dynahoi_lerobot.sampling import sample_spec
-from dynahoi_lerobot.splits import kind_seed
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_spec
+from dynahoi_lerobot.sampling.splits import kind_seed
 
 SMALL = {"image_size": 16}
 

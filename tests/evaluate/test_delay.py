@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.agent import Agent, Observation
-from dynahoi_lerobot.cli import main
-from dynahoi_lerobot.delay import DelayedAgent
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.rollout.delayed_agent import DelayedAgent
 
 
 class Clock(Agent):

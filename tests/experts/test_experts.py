@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import RETRY_DELAY_FRAMES, plan_intercept
+from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 
 def mean(episodes: list[Episode], metric: str) -> float:

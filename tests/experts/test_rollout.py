@@ -11,10 +11,10 @@ from dynahoi_lerobot.agent import Agent, Expert, Observation, WorldState
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
-from dynahoi_lerobot.generate.resimulate import simulator
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.recorder import Job
-from dynahoi_lerobot.rollout import evaluate, make_batch, play, record
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch, play, record
+from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.rollout.replay import simulator
+from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.world.playing import digest
 
 QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=32)

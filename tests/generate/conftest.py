@@ -6,7 +6,7 @@ from pathlib import Path
 import av.logging
 import pytest
 
-from dynahoi_lerobot.generate.writer import DatasetWriter
+from dynahoi_lerobot.dataset.writer import DatasetWriter
 from tests.generate.episodes import varied_episode
 
 av.logging.set_level(av.logging.ERROR)

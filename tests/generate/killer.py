@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from dynahoi_lerobot.generate.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
 from tests.generate.recorder import FakeRecipe, record_slowly

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, content_arrays, info_features
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.generate.features import BOOKKEEPING, content_arrays, info_features
 
 logging.disable(logging.WARNING)
 

@@ -7,8 +7,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.generate.codecs.base import Encoding
-from dynahoi_lerobot.generate.writer import DatasetWriter
+from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.writer import DatasetWriter
 from tests.generate.episodes import varied_episode
 from tests.generate.lerobot_api import open_dataset, write_with_lerobot
 

@@ -5,8 +5,8 @@ import json
 
 import pytest
 
+from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.generate import command
-from dynahoi_lerobot.generate.manifest import Manifest
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
 

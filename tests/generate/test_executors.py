@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, Fleet
-from dynahoi_lerobot.generate.fingerprint import code_fingerprint
-from dynahoi_lerobot.generate.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, Plan
+from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
 from tests.generate.test_command import run

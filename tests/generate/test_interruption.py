@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from dynahoi_lerobot.generate.files import link, temporary_sibling
-from dynahoi_lerobot.generate.manifest import hash_files
+from dynahoi_lerobot.dataset.files import link, temporary_sibling
+from dynahoi_lerobot.dataset.manifest import hash_files
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
 from tests.generate.recorder import FakeRecipe, record

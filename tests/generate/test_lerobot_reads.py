@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.dataset import read_episodes
-from dynahoi_lerobot.generate.store import Store
+from dynahoi_lerobot.dataset.store import Store
 from tests.generate.conftest import write
 from tests.generate.episodes import varied_episode
 from tests.generate.lerobot_api import REPO, open_dataset

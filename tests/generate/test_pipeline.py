@@ -7,12 +7,12 @@ import itertools
 import pytest
 
 from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate import workers
-from dynahoi_lerobot.generate.manifest import Manifest, hash_files
-from dynahoi_lerobot.generate.merge import merge
 from dynahoi_lerobot.generate.pipeline import generate, workspace_path
 from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, shard_size
-from dynahoi_lerobot.generate.writer import DatasetWriter
 from tests.generate import recorder
 from tests.generate.conftest import write
 from tests.generate.recorder import FakeRecipe

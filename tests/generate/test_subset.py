@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
-from dynahoi_lerobot.generate.codecs.base import CODECS, Encoding
-from dynahoi_lerobot.generate.histograms import SHOWN, histograms
-from dynahoi_lerobot.generate.manifest import Manifest
-from dynahoi_lerobot.generate.outliers import find_outliers, reject_outliers
-from dynahoi_lerobot.generate.store import Store
-from dynahoi_lerobot.generate.subset import copy_subset
-from dynahoi_lerobot.generate.verify import verify
-from dynahoi_lerobot.spec import HAND_NAMES
+from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.dataset.histograms import SHOWN, histograms
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.subset import copy_subset
+from dynahoi_lerobot.features import HAND_NAMES
+from dynahoi_lerobot.verify.outliers import find_outliers, reject_outliers
+from dynahoi_lerobot.verify.verify import verify
 from tests.generate.conftest import write
 from tests.generate.episodes import varied_episode
 

@@ -12,15 +12,15 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.generate.checks.base import CHECKS, stratified
-from dynahoi_lerobot.generate.codecs.base import Encoding
-from dynahoi_lerobot.generate.manifest import Manifest, hash_files
-from dynahoi_lerobot.generate.merge import merge
+from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.video import VideoWriter, decode
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
-from dynahoi_lerobot.generate.store import Store
-from dynahoi_lerobot.generate.verify import verify
-from dynahoi_lerobot.generate.video import VideoWriter, decode
+from dynahoi_lerobot.verify.checks.base import CHECKS, stratified
+from dynahoi_lerobot.verify.verify import verify
 from tests.generate import recorder
 from tests.generate.conftest import write
 from tests.generate.episodes import varied_episode

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from lerobot.datasets import LeRobotDataset
 
-from dynahoi_lerobot.conventions import FINGERS
 from dynahoi_lerobot.dataset import open_dataset, read_episodes
+from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.features import TOUCH
+from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.generate import command, verify_command
-from dynahoi_lerobot.generate.codecs.base import Encoding
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
-from dynahoi_lerobot.generate.resimulate import simulator
-from dynahoi_lerobot.generate.verify import verify
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import record
-from dynahoi_lerobot.spec import TOUCH
+from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.rollout.replay import simulator
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.verify.verify import verify
 
 
 def run(module, *words) -> int:

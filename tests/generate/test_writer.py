@@ -9,13 +9,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
-from dynahoi_lerobot.generate.codecs.base import CODECS, Encoding
-from dynahoi_lerobot.generate.layout import Layout
-from dynahoi_lerobot.generate.manifest import Manifest, hash_files
-from dynahoi_lerobot.generate.store import Store
-from dynahoi_lerobot.generate.video import count_frames
-from dynahoi_lerobot.registry import UnknownNameError
-from dynahoi_lerobot.spec import CAMERA_KEY
+from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.paths import Layout
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.video import count_frames
+from dynahoi_lerobot.features import CAMERA_KEY
+from dynahoi_lerobot.foundation.registry import UnknownNameError
 from tests.generate.conftest import write
 from tests.generate.episodes import varied_episode
 
@@ -130,7 +130,7 @@ def test_core_modules_import_neither_torch_nor_lerobot():
     import sys
 
     code = (
-        "import sys, dynahoi_lerobot.dataset, dynahoi_lerobot.generate.writer\n"
+        "import sys, dynahoi_lerobot.dataset.episodes, dynahoi_lerobot.dataset.writer\n"
         "loaded = {'torch', 'lerobot', 'datasets', 'pandas'} & set(sys.modules)\n"
         "assert not loaded, loaded"
     )

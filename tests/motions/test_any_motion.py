@@ -8,10 +8,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.conventions import PHYSICS_DT
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS, PrescribedMotion, benchmark_motions
-from dynahoi_lerobot.scene import ARENA_HALF_M
+from dynahoi_lerobot.scene.scene import ARENA_HALF_M
 from tests.drawing import draw_motion
 
 KINDS = MOTIONS.names()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.conventions import PHYSICS_DT
+from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.base import GRAVITY_M_S2
 from dynahoi_lerobot.motions.bounce import Bounce

@@ -9,12 +9,12 @@ from itertools import chain
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.objects.base import FRICTION_RANGE, MASS_RANGE_KG
-from dynahoi_lerobot.rotations import quat_to_matrix
-from dynahoi_lerobot.scene import LARGEST_SLOT_M, compile_scene
-from dynahoi_lerobot.surface import signed_distance
+from dynahoi_lerobot.scene.scene import LARGEST_SLOT_M, compile_scene
+from dynahoi_lerobot.scene.signed_distance import signed_distance
 
 NAMES = OBJECTS.names()
 BENCHMARK = [name for name, kind in OBJECTS.items() if not kind.held_out]

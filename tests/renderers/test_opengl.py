@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER, opengl
-from dynahoi_lerobot.rollout import make_batch
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.rollout.loop import make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.world.batch import WorldBatch
 
 SIZE = 64
 LARGEST_DIFFERENCE = 2.0

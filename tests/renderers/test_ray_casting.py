@@ -8,8 +8,8 @@ import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.motions import PhysicalMotion
-from dynahoi_lerobot.scene import Scene
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.scene.scene import Scene
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import wait, world
 
 SIZE = 64

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.scene import LARGEST_SLOT_M
-from dynahoi_lerobot.views import COLORS, DEPTH_LEVEL_M, FURTHER_VIEWS
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.renderers.views import COLORS, DEPTH_LEVEL_M, FURTHER_VIEWS
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.scene.scene import LARGEST_SLOT_M
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 
 SIZE = 72

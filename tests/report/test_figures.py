@@ -9,8 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.conventions import HAND_DOF
 from dynahoi_lerobot.evaluate.summary import Estimate
+from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.figures.base import FIGURES, in_order
 from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay

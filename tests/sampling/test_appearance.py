@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.appearance import SWITCHES, vary
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import record
+from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.sampling.randomization import SWITCHES, vary
+from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.world.playing import world
 
 SIZE = 64

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.conventions import UNIT_M
+from dynahoi_lerobot.foundation.conventions import UNIT_M
 from dynahoi_lerobot.motions import benchmark_motions
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.timing import draw_timing, kind_table
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.sampling.timing import draw_timing, kind_table
 
 DURATION_BINS, DURATION_PERCENT = (20, 40, 60, 80, 120, np.inf), (20.2, 36.1, 19.5, 13.9, 10.1)
 TRAVEL_BINS_U, TRAVEL_PERCENT = (0, 0.5, 2, 4, np.inf), (20.1, 47.7, 16.4, 5.8)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from dynahoi_lerobot.recipe import Recipe, load_recipe
-from dynahoi_lerobot.rollout import make_batch, record
-from dynahoi_lerobot.sampling import sample_specs
+from dynahoi_lerobot.rollout.loop import make_batch, record
+from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
 
 BAD_VALUES = [
     ({"split": "trian"}, "unknown split 'trian'; known: train, val, test"),

@@ -9,9 +9,9 @@ import pytest
 
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion, benchmark_motions
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.recipe import OOD_TEMPO, SPLITS, Recipe
-from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.splits import split_seeds
+from dynahoi_lerobot.sampling.recipe import OOD_TEMPO, SPLITS, Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.sampling.splits import split_seeds
 from tests.drawing import Drawn, draw_motion
 
 QUICK = ("constant", "lateral", "horizontal_circle", "line_then_arc")

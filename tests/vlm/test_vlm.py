@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from dynahoi_lerobot.agent import Observation
-from dynahoi_lerobot.cli import main
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.vlm.agent import VlmAgent
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, answer_schema, messages

@@ -12,11 +12,11 @@ import numpy as np
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.rollout import evaluate, make_batch
-from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 SMALL = Recipe(split="test", image_size=32)
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.captures import CAPTURES, Track
-from dynahoi_lerobot.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.motions.constant import Constant
-from dynahoi_lerobot.rotations import quat_to_matrix
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 
 HOME_W = np.array([0.0, 0.0, 1.1])

@@ -9,17 +9,17 @@ import pytest
 
 from dynahoi_lerobot.captures import CAPTURES, Track
 from dynahoi_lerobot.captures.contact import HELD_FRAMES
-from dynahoi_lerobot.conventions import CONTROL_DT
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions.constant import Constant
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.recorder import Job
-from dynahoi_lerobot.rollout import make_batch, play
-from dynahoi_lerobot.sampling import sample_spec, sample_specs
-from dynahoi_lerobot.touch import ELSEWHERE, PALM, TOUCHING
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.rollout.loop import make_batch, play
+from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
+from dynahoi_lerobot.scene.contact_sensors import ELSEWHERE, PALM, TOUCHING
+from dynahoi_lerobot.world.batch import WorldBatch
 
 RECIPE = Recipe(split="test", capture="contact", image_size=32)
 HOME_W = np.array([0.0, 0.0, 1.1])

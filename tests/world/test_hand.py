@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.servo import MAX_JOINT_SPEED_RAD_S, MAX_PALM_SPEED_M_S
-from dynahoi_lerobot.world_batch import WorldBatch
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.scene.servo import MAX_JOINT_SPEED_RAD_S, MAX_PALM_SPEED_M_S
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import wait, world
 
 ARRIVAL_PALM_M, ARRIVAL_JOINT_RAD = 0.001, 0.015

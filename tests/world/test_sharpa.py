@@ -8,15 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot import cli
-from dynahoi_lerobot.conventions import FINGERS
+from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.features import HAND_NAMES
+from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT, SharpaHand, menagerie_model_path
-from dynahoi_lerobot.recipe import Recipe
-from dynahoi_lerobot.rollout import evaluate, make_batch, record
-from dynahoi_lerobot.sampling import sample_specs
-from dynahoi_lerobot.scene import compile_scene
-from dynahoi_lerobot.spec import HAND_NAMES
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch, record
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.scene.scene import compile_scene
 from tests.menagerie import ARMATURE, TORQUE_NM
 
 RECIPE = Recipe(split="test", hand="sharpa", image_size=32)

@@ -12,7 +12,7 @@ from lerobot.policies.pi0_fast import modeling_pi0_fast
 from lerobot.policies.pi05 import modeling_pi05
 from lerobot.scripts.lerobot_train import main as lerobot_train
 
-from dynahoi_lerobot.cli import main
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.zoo.stand_ins import (
     save_action_tokenizer,

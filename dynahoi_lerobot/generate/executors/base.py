@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 
+from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.generate.pipeline import finished, open_workspace, workspace_path
 from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
-from dynahoi_lerobot.registry import Registry
 
 EXECUTORS: Registry[type[Executor]] = Registry("executor", "dynahoi_lerobot.generate.executors")
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from dynahoi_lerobot.registry import Registry
+from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.style import figure_style, svg_data_uri
 

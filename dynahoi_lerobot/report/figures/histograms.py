@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import HAND_DOF
 from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.report.entries import Entry
 
 if TYPE_CHECKING:

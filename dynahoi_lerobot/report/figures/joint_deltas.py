@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.conventions import PALM_DOF
+from dynahoi_lerobot.features import JOINT_NAMES
+from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.figures.base import figure
 from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay
 from dynahoi_lerobot.report.style import legend, new_figure
-from dynahoi_lerobot.spec import JOINT_NAMES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from dynahoi_lerobot.conventions import PALM_DOF
+from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.figures.base import figure
 from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay

@@ -12,13 +12,13 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.conventions import CONTROL_HZ
+from dynahoi_lerobot.features import ACTION, FINGERTIPS, PHASE, PICTURE_PREFIX, STATE, TOUCH, picture_feature
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.recipe import Recipe
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.spec import ACTION, FINGERTIPS, PHASE, PICTURE_PREFIX, STATE, TOUCH, picture_feature
-from dynahoi_lerobot.splits import seed_stream
-from dynahoi_lerobot.views import VIEWS
+from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.splits import seed_stream
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 RAW_KEYS = {

@@ -17,7 +17,7 @@ from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
-from dynahoi_lerobot.recipe import Recipe
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 
 class ResultsLog:

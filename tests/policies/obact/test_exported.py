@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dynahoi_lerobot.cli import main
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
 
 CHECKPOINT = Path(__file__).parents[3] / "docs" / "obact_cpu"

@@ -17,7 +17,7 @@ from lerobot.policies.factory import get_policy_class, make_policy, make_pre_pos
 from lerobot.utils.import_utils import register_third_party_plugins
 from torch.utils.data import default_collate
 
-from dynahoi_lerobot.recipe import load_recipe
+from dynahoi_lerobot.sampling.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[3] / "recipes"
 STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in yaml.safe_load(path.read_text()))

@@ -1,0 +1,89 @@
+"""``dynahoi list``: the registries as tables, generated from the code."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+from collections.abc import Callable
+from typing import Any
+
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
+from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.renderers import RENDERERS
+
+Row = dict[str, Any]
+
+
+def _described(registry: Registry) -> Callable[[], list[Row]]:
+    return lambda: [{"name": name, "description": _summary(entry)} for name, entry in registry.items()]
+
+
+def _motions() -> list[Row]:
+    rows = []
+    for name, kind in MOTIONS.items():
+        tier, periodicity = CATEGORIES[kind.category]
+        row = {"name": name, "category": kind.category, "tier": tier, "periodicity": periodicity}
+        rows.append({**row, "held_out": kind.held_out, "ranges": _summary(kind), "shared": _shared(kind)})
+    return sorted(rows, key=lambda row: (list(CATEGORIES).index(row["category"]), row["name"]))
+
+
+def _objects() -> list[Row]:
+    rows = []
+    for name, kind in OBJECTS.items():
+        traits = [trait for trait in ("rolls", "slides", "held_out") if getattr(kind, trait)]
+        rows.append({"name": name, "traits": ", ".join(traits), "description": _summary(kind)})
+    return rows
+
+
+def _metrics() -> list[Row]:
+    return [{"name": n, "unit": m.unit, "better": m.direction, "description": m.summary} for n, m in METRICS.items()]
+
+
+LISTS: dict[str, Callable[[], list[Row]]] = {
+    "motions": _motions,
+    "objects": _objects,
+    "metrics": _metrics,
+    "captures": _described(CAPTURES),
+    "experts": _described(EXPERTS),
+    "hands": _described(HANDS),
+    "renderers": _described(RENDERERS),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi list``."""
+    parser.add_argument("what", choices=sorted(LISTS), help="which registry")
+    parser.add_argument("--json", action="store_true", help="machine-readable")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a registry; return the exit code."""
+    rows = LISTS[args.what]()
+    print(json.dumps(rows, indent=2) if args.json else markdown_table(rows))
+    return 0
+
+
+def markdown_table(rows: list[Row]) -> str:
+    """Return rows as a Markdown table with aligned columns."""
+    header = list(rows[0])
+    cells = [header, *([str(row[key]) for key in header] for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(header))]
+    lines = ["| " + " | ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + " |" for line in cells]
+    return "\n".join([lines[0], "|" + "|".join("-" * (w + 2) for w in widths) + "|", *lines[1:]])
+
+
+def _summary(entry: Any) -> str:
+    """First paragraph of the documentation, on one line."""
+    return " ".join((inspect.getdoc(entry) or "").split("\n\n")[0].split())
+
+
+def _shared(kind: type) -> str:
+    """What the class behind a kind says, where several kinds share one."""
+    parent = kind.__mro__[1]
+    return _summary(parent) if parent.__module__ != "dynahoi_lerobot.motions.base" else ""

@@ -1,0 +1,148 @@
+"""``dynahoi quickstart``: the whole loop on two CPU cores in minutes, through LeRobot's own commands.
+
+generate -> lerobot-train (ObAct) -> lerobot-eval -> baselines -> report. Each stage leaves a folder and is skipped if
+it is there, so a stopped quickstart goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from dynahoi_lerobot.cli import main as cli
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.report.page import render_report
+from dynahoi_lerobot.sampling.splits import SMALL_TEST
+
+IMAGE_SIZE = 64
+TRAINING_EPISODES = 264
+TRAINING_STEPS = 300
+BATCH_SIZE = 16
+EPISODES_PER_KIND = 2
+GIFS = 6
+BASELINES = ("intercept", "constant_velocity", "hold")
+
+
+class StageError(RuntimeError):
+    """A stage that failed; the message says which and where its output is."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi quickstart``."""
+    parser.add_argument("--out", type=Path, default=Path("outputs/quickstart"), help="folder for everything")
+    parser.add_argument("--episodes", type=int, default=TRAINING_EPISODES, help="training episodes to generate")
+    parser.add_argument("--steps", type=int, default=TRAINING_STEPS, help="training steps")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the stages that are not done yet; return the exit code."""
+    out = args.out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    start = time.monotonic()
+    stages: list[tuple[str, Path, Callable[[], None]]] = [
+        ("generate a dataset", out / "dataset", lambda: _generate(out, args.episodes)),
+        ("train ObAct with lerobot-train", _checkpoint(out), lambda: _train(out, args.steps)),
+        ("evaluate it with lerobot-eval", out / "results" / "obact", lambda: _evaluate(out)),
+        ("play the baselines", out / "results" / BASELINES[-1], lambda: _baselines(out)),
+    ]
+    try:
+        for number, (what, product, stage) in enumerate(stages, 1):
+            _announce(number, len(stages), what, start, done=product.exists())
+            if not product.exists():
+                stage()
+    except StageError as error:
+        print(f"dynahoi quickstart: {error}", file=sys.stderr)
+        return 1
+    _conclude(out, start)
+    return 0
+
+
+def _announce(number: int, count: int, what: str, start: float, *, done: bool) -> None:
+    state = "already done" if done else f"{time.monotonic() - start:.0f} s so far"
+    print(f"\n[{number}/{count}] {what} ({state})", flush=True)
+
+
+def _generate(out: Path, episodes: int) -> None:
+    words = ["--root", str(out / "dataset"), "--episodes", str(episodes), "--image-size", str(IMAGE_SIZE)]
+    if cli.main(["generate", *words, "--workers", str(os.cpu_count() or 1)]):
+        raise StageError("the dataset could not be generated; the sentence above says why")
+
+
+def _checkpoint(out: Path) -> Path:
+    return out / "training" / "checkpoints" / "last" / "pretrained_model"
+
+
+def _train(out: Path, steps: int) -> None:
+    _lerobot(
+        out,
+        "lerobot_train",
+        "--dataset.repo_id=dynahoi/quickstart",
+        f"--dataset.root={out / 'dataset'}",
+        "--policy.type=obact",
+        "--policy.device=cpu",
+        "--policy.push_to_hub=false",
+        f"--policy.image_size={IMAGE_SIZE}",
+        f"--output_dir={out / 'training'}",
+        f"--batch_size={BATCH_SIZE}",
+        f"--steps={steps}",
+        f"--save_freq={steps}",
+        "--log_freq=25",
+        "--num_workers=2",
+        "--env_eval_freq=0",
+    )
+
+
+def _evaluate(out: Path) -> None:
+    _lerobot(
+        out,
+        "lerobot_eval",
+        f"--policy.path={_checkpoint(out)}",
+        "--policy.device=cpu",
+        "--env.type=dynahoi",
+        f"--env.split={SMALL_TEST}",
+        f"--env.image_size={IMAGE_SIZE}",
+        f"--env.results_dir={out / 'results' / 'obact'}",
+        f"--eval.n_episodes={EPISODES_PER_KIND}",
+        f"--eval.batch_size={EPISODES_PER_KIND}",
+        "--seed=0",
+        f"--output_dir={out / 'lerobot_eval'}",
+    )
+
+
+def _baselines(out: Path) -> None:
+    """Play the same episodes with those who see the simulator's state, and keep some captures as GIFs."""
+    for name in BASELINES:
+        gifs = GIFS if name == "intercept" else 0
+        folder = str(out / "results" / name)
+        count = str(len(read_results(out / "results" / "obact").rows))
+        words = ["--policy", name, "--out", folder, "--episodes", count, "--gifs", str(gifs), "--image-size", "128"]
+        if cli.main(["evaluate", *words]):
+            raise StageError(f"the baseline {name!r} could not be played")
+
+
+def _conclude(out: Path, start: float) -> None:
+    folders = [out / "results" / name for name in ("obact", *BASELINES)]
+    page = render_report(folders, out / "report.html")
+    table = results_table([read_results(folder) for folder in folders])
+    (out / "table.txt").write_text(table + "\n")
+    print(f"\n{table}\n\nThis much training is only enough to show that everything runs.")
+    print(f"everything is in {out}\nopen {page}\n{time.monotonic() - start:.0f} s")
+
+
+def _lerobot(out: Path, script: str, *words: str) -> None:
+    """Run one of LeRobot's commands, unchanged, and keep its output."""
+    log = out / f"{script}.log"
+    command = [sys.executable, "-m", f"lerobot.scripts.{script}", *words]
+    print(f"{script.replace('_', '-')} {' '.join(words)}\noutput: {log}", flush=True)
+    # one compute thread beside those that decode: more fight over two cores and take several times as long
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with log.open("w") as stream:
+        code = subprocess.run(command, stdout=stream, stderr=subprocess.STDOUT, env=environment, check=False).returncode
+    if code:
+        raise StageError(f"{script.replace('_', '-')} ended with code {code}; see {log}")

@@ -1,0 +1,5 @@
+"""Episodes on disk as LeRobotDataset v3.0: writing, reading, merging and subsets, without a simulator."""
+
+from dynahoi_lerobot.dataset.episodes import open_dataset, read_episodes, write_episodes
+
+__all__ = ["open_dataset", "read_episodes", "write_episodes"]

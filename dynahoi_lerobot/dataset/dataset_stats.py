@@ -1,0 +1,99 @@
+"""The statistics of a whole dataset, from its episode rows and one reading of its numeric columns."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, content_keys, numeric_keys, picture_keys
+from dynahoi_lerobot.dataset.episode_table import Row, row_histogram, row_stats
+from dynahoi_lerobot.dataset.histograms import histograms
+from dynahoi_lerobot.dataset.quantiles import exact_quantiles, weighted_quantiles
+from dynahoi_lerobot.dataset.statistics import LEVELS, Moments, Stats, picture_stats
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+
+
+class DatasetStats:
+    """Collects episode rows, then computes ``stats.json`` and ``histograms.json``.
+
+    Means and spreads come from the rows in their order, quantiles from the data files; neither depends on how the
+    frames are divided into files.
+    """
+
+    def __init__(self, features: Features) -> None:
+        """Start with no episode of these features."""
+        self.features = features
+        self._moments = {key: Moments() for key in numeric_keys(features)}
+        self._task_frames: Counter[int] = Counter()
+        self._lengths: list[int] = []
+        self._pictures = Counter[str]()
+        self._histograms = {key: np.zeros((3, LEVELS), np.int64) for key in picture_keys(features)}
+
+    def add(self, row: Row) -> None:
+        """Add one episode's row, with its statistics."""
+        for key, moments in self._moments.items():
+            moments.add(row_stats(row, key))
+        for key in self._histograms:
+            self._histograms[key] += row_histogram(row, key)
+            self._pictures[key] += row[f"stats/{key}/count"][0]
+        self._task_frames[int(row["stats/task_index/min"][0])] += row["length"]
+        self._lengths.append(row["length"])
+
+    def stats(self, root: Path) -> dict[str, Stats]:
+        """Return the statistics by key; the data files below ``root`` are read for the quantiles."""
+        quantiles = self._content_quantiles(root) | self._bookkeeping_quantiles()
+        pictures = {key: picture_stats(counts, self._pictures[key]) for key, counts in self._histograms.items()}
+        return pictures | {key: moments.stats(quantiles[key]) for key, moments in self._moments.items()}
+
+    def histograms(self, root: Path, stats: dict[str, Stats]) -> dict[str, Any]:
+        """Return the histograms of state and action, in the ranges of ``stats``."""
+        return histograms(lambda key: numeric_batches(root, [key]), self.features, stats)
+
+    def _content_quantiles(self, root: Path) -> dict[str, Stats]:
+        keys = content_keys(self.features)
+        edges = np.cumsum([0, *(self.features[key]["shape"][0] for key in keys)])
+        wide = exact_quantiles(lambda: numeric_batches(root, keys))
+        return {
+            key: {name: value[start:stop].astype(np.float64) for name, value in wide.items()}
+            for key, start, stop in zip(keys, edges[:-1], edges[1:], strict=True)
+        }
+
+    def _bookkeeping_quantiles(self) -> dict[str, Stats]:
+        """Find the quantiles of LeRobot's own columns from lengths alone: they are known without reading them."""
+        lengths, tasks = np.array(self._lengths), sorted(self._task_frames)
+        frame_index, total = np.arange(lengths.max()), int(lengths.sum())
+        present = len(lengths) - np.cumsum(np.bincount(lengths))[:-1]  # episodes that reach each frame index
+        weights = {
+            "timestamp": ((frame_index / CONTROL_HZ).astype(np.float32), present),
+            "frame_index": (frame_index, present),
+            "episode_index": (np.arange(len(lengths)), lengths),
+            "index": (np.arange(total), np.ones(total, np.int64)),
+            "task_index": (np.array(tasks), np.array([self._task_frames[task] for task in tasks])),
+        }
+        return {
+            key: {name: np.array([value]) for name, value in weighted_quantiles(*weights[key]).items()}
+            for key in BOOKKEEPING
+        }
+
+
+def numeric_batches(root: Path, keys: list[str]) -> Iterator[np.ndarray]:
+    """Yield the given columns of each data file side by side, (n, D) float32."""
+    for path in sorted((root / "data").glob("*/*.parquet")):
+        table = pq.read_table(path, columns=keys)
+        columns = [column_array(table, key) for key in keys]
+        yield np.concatenate(columns, axis=1, dtype=np.float32, casting="unsafe")
+
+
+def column_array(table: pa.Table, key: str) -> np.ndarray:
+    """Return a numeric column as (n, D)."""
+    column = table[key].combine_chunks()
+    width = 1
+    if pa.types.is_fixed_size_list(column.type):
+        width, column = column.type.list_size, column.flatten()
+    return column.to_numpy(zero_copy_only=False).reshape(-1, width)  # (n, D)

@@ -1,0 +1,70 @@
+"""Merge datasets of ours into one: videos are linked, tables renumbered; no picture is read."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
+from dynahoi_lerobot.dataset.episode_table import Row
+from dynahoi_lerobot.dataset.files import link, temporary_sibling
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.paths import Layout
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.features import CAMERA_KEY
+
+
+def merge(
+    sources: Sequence[Path],
+    root: Path,
+    *,
+    layout: Layout | None = None,
+    provenance: dict[str, Any] | None = None,
+) -> Manifest:
+    """Merge datasets, in the given order, into a new one; ``root`` appears when it is whole.
+
+    Args:
+        sources: folders of datasets written by this project.
+        root: a path that does not exist yet.
+        layout: file size limits.
+        provenance: what the manifest shall say about the dataset's origin.
+
+    Raises:
+        FileExistsError: if ``root`` exists.
+        ValueError: if the datasets' features differ, or there are none.
+    """
+    if root.exists():
+        raise FileExistsError(f"{root} exists; choose a new folder for the merged dataset")
+    stores = [Store(source) for source in sources]
+    if not stores:
+        raise ValueError("there is nothing to merge; name one dataset or more")
+    for store in stores[1:]:
+        if store.features != stores[0].features:
+            raise ValueError(f"{store.root} has other features than {stores[0].root}; merge like with like")
+    yields: Counter[str] = Counter()
+    with temporary_sibling(root) as folder:
+        assembly = Assembly(folder, stores[0], layout or Layout())
+        for store in stores:
+            manifest = Manifest.read(store.root)
+            _append(assembly, store, manifest)
+            yields.update(manifest.yields)
+        return assembly.finish(provenance or {}, dict(yields))
+
+
+def _append(assembly: Assembly, store: Store, manifest: Manifest) -> None:
+    places: dict[Path, Row] = {}
+    """By the video file of the hand's camera; those of other views are divided alike."""
+    for row, table in stored_episodes(store):
+        place: Row = {}
+        if store.has_video:
+            first = store.video_path(row, CAMERA_KEY)
+            if first not in places:
+                for key, target in assembly.next_videos().items():
+                    source = store.video_path(row, key)
+                    link(source, target)
+                    assembly.believe(target, manifest.files[source.relative_to(store.root).as_posix()])
+                places[first] = assembly.video_place()
+            place = places[first]
+        assembly.add(row | place, table)

@@ -1,0 +1,149 @@
+"""Store: a dataset on disk, read without LeRobot."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from PIL import Image
+
+from dynahoi_lerobot.dataset.columns import Features, picture_keys
+from dynahoi_lerobot.dataset.dataset_stats import column_array
+from dynahoi_lerobot.dataset.episode_table import META_COLUMNS, TRACES, Row
+from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
+from dynahoi_lerobot.dataset.tables import read_tasks
+from dynahoi_lerobot.dataset.video import decode
+from dynahoi_lerobot.episode import Episode, EpisodeMeta
+from dynahoi_lerobot.features import CAMERA_KEY, PICTURE_PREFIX, TOUCH
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+
+
+class Store:
+    """Lazy access to a dataset's tables and frames."""
+
+    def __init__(self, root: Path) -> None:
+        """Look at the dataset below ``root``.
+
+        Raises:
+            FileNotFoundError: if there is none.
+        """
+        self.root = root
+        if not (root / INFO_PATH).is_file():
+            raise FileNotFoundError(f"{root} holds no LeRobot dataset: {INFO_PATH} is missing")
+
+    @cached_property
+    def info(self) -> dict[str, Any]:
+        """The content of ``info.json``."""
+        return json.loads((self.root / INFO_PATH).read_text())
+
+    @property
+    def features(self) -> Features:
+        """The feature table."""
+        return self.info["features"]
+
+    @property
+    def pictures(self) -> list[str]:
+        """The keys of all pictures, the hand's camera first."""
+        return picture_keys(self.features)
+
+    @property
+    def has_video(self) -> bool:
+        """Whether pictures are stored as video."""
+        return self.features.get(CAMERA_KEY, {}).get("dtype") == "video"
+
+    @cached_property
+    def tasks(self) -> list[str]:
+        """The instructions, by task index."""
+        return read_tasks(self.root / TASKS_PATH)
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The episode table without its statistics, one dictionary per episode."""
+        wanted = {f"stats/{name}" for name in TRACES}
+        tables = []
+        for path in self.row_files():
+            names = pq.read_schema(path).names
+            columns = [name for name in names if name in wanted or not name.startswith("stats/")]
+            tables.append(pq.read_table(path, columns=columns))
+        return pa.concat_tables(tables).to_pylist()
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes in the episode table."""
+        return len(self.rows)
+
+    def row_files(self) -> list[Path]:
+        """Return the files of the episode table, in order."""
+        return sorted((self.root / "meta/episodes").glob("*/*.parquet"))
+
+    def data_files(self) -> list[Path]:
+        """Return the files of the frame table, in order."""
+        return sorted((self.root / "data").glob("*/*.parquet"))
+
+    def full_rows(self) -> Iterator[Row]:
+        """Yield the rows of the episode table with their statistics."""
+        for path in self.row_files():
+            yield from pq.read_table(path).to_pylist()
+
+    def data_path(self, row: Row) -> Path:
+        """Return the file that holds the episode's rows."""
+        place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
+        return self.root / DATA_PATH.format(**place)
+
+    def video_path(self, row: Row, key: str) -> Path:
+        """Return the file that holds the episode's pictures of a view."""
+        place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
+        return self.root / VIDEO_PATH.format(video_key=key, **place)
+
+    def frames(self, row: Row) -> pa.Table:
+        """Return the episode's rows of the frame table."""
+        return pq.read_table(self.data_path(row), filters=[("episode_index", "=", row["episode_index"])])
+
+    def images(self, row: Row, table: pa.Table, key: str) -> np.ndarray:
+        """Return the episode's pictures of a view, (T, H, W, 3) uint8 RGB."""
+        if not self.has_video:
+            cells = table[key].to_pylist()
+            return np.stack([np.asarray(Image.open(io.BytesIO(cell["bytes"]))) for cell in cells])
+        start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+        return np.stack(list(decode(self.video_path(row, key), start, start + row["length"])))
+
+    def episode(self, index: int, *, images: bool = True) -> Episode:
+        """Return one episode.
+
+        Raises:
+            IndexError: if there is no such episode.
+        """
+        if not 0 <= index < self.episodes:
+            raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
+        row = self.rows[index]
+        table = self.frames(row)
+        keys = self.pictures if images else []
+        views = {key.removeprefix(PICTURE_PREFIX): self.images(row, table, key) for key in keys}
+        flat = {name: np.array(row[f"stats/{name}"], np.float32) for name in TRACES}
+        return Episode(
+            meta=EpisodeMeta(**{name: row[name] for name in META_COLUMNS}),
+            images=views.pop("ego", None),
+            state=column_array(table, "observation.state"),
+            fingertips=column_array(table, "observation.fingertips"),
+            phase=column_array(table, "observation.phase"),
+            action=column_array(table, "action"),
+            target_pose=column_array(table, "target.pose"),
+            target_velocity=column_array(table, "target.velocity"),
+            target_contacts=column_array(table, "target.contacts"),
+            localized=column_array(table, "localized")[:, 0],
+            captured=column_array(table, "captured")[:, 0],
+            intercept_position=column_array(table, "intercept.position")[0],
+            intercept_time=float(column_array(table, "intercept.time")[0, 0]),
+            success=row["success"],
+            stage=row["stage"],
+            touch=column_array(table, TOUCH.key) if TOUCH.key in table.column_names else None,
+            views=views,
+            **flat,
+        )

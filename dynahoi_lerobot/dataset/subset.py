@@ -1,0 +1,123 @@
+"""Copy some episodes of a dataset: packets are copied, nothing is decoded or encoded.
+
+LeRobot's own tools re-encode a video file that loses an episode, and drop the per-episode columns.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection
+from fractions import Fraction
+from pathlib import Path
+from typing import cast
+
+import av
+from av.video.stream import VideoStream
+
+from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
+from dynahoi_lerobot.dataset.episode_table import Row, video_columns
+from dynahoi_lerobot.dataset.files import temporary_sibling
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.paths import Layout
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+
+
+def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest:
+    """Copy the named episodes, in their order, to a new dataset; ``output`` appears when it is whole.
+
+    Args:
+        root: a dataset written by this project.
+        output: a path that does not exist yet.
+        episodes: indices of the episodes to keep.
+
+    Raises:
+        FileExistsError: if ``output`` exists.
+        ValueError: if no episode is kept, or one does not exist.
+    """
+    store, kept = Store(root), set(episodes)
+    if output.exists():
+        raise FileExistsError(f"{output} exists; choose a new folder")
+    if not kept:
+        raise ValueError("no episode is kept; a dataset holds one or more")
+    if unknown := sorted(kept - set(range(store.episodes))):
+        raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
+    with temporary_sibling(output) as folder:
+        assembly = Assembly(folder, store, Layout())
+        cutter = _Cutter(assembly, store)
+        for index, (row, table) in enumerate(stored_episodes(store)):
+            if index in kept:
+                place = cutter.cut(row) if store.has_video else {}
+                assembly.add(row | place, table)
+        cutter.close()
+        provenance = Manifest.read(root).provenance
+        return assembly.finish(provenance | {"kept": sorted(kept)}, {})
+
+
+class _Cutter:
+    """Copies episodes' packets; every set of source files with kept episodes gives one set of files.
+
+    An episode begins with a key frame and no codec here reorders frames, so its packets stand alone.
+    """
+
+    def __init__(self, assembly: Assembly, store: Store) -> None:
+        self._assembly, self._store = assembly, store
+        self._sources: dict[str, Path] = {}
+        self._copies: dict[str, _Copy] = {}
+
+    def cut(self, row: Row) -> Row:
+        """Copy one episode's packets; return the columns that say where they went."""
+        sources = {key: self._store.video_path(row, key) for key in self._store.pictures}
+        if sources != self._sources:
+            self.close()
+            targets = self._assembly.next_videos()
+            self._copies = {key: _Copy(source, targets[key]) for key, source in sources.items()}
+            self._sources = sources
+        times: Row = {}
+        for key, copy in self._copies.items():
+            start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+            begin, end = copy.frames(start, row["length"])
+            seconds = {"from_timestamp": begin / CONTROL_HZ, "to_timestamp": end / CONTROL_HZ}
+            times |= video_columns([key], seconds)
+        return self._assembly.video_place() | times
+
+    def close(self) -> None:
+        """Finish the current files."""
+        for copy in self._copies.values():
+            copy.close()
+
+
+class _Copy:
+    """A video file that takes over some of the frames of another."""
+
+    def __init__(self, source: Path, target: Path) -> None:
+        self._source = source
+        stream = (container := av.open(str(source))).streams.video[0]
+        self._packets = (packet for packet in container.demux(stream) if packet.size)
+        self._output = av.open(str(target), "w", options={"fflags": "+bitexact"})
+        self._stream = cast(VideoStream, self._output.add_stream_from_template(stream, opaque=True))
+        self._stream.time_base = Fraction(1, CONTROL_HZ)
+        self._read = self._written = 0
+
+    def frames(self, start: int, count: int) -> tuple[int, int]:
+        """Copy ``count`` frames from the source's frame ``start`` on; return where they begin and end here.
+
+        Raises:
+            ValueError: if the source is shorter than that.
+        """
+        begin = self._written
+        for packet in itertools.islice(self._packets, start - self._read, start - self._read + count):
+            packet.stream = self._stream
+            packet.time_base = Fraction(1, CONTROL_HZ)
+            packet.pts = packet.dts = self._written
+            packet.duration = 1
+            self._output.mux(packet)
+            self._written += 1
+        if self._written - begin < count:
+            raise ValueError(f"{self._source} ends before frame {start + count}")
+        self._read = start + count
+        return begin, self._written
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._output.close()

@@ -1,0 +1,1 @@
+"""What every room uses: conventions, registries, rotations, command-line lists."""

@@ -1,0 +1,103 @@
+"""Stronger randomisation of appearance, each kind a switch of the recipe; it changes nothing but pictures.
+
+Every switch draws from a stream of its own, so an episode keeps its motion, its instruction and what the other switches
+drew. They answer to what the paper names as its first limitation, that scenes look alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dynahoi_lerobot.appearance import Distractor, Look, hsv
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.scene.scene import DISTRACTORS
+
+BEHIND_M = 0.35
+"""Distractors stand at least this far behind the farthest point of the target's path, so that they hide nothing."""
+STREAM = 0xA99EA
+
+
+def vary(spec: EpisodeSpec, switches: Sequence[str]) -> EpisodeSpec:
+    """Return the episode with another look: what each of ``switches`` draws for its seed."""
+    for number, (name, draw) in enumerate(SWITCHES.items()):
+        if name in switches:
+            rng = np.random.default_rng([STREAM, number, spec.seed])
+            spec = replace(spec, look=draw(spec, rng))
+    return spec
+
+
+def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+    """Any colour anywhere: pale targets, saturated walls, a hand of metal or plastic."""
+    return replace(
+        spec.look,
+        target_rgb=hsv(rng.random(), rng.uniform(0.0, 1.0), rng.uniform(0.25, 1.0)),
+        floor_rgb=hsv(rng.random(), rng.uniform(0.0, 0.9), rng.uniform(0.2, 1.0)),
+        wall_rgb=hsv(rng.random(), rng.uniform(0.0, 0.9), rng.uniform(0.2, 1.0)),
+        box_rgb=hsv(rng.random(), rng.uniform(0.0, 0.9), rng.uniform(0.2, 1.0)),
+        skin_rgb=hsv(rng.random(), rng.uniform(0.0, 0.6), rng.uniform(0.15, 1.0)),
+    )
+
+
+def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+    """Dim to glaring, warm to cold, from any side above."""
+    angle, slant = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 1.5)
+    return replace(
+        spec.look,
+        light_level=rng.uniform(0.15, 1.1),
+        light_rgb=hsv(rng.random(), rng.uniform(0.0, 0.35), 1.0),
+        light_dir=(float(slant * np.cos(angle)), float(slant * np.sin(angle)), -1.0),
+    )
+
+
+def _specular(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+    """Dull to polished surfaces."""
+    return replace(spec.look, gloss=rng.uniform(0.0, 0.9))
+
+
+def _transparency(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+    """Targets as clear as coloured glass, or solid."""
+    return replace(spec.look, target_alpha=rng.uniform(0.35, 1.0))
+
+
+def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+    """Up to four coloured things that stand or float behind the target's path and do not move."""
+    begin = max(float(spec.oracle_path[:, 0].max()), float(spec.home_pos_w[0])) + BEHIND_M
+    chosen = rng.permutation(list(DISTRACTORS))[: rng.integers(1, len(DISTRACTORS) + 1)]
+    things = [
+        Distractor(
+            shape=str(shape),
+            half_size=tuple(rng.uniform(0.03, 0.16, 3).tolist()),
+            pos_w=(
+                begin + rng.uniform(0.0, 1.5),
+                float(spec.home_pos_w[1]) + rng.uniform(-1.0, 1.0),
+                max(float(spec.home_pos_w[2]) + rng.uniform(-0.6, 0.5), 0.2),
+            ),
+            rgb=hsv(rng.random(), rng.uniform(0.6, 1.0), rng.uniform(0.6, 1.0)),
+        )
+        for shape in chosen
+    ]
+    return replace(spec.look, distractors=tuple(things))
+
+
+SWITCHES: dict[str, Callable[[EpisodeSpec, np.random.Generator], Look]] = {
+    "materials": _materials,
+    "lights": _lights,
+    "specular": _specular,
+    "transparency": _transparency,
+    "distractors": _distractors,
+}
+"""By the name it has in a recipe. The order decides the streams: append, do not insert."""
+
+
+def check_appearance(names: Sequence[str]) -> None:
+    """Refuse switches that do not exist.
+
+    Raises:
+        ValueError: naming the switch received and the ones there are.
+    """
+    for name in names:
+        if name not in SWITCHES:
+            raise ValueError(f"unknown appearance {name!r}; known: {', '.join(SWITCHES)}")

@@ -1,0 +1,67 @@
+"""What the camera of the waiting hand sees: what lies in its view and not behind the hand."""
+
+from __future__ import annotations
+
+import functools
+
+import mujoco
+import numpy as np
+
+from dynahoi_lerobot.scene.scene import compile_scene
+
+VIEW_MARGIN = 0.92
+"""Share of the half view that a point in sight may use."""
+NEAREST_M = 0.05
+SILHOUETTE_SIZE = 96
+"""Rays along each side of the view that measure how far away the hand is."""
+
+
+def in_sight(points: np.ndarray) -> np.ndarray:
+    """Tell which points the open hand's camera sees.
+
+    Args:
+        points: (..., 3) relative to the palm centre [m], world axes.
+
+    Returns:
+        (...) bool.
+    """
+    pos, rotation, half = _camera()
+    local = (points - pos) @ rotation  # x right, y up, z backwards
+    depth = np.maximum(-local[..., 2], NEAREST_M)
+    plane = local[..., :2] / (half * depth[..., None])  # -1 to 1 across the view
+    in_view = (-local[..., 2] > NEAREST_M) & (np.abs(plane) < VIEW_MARGIN).all(axis=-1)
+    column, row = np.moveaxis(((np.clip(plane, -1, 1) + 1) / 2 * (SILHOUETTE_SIZE - 1)).round().astype(int), -1, 0)
+    return in_view & (np.linalg.norm(local, axis=-1) < _hand_distance()[row, column])
+
+
+def _camera() -> tuple[np.ndarray, np.ndarray, float]:
+    """Position (3,) in the palm's frame [m], rotation (3, 3) to that frame, and tangent of half the view."""
+    scene = compile_scene()
+    model, camera = scene.model, scene.camera
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.cam_quat[camera])
+    return model.cam_pos[camera], rotation.reshape(3, 3), float(np.tan(np.radians(model.cam_fovy[camera]) / 2))
+
+
+@functools.cache
+def _hand_distance() -> np.ndarray:
+    """(K, K) how far the open hand is from the camera [m], infinite beside it; rows upwards, columns rightwards."""
+    scene = compile_scene()
+    assert scene.hand is not None
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos[:3]] = (0.0, 0.0, 1.0)
+    data.qpos[scene.hand_qpos[3:]] = scene.hand.open_joints()
+    data.qpos[scene.target_qpos : scene.target_qpos + 3] = (0.0, 0.0, 100.0)  # out of the way
+    mujoco.mj_forward(scene.model, data)
+    _, rotation, half = _camera()
+    across = np.linspace(-half, half, SILHOUETTE_SIZE)
+    x, y = np.meshgrid(across, across)
+    rays = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ rotation.T  # (K * K, 3)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    geom, distance = np.zeros(len(rays), np.int32), np.zeros(len(rays))
+    mujoco.mj_multiRay(
+        scene.model, data, data.cam_xpos[scene.camera], rays.ravel(), None, True, -1, geom, distance, None,
+        len(rays), mujoco.mjMAXVAL,
+    )  # fmt: skip
+    hit = np.isin(geom, scene.hand_geoms) & (distance >= 0)
+    return np.where(hit, distance, np.inf).reshape(SILHOUETTE_SIZE, SILHOUETTE_SIZE)

@@ -1,0 +1,181 @@
+"""Writing one episode into one row of a batch: geometry, masses, fixtures, state and appearance."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from dynahoi_lerobot.appearance import Distractor, Look
+from dynahoi_lerobot.motions import Motion, PhysicalMotion
+from dynahoi_lerobot.motions.base import Box, Launch, Striker, Tether, yaw_quat
+from dynahoi_lerobot.objects import TargetObject
+from dynahoi_lerobot.scene.scene import CONTACT_RATE_RAD_S, HIDDEN_POS, Scene
+from dynahoi_lerobot.scene.target_drive import Drive
+
+HIDDEN_SIZE = (1e-4, 1e-4, 1e-4)
+FIELDS = (
+    "body_inertia",
+    "body_mass",
+    "body_pos",
+    "body_quat",
+    "dof_damping",
+    "eq_data",
+    "geom_contype",
+    "geom_friction",
+    "geom_matid",
+    "geom_pos",
+    "geom_quat",
+    "geom_rgba",
+    "geom_size",
+    "geom_solref",
+    "light_diffuse",
+    "light_dir",
+    "light_specular",
+)
+"""Model fields that differ between worlds."""
+
+
+class Rows:
+    """The per-world fields of a batch, by name, and how to fill them."""
+
+    def __init__(self, batch: Batch, scene: Scene) -> None:
+        """Expand the fields of ``batch``, which runs ``scene.model``."""
+        self._batch, self._scene = batch, scene
+        self.fields = {name: batch.expand(name) for name in FIELDS}
+        self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
+        self._mocap_pos, self._mocap_quat = batch.bind("mocap_pos"), batch.bind("mocap_quat")
+        self.eq_active = batch.bind("eq_active")
+        self._anchors = np.zeros((batch.nsim, 6))
+
+    def reset(self, ids: np.ndarray) -> None:
+        """Reset worlds without computing anything; the writes that follow need ``finish``."""
+        self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+
+    def finish(self, ids: np.ndarray) -> None:
+        """Recompute what depends on the written masses and positions, then the kinematics."""
+        self._batch.set_const(ids)
+        self.fields["eq_data"][ids, self._scene.tether_eq, :6] = self._anchors[ids]  # set_const moved the anchors
+        self._batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_POS.value)
+
+    def write_world(self, i: int, motion: Motion, target: TargetObject, drive: Drive, collides_with: int) -> None:
+        """Fill row ``i`` with a target about to move; the row must have been reset.
+
+        Args:
+            i: the world.
+            motion: how the target moves.
+            target: the object.
+            drive: where it starts.
+            collides_with: collision bits the target asks for.
+        """
+        launch = motion.launch(target) if isinstance(motion, PhysicalMotion) else Launch((0.0, 0.0, 0.0))
+        self._write_target(i, target, launch, collides_with)
+        for slot in range(len(self._scene.box_geoms)):
+            self._write_box(i, slot, launch.boxes[slot] if slot < len(launch.boxes) else None)
+        self._write_tether(i, launch.tether, np.asarray(launch.pos))
+        self._write_striker(i, launch.striker)
+        qpos, dof = self._scene.target_qpos, self._scene.target_dof
+        self.qpos[i, qpos : qpos + 3], self.qpos[i, qpos + 3 : qpos + 7] = drive.start_pos_w, launch.quat
+        self.qvel[i, dof : dof + 3] = drive.start_velocity_w
+        self.qvel[i, dof + 3 : dof + 6] = launch.spin
+        self.fields["dof_damping"][i, dof : dof + 3] = launch.drag_kg_s
+
+    def turn_target(self, i: int, yaw_rad: float, spin_rad_s: float) -> None:
+        """Give a prescribed target its initial turn about the vertical and its spin about its own axis."""
+        qpos, dof = self._scene.target_qpos, self._scene.target_dof
+        self.qpos[i, qpos + 3 : qpos + 7] = yaw_quat(yaw_rad)
+        self.qvel[i, dof + 5] = spin_rad_s
+
+    def place_side_camera(self, i: int, home_pos_w: np.ndarray) -> None:
+        """Put the side camera of world ``i`` beside the hand's home (3,) [m], world."""
+        self._mocap_pos[i, self._scene.side_mocap] = home_pos_w
+
+    def write_look(self, i: int, look: Look) -> None:
+        """Give row ``i`` its textures, colours and light."""
+        scene, rgba, matid = self._scene, self.fields["geom_rgba"], self.fields["geom_matid"]
+        painted = (
+            (scene.target_geoms, look.target_pattern + "_fine", look.target_rgb),
+            ([scene.floor_geom], look.floor_pattern + "_coarse", look.floor_rgb),
+            ([scene.backdrop_geom], look.wall_pattern + "_coarse", look.wall_rgb),
+            (scene.box_geoms, look.box_pattern + "_fine", look.box_rgb),
+        )
+        for geoms, material, rgb in painted:
+            for geom in geoms:
+                matid[i, geom] = scene.materials[material]
+                rgba[i, geom, :3] = rgb
+        rgba[i, scene.hand_geoms, :3] = look.skin_rgb
+        self.fields["light_dir"][i, 0] = np.asarray(look.light_dir) / np.linalg.norm(look.light_dir)
+        self.fields["light_diffuse"][i, 0] = look.light_level * np.asarray(look.light_rgb)
+        self.fields["light_specular"][i, 0] = look.gloss
+        shown = scene.target_geoms[rgba[i, scene.target_geoms, 3] > 0]
+        rgba[i, shown, 3] = look.target_alpha
+        self._write_distractors(i, look.distractors)
+
+    def _write_distractors(self, i: int, distractors: tuple[Distractor, ...]) -> None:
+        things = {thing.shape: thing for thing in distractors}
+        for shape, geom in self._scene.distractor_geoms.items():
+            thing = things.get(shape)
+            self.fields["geom_size"][i, geom] = HIDDEN_SIZE if thing is None else thing.half_size
+            self.fields["geom_pos"][i, geom] = HIDDEN_POS if thing is None else thing.pos_w
+            self.fields["geom_rgba"][i, geom] = (0.0,) * 4 if thing is None else (*thing.rgb, 1.0)
+
+    def free_target(self, i: int) -> None:
+        """Cut the tether of world ``i``."""
+        self.eq_active[i, self._scene.tether_eq] = 0
+        self.fields["geom_rgba"][i, self._scene.tether_geom, 3] = 0.0
+
+    def set_collisions(self, i: int, collides_with: int) -> None:
+        """Let the visible solids of the target in world ``i`` ask for these collision bits."""
+        geoms = self._scene.target_geoms
+        visible = self.fields["geom_rgba"][i, geoms, 3] > 0
+        self.fields["geom_contype"][i, geoms] = np.where(visible, collides_with, 0)
+
+    def _write_target(self, i: int, target: TargetObject, launch: Launch, collides_with: int) -> None:
+        fields, geoms = self.fields, self._scene.target_geoms
+        fields["geom_size"][i, geoms] = HIDDEN_SIZE
+        fields["geom_pos"][i, geoms] = 0.0
+        fields["geom_rgba"][i, geoms, 3] = 0.0
+        free = {shape: list(ids) for shape, ids in self._scene.slots.items()}
+        for primitive in target.primitives:
+            geom = free[primitive.shape].pop(0)
+            fields["geom_size"][i, geom] = primitive.half_size
+            fields["geom_pos"][i, geom], fields["geom_quat"][i, geom] = primitive.pos, primitive.quat
+            fields["geom_rgba"][i, geom, 3] = 1.0
+        fields["geom_friction"][i, geoms, 0] = target.friction if launch.friction is None else launch.friction
+        fields["geom_friction"][i, self._scene.hand_geoms, 0] = target.friction  # of two frictions the greater counts
+        fields["geom_solref"][i, geoms] = (
+            1 / (CONTACT_RATE_RAD_S * launch.damping_ratio),
+            launch.damping_ratio,
+        )
+        fields["body_mass"][i, self._scene.target_body] = target.mass_kg
+        fields["body_inertia"][i, self._scene.target_body] = target.inertia
+        self.set_collisions(i, collides_with)
+
+    def _write_box(self, i: int, slot: int, box: Box | None) -> None:
+        geom, mocap = self._scene.box_geoms[slot], self._scene.box_mocap[slot]
+        self._mocap_pos[i, mocap] = HIDDEN_POS if box is None else box.pos
+        self._mocap_quat[i, mocap] = (1.0, 0.0, 0.0, 0.0) if box is None else box.quat
+        self.fields["geom_size"][i, geom] = HIDDEN_SIZE if box is None else box.half_size
+        self.fields["geom_rgba"][i, geom, 3] = float(box is not None)
+
+    def _write_tether(self, i: int, tether: Tether | None, start: np.ndarray) -> None:
+        geom, eq = self._scene.tether_geom, self._scene.tether_eq
+        self.eq_active[i, eq] = tether is not None
+        self.fields["geom_rgba"][i, geom, 3] = float(tether is not None)
+        length = 0.0 if tether is None else float(np.linalg.norm(np.asarray(tether.anchor) - start))
+        self.fields["geom_pos"][i, geom], self.fields["geom_quat"][i, geom] = (0, 0, length / 2), (1, 0, 0, 0)
+        self.fields["geom_size"][i, geom, 1] = max(length / 2, 1e-4)
+        self._anchors[i] = np.zeros(6) if tether is None else (0.0, 0.0, length, *tether.anchor)
+
+    def _write_striker(self, i: int, striker: Striker | None) -> None:
+        body, geom = self._scene.striker_body, self._scene.striker_geom
+        self.fields["geom_rgba"][i, geom, 3] = float(striker is not None)
+        if striker is None:
+            self.fields["body_pos"][i, body] = HIDDEN_POS
+            return
+        velocity = np.asarray(striker.velocity)
+        yaw = float(np.arctan2(velocity[1], velocity[0]))
+        self.fields["body_pos"][i, body], self.fields["body_quat"][i, body] = striker.pos, yaw_quat(yaw)
+        self.fields["geom_size"][i, geom, 0] = striker.radius_m
+        self.fields["body_mass"][i, body] = striker.mass_kg
+        self.qvel[i, self._scene.striker_dof] = float(np.linalg.norm(velocity))

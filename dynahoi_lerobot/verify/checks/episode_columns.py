@@ -1,0 +1,46 @@
+"""What the episode table says about an episode is what its frames show."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+
+from dynahoi_lerobot.dataset.episode_table import Row
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
+
+
+@CHECKS.register("episode_columns")
+class EpisodeColumns(Check):
+    """Compares the per-episode columns with the frames."""
+
+    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+        """Yield contradictions."""
+        frames, window = len(columns["index"]), int((columns["observation.phase"] == 0).sum())
+        intercept = float(columns["intercept.time"][0, 0])
+        facts = (
+            ("length_frames is {}, the recording has {} frames", row["length_frames"], frames),
+            ("window_frames is {}, {} frames observe", row["window_frames"], window),
+            ("palm_distance has {} values for {} frames", len(row["stats/palm_distance"]), frames),
+            ("fingertip_distance has {} values for {} frames", len(row["stats/fingertip_distance"]), frames),
+            ("success is {}, only successes are stored ({})", row["success"], True),
+        )
+        problems = [sentence.format(said, found) for sentence, said, found in facts if said != found]
+        if abs(row["intercept_frame"] * CONTROL_DT - intercept) > 1e-4:
+            problems.append(f"intercept_frame is {row['intercept_frame']}, intercept.time is {intercept:.3f} s")
+        if row["attempts"] < 1:
+            problems.append(f"attempts is {row['attempts']}, it is 1 or more")
+        for key in ("intercept.position", "intercept.time"):
+            if np.ptp(columns[key], axis=0).any():
+                problems.append(f"{key} changes within the episode")
+        problems += _parameters(row["parameters"])
+        yield from (f"episode {row['episode_index']}: {problem}" for problem in problems)
+
+
+def _parameters(text: str) -> list[str]:
+    try:
+        return [] if isinstance(json.loads(text), dict) else [f"parameters is no JSON object: {text!r}"]
+    except ValueError:
+        return [f"parameters is no JSON: {text!r}"]

@@ -1,0 +1,60 @@
+"""The statistics are those of the data."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from dynahoi_lerobot.dataset.dataset_stats import DatasetStats
+from dynahoi_lerobot.dataset.episode_table import Row, row_histogram, row_stats
+from dynahoi_lerobot.dataset.paths import HISTOGRAMS_PATH, STATS_PATH
+from dynahoi_lerobot.dataset.statistics import NAMES, Stats, picture_stats, sampled_frames, table_stats
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
+
+ROUNDING = 1e-9
+"""Relative difference that another order of summation may make."""
+
+
+@CHECKS.register("statistics")
+class Statistics(Check):
+    """Computes every statistic again, of each episode and of the dataset."""
+
+    def dataset(self, evidence: Evidence) -> Iterator[str]:
+        """Yield statistics of the whole dataset that differ."""
+        told = json.loads((evidence.root / STATS_PATH).read_text())
+        summary = DatasetStats(evidence.features)
+        for row in evidence.stats_rows:
+            summary.add(row)
+        found = summary.stats(evidence.root)
+        for key in sorted(found.keys() | told.keys()):
+            yield from _differences(f"{STATS_PATH}: {key}", told.get(key, {}), found.get(key, {}))
+        if json.loads((evidence.root / HISTOGRAMS_PATH).read_text()) != summary.histograms(evidence.root, found):
+            yield f"{HISTOGRAMS_PATH} does not count the dataset's states and actions"
+
+    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+        """Yield statistics in the episode table that differ."""
+        for key in evidence.pictures:
+            found = picture_stats(row_histogram(row, key), len(sampled_frames(row["length"])))
+            yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), found)
+        for key, stats in table_stats(dict(columns)).items():
+            yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), stats)
+
+
+def _differences(where: str, told: dict[str, Any], found: Stats) -> Iterator[str]:
+    for name in NAMES:
+        if name not in told or name not in found:
+            yield f"{where}/{name} is missing"
+            return
+        one, other = np.asarray(told[name], float), np.asarray(found[name], float)
+        if one.shape != other.shape or not np.allclose(one, other, ROUNDING, ROUNDING, equal_nan=False):
+            yield f"{where}/{name} is {_short(one)}; the data give {_short(other)}"
+            return
+
+
+def _short(values: np.ndarray) -> str:
+    flat = values.reshape(-1)
+    text = ", ".join(f"{value:.6g}" for value in flat[:3])
+    return f"[{text}{', ...' if flat.size > 3 else ''}]"

@@ -1,0 +1,75 @@
+"""Every video file holds exactly its episodes' frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import av
+from av.error import FFmpegError
+
+from dynahoi_lerobot.dataset.episode_table import Row
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Evidence
+
+
+@CHECKS.register("videos")
+class Videos(Check):
+    """Reads every packet of every video, without decoding: counts, times, key frames, size, rate and codec."""
+
+    def dataset(self, evidence: Evidence) -> Iterator[str]:
+        """Yield what is wrong with each file."""
+        if not evidence.has_video:
+            return
+        for key in evidence.pictures:
+            yield from _view(evidence, key)
+
+
+def _view(evidence: Evidence, key: str) -> Iterator[str]:
+    """Yield what is wrong with the files of one view."""
+    files: dict[Path, list[Row]] = {}
+    for row in evidence.rows:
+        files.setdefault(evidence.video_path(row, key), []).append(row)
+    for path, rows in files.items():
+        name = path.relative_to(evidence.root)
+        yield from (f"{name} {problem}" for problem in _ranges(rows, key))
+        try:
+            yield from (f"{name} {problem}" for problem in _stream(path, rows, evidence.features[key], key))
+        except (OSError, FFmpegError, IndexError) as error:
+            yield f"{name} cannot be read as a video: {error}"
+
+
+def _ranges(rows: list[Row], key: str) -> Iterator[str]:
+    """Yield gaps and overlaps between the episodes of one file."""
+    start = 0
+    for row in rows:
+        found = [row[f"videos/{key}/{end}_timestamp"] for end in ("from", "to")]
+        wanted = [start / CONTROL_HZ, (start + row["length"]) / CONTROL_HZ]
+        if found != wanted:
+            yield (
+                f"is said to hold episode {row['episode_index']} from {found[0]:.2f} to {found[1]:.2f} s; its place is "
+                f"{wanted[0]:.2f} to {wanted[1]:.2f} s"
+            )
+        start += row["length"]
+
+
+def _stream(path: Path, rows: list[Row], feature: dict[str, Any], key: str) -> Iterator[str]:
+    wanted = sum(row["length"] for row in rows)
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        found = (stream.height, stream.width, stream.codec_context.codec.canonical_name, stream.average_rate)
+        expected = (*feature["shape"][:2], feature["info"]["video.codec"], CONTROL_HZ)
+        if found != expected:
+            yield f"has (height, width, codec, rate) {found}; info.json and the clock say {expected}"
+        packets = [packet for packet in container.demux(stream) if packet.size]
+        if len(packets) != wanted:
+            yield f"holds {len(packets)} frames; its episodes have {wanted}"
+            return
+        times = sorted(float((packet.pts or 0) * packet.time_base) for packet in packets)
+        if any(abs(time - number / CONTROL_HZ) > 1e-6 for number, time in enumerate(times)):
+            yield f"has frames that are not 1/{CONTROL_HZ} s apart"
+        starts = {round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ) for row in rows}
+        keys = {number for number, packet in enumerate(packets) if packet.is_keyframe}
+        if starts - keys:
+            yield f"has no key frame at frame {min(starts - keys)}, where an episode begins"
