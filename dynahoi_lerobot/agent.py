@@ -24,7 +24,7 @@ class Observation(Pictured):
         fingertips: (N, 30) float32, 5 x (position [m], rotation vector [rad]), world.
         phase: (N, 1) float32, 0 observing, 1 acting.
         tasks: N instructions.
-        touch: (N, 5) float32 force on each finger [N], None unless the capture rule feels.
+        touch: (N, 5) float32 force on each finger [N], None unless the capture rule uses_contact_sensors.
         views: further pictures by name, (N, H, W, 3) uint8 each; see `views.py`.
     """
 

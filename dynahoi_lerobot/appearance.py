@@ -58,7 +58,7 @@ class Distractor:
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """What one episode looks like.
 
     Attributes:
@@ -89,7 +89,7 @@ class Look:
     distractors: tuple[Distractor, ...] = ()
 
     @classmethod
-    def sample(cls, rng: np.random.Generator) -> Look:
+    def sample(cls, rng: np.random.Generator) -> Appearance:
         """Draw patterns, tints and light: saturated targets in front of paler surroundings."""
         patterns = rng.choice(list(PATTERNS), size=4)
         hue = rng.random()

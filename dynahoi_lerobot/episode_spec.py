@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynahoi_lerobot.appearance import Look
+from dynahoi_lerobot.appearance import Appearance
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
@@ -23,7 +23,7 @@ class EpisodeSpec:
         split: its seed stream.
         motion: the target's motion with its parameters.
         target: the object.
-        look: textures, colours, light.
+        appearance: textures, colours, light.
         task: the instruction.
         protocol: ``observe_before_act`` or ``direct_act``.
         hand: the embodiment.
@@ -42,7 +42,7 @@ class EpisodeSpec:
     split: str
     motion: Motion
     target: TargetObject
-    look: Look
+    appearance: Appearance
     task: str
     protocol: str
     hand: str

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS, HAND_DOF
+from dynahoi_lerobot.foundation.conventions import FINGERS, HAND_DOF, HAND_NAMES
 
-PALM_AXES = ("palm_x", "palm_y", "palm_z")
-JOINT_NAMES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("base", "middle", "tip"))
-HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)
 FINGERTIP_NAMES = tuple(
     f"{finger}_{part}" for finger in FINGERS for part in ("x", "y", "z", "rotvec_x", "rotvec_y", "rotvec_z")
 )
@@ -32,7 +29,7 @@ class Feature:
 STATE = Feature("observation.state", (HAND_DOF,), "float32", HAND_NAMES, "m, rad")
 FINGERTIPS = Feature("observation.fingertips", (6 * len(FINGERS),), "float32", FINGERTIP_NAMES, "m, rad")
 TOUCH = Feature("observation.touch", (len(FINGERS),), "float32", FINGERS, "N")
-"""Only where the capture rule feels."""
+"""Only where the capture rule uses_contact_sensors."""
 PHASE = Feature("observation.phase", (1,), "float32", ("phase",), "0 observing, 1 acting")
 ACTION = Feature("action", (HAND_DOF,), "float32", HAND_NAMES, "m, rad")
 PICTURE_PREFIX = "observation.images."
@@ -55,7 +52,6 @@ __all__ = [
     "ACTION",
     "CAMERA_KEY",
     "FINGERTIPS",
-    "FINGER_DOF",
     "OBSERVATIONS",
     "PHASE",
     "PICTURE_PREFIX",
@@ -78,7 +74,7 @@ def columns(image_size: int | None, views: Sequence[str] = (), *, touch: bool = 
     Args:
         image_size: side of the pictures [pixels]; None leaves all of them out.
         views: pictures besides the hand's camera.
-        touch: whether the capture rule feels.
+        touch: whether the capture rule uses_contact_sensors.
     """
     pictures = () if image_size is None else tuple(picture_feature(image_size, view) for view in ("ego", *views))
     return (*pictures, *OBSERVATIONS, *((TOUCH,) if touch else ()), ACTION, *PRIVILEGED)

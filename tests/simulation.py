@@ -13,7 +13,7 @@ from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.scene import ENVIRONMENT, compile_scene
 from dynahoi_lerobot.scene.target_drive import drive_for
-from dynahoi_lerobot.scene.world_fields import Rows
+from dynahoi_lerobot.scene.world_fields import WorldFields
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def simulate(motion: Motion, target: TargetObject, seconds: float) -> Track:
     """Let ``target`` perform ``motion`` with nobody near."""
     scene = compile_scene(None)
     batch = Batch(scene.model, nsim=1, nthread=1)
-    rows, one = Rows(batch, scene), np.array([0])
+    rows, one = WorldFields(batch, scene), np.array([0])
     frames = int(np.ceil(seconds * 20))
     drive = drive_for(motion, target, frames)
     rows.reset(one)

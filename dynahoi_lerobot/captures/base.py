@@ -63,7 +63,7 @@ class CaptureRule(ABC):
     """Who demonstrates under this rule, unless a recipe says otherwise."""
     hand: ClassVar[str]
     """The embodiment that plays under it, likewise."""
-    feels: ClassVar[bool] = False
+    uses_contact_sensors: ClassVar[bool] = False
     """Whether it needs to know what touches the target."""
     hold_frames: ClassVar[int] = 0
     """Frames that every episode has left after the intercept, at least."""

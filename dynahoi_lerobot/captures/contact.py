@@ -33,7 +33,7 @@ class Contact(CaptureRule):
     name = "contact"
     expert = "match"
     hand = "opposed"
-    feels = True
+    uses_contact_sensors = True
     hold_frames = 32
     settle_frames = 40
 

@@ -100,7 +100,7 @@ class DynahoiVectorEnv(VectorEnv):
         self._images, self._threads, self._on_episode = images, threads, on_episode
         self._batch = make_batch(self.recipe, num_envs, threads)
         self.single_observation_space = observation_space(
-            image_size if images else None, self.recipe.views, touch=self._batch.rule.feels
+            image_size if images else None, self.recipe.views, touch=self._batch.rule.uses_contact_sensors
         )
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

@@ -38,7 +38,7 @@ class Reach:
     closed_joints: np.ndarray
 
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
-        """Return (18,) the command of ``frame``, as a ``Plan`` does.
+        """Return (18,) the command of ``frame``, as a ``MotionPlan`` does.
 
         A hand that strayed goes straight on from where it is, at the speed that still arrives in time; so what it
         does depends on where it is and where it must be, and on nothing that an observer cannot see.

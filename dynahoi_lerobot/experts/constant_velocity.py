@@ -7,8 +7,7 @@ import numpy as np
 from dynahoi_lerobot.agent import Expert, WorldState
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import CLOSING_FRAMES, EXPERTS, reference_grasp
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
-from dynahoi_lerobot.sampling.timing import HAND_SPEED_M_S
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, HAND_SPEED_M_S, PALM_DOF
 
 HORIZON_FRAMES = 60
 

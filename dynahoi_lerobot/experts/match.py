@@ -51,7 +51,7 @@ class Catch:
     contact_frame: int
 
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
-        """Return (18,) the command of ``frame``, as a ``Plan`` does.
+        """Return (18,) the command of ``frame``, as a ``MotionPlan`` does.
 
         A hand that strayed before contact comes back little by little, just in time: see ``Reach``.
         """

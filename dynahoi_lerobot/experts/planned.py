@@ -12,7 +12,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 
 
-class Plan(Protocol):
+class MotionPlan(Protocol):
     """What a hand is going to do in one attempt."""
 
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
@@ -30,10 +30,10 @@ class PlannedExpert(Expert):
 
     def __init__(self) -> None:
         """Start with no plans."""
-        self._plans: dict[int, tuple[EpisodeSpec, int, Plan]] = {}
+        self._plans: dict[int, tuple[EpisodeSpec, int, MotionPlan]] = {}
 
     @abstractmethod
-    def plan(self, spec: EpisodeSpec, attempt: int) -> Plan:
+    def plan(self, spec: EpisodeSpec, attempt: int) -> MotionPlan:
         """Return the plan of the ``attempt``-th try (from 1)."""
 
     def act(self, world: WorldState) -> np.ndarray:
@@ -45,7 +45,7 @@ class PlannedExpert(Expert):
                 commands[i] = self._current(i, spec, int(world.attempt[i])).command(int(world.frame[i]), state)
         return commands
 
-    def _current(self, i: int, spec: EpisodeSpec, attempt: int) -> Plan:
+    def _current(self, i: int, spec: EpisodeSpec, attempt: int) -> MotionPlan:
         known = self._plans.get(i)
         if known is None or known[0] is not spec or known[1] != attempt:
             known = self._plans[i] = spec, attempt, self.plan(spec, attempt)

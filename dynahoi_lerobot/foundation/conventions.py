@@ -39,6 +39,14 @@ FINGER_DOF = len(FINGERS) * JOINTS_PER_FINGER
 HAND_DOF = PALM_DOF + FINGER_DOF
 """3 palm translations and 15 flexion joints (Section 3.1)."""
 
+PALM_AXES = ("palm_x", "palm_y", "palm_z")
+JOINT_NAMES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("base", "middle", "tip"))
+HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)
+"""Degrees of freedom by name, in the order of actions, states and actuators."""
+
+HAND_SPEED_M_S = 0.3
+"""The hand speed for which the intercept is the earliest reachable one [m/s]."""
+
 WINDOW_FRACTION = 0.2
 MIN_WINDOW_FRAMES = 8
 """The observation window is the first 20 % of the frames, at least this many."""

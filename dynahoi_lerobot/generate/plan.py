@@ -114,7 +114,7 @@ class Plan:
     @property
     def touch(self) -> bool:
         """Whether the recipe's capture rule records the fingers' forces."""
-        return CAPTURES[self.recipe.capture].feels
+        return CAPTURES[self.recipe.capture].uses_contact_sensors
 
     @property
     def shards(self) -> int:

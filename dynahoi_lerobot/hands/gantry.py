@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.features import PALM_AXES
+from dynahoi_lerobot.foundation.conventions import PALM_AXES
 from dynahoi_lerobot.hands.base import EGO_CAMERA, PALM_BODY, PALM_SITE, camera_quat
 
 PALM_MASS_KG = 0.8

@@ -14,8 +14,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.features import JOINT_NAMES
-from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS
+from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS, JOINT_NAMES
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
 from dynahoi_lerobot.hands.closing import close_around
 from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to

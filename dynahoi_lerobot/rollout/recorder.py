@@ -127,7 +127,7 @@ class WorldRecorder:
             reference_joints=track.reference_joints.astype(np.float32),
             success=rule.success(track),
             stage=rule.stage(track),
-            touch=touch.astype(np.float32) if rule.feels else None,
+            touch=touch.astype(np.float32) if rule.uses_contact_sensors else None,
             views=views,
             **floats,
         )

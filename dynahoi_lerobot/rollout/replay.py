@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import draccus
@@ -12,7 +13,9 @@ from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.rollout.loop import Job, make_batch, play
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
-from dynahoi_lerobot.verify.resimulation import Resimulate
+
+Resimulate = Callable[[EpisodeMeta, np.ndarray], tuple[np.ndarray, dict[str, np.ndarray]]]
+"""Plays (T, 18) actions in the episode's world; returns (T, 18) states and (T, H, W, 3) pictures by view."""
 
 
 class Player(Agent):

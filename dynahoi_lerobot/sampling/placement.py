@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
-from dynahoi_lerobot.sampling.timing import HAND_SPEED_M_S, MIN_APPROACH_FRAMES, Timing
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S
+from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES, Timing
 from dynahoi_lerobot.sampling.visibility import in_sight
 from dynahoi_lerobot.scene.scene import ARENA_HALF_M
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynahoi_lerobot.appearance import Distractor, Look, hsv
+from dynahoi_lerobot.appearance import Appearance, Distractor, hsv
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.scene.scene import DISTRACTORS
 
@@ -20,19 +20,19 @@ BEHIND_M = 0.35
 STREAM = 0xA99EA
 
 
-def vary(spec: EpisodeSpec, switches: Sequence[str]) -> EpisodeSpec:
-    """Return the episode with another look: what each of ``switches`` draws for its seed."""
+def randomize_appearance(spec: EpisodeSpec, switches: Sequence[str]) -> EpisodeSpec:
+    """Return the episode with another appearance: what each of ``switches`` draws for its seed."""
     for number, (name, draw) in enumerate(SWITCHES.items()):
         if name in switches:
             rng = np.random.default_rng([STREAM, number, spec.seed])
-            spec = replace(spec, look=draw(spec, rng))
+            spec = replace(spec, appearance=draw(spec, rng))
     return spec
 
 
-def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     """Any colour anywhere: pale targets, saturated walls, a hand of metal or plastic."""
     return replace(
-        spec.look,
+        spec.appearance,
         target_rgb=hsv(rng.random(), rng.uniform(0.0, 1.0), rng.uniform(0.25, 1.0)),
         floor_rgb=hsv(rng.random(), rng.uniform(0.0, 0.9), rng.uniform(0.2, 1.0)),
         wall_rgb=hsv(rng.random(), rng.uniform(0.0, 0.9), rng.uniform(0.2, 1.0)),
@@ -41,28 +41,28 @@ def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
     )
 
 
-def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     """Dim to glaring, warm to cold, from any side above."""
     angle, slant = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 1.5)
     return replace(
-        spec.look,
+        spec.appearance,
         light_level=rng.uniform(0.15, 1.1),
         light_rgb=hsv(rng.random(), rng.uniform(0.0, 0.35), 1.0),
         light_dir=(float(slant * np.cos(angle)), float(slant * np.sin(angle)), -1.0),
     )
 
 
-def _specular(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+def _specular(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     """Dull to polished surfaces."""
-    return replace(spec.look, gloss=rng.uniform(0.0, 0.9))
+    return replace(spec.appearance, gloss=rng.uniform(0.0, 0.9))
 
 
-def _transparency(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+def _transparency(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     """Targets as clear as coloured glass, or solid."""
-    return replace(spec.look, target_alpha=rng.uniform(0.35, 1.0))
+    return replace(spec.appearance, target_alpha=rng.uniform(0.35, 1.0))
 
 
-def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
+def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     """Up to four coloured things that stand or float behind the target's path and do not move."""
     begin = max(float(spec.oracle_path[:, 0].max()), float(spec.home_pos_w[0])) + BEHIND_M
     chosen = rng.permutation(list(DISTRACTORS))[: rng.integers(1, len(DISTRACTORS) + 1)]
@@ -79,10 +79,10 @@ def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Look:
         )
         for shape in chosen
     ]
-    return replace(spec.look, distractors=tuple(things))
+    return replace(spec.appearance, distractors=tuple(things))
 
 
-SWITCHES: dict[str, Callable[[EpisodeSpec, np.random.Generator], Look]] = {
+SWITCHES: dict[str, Callable[[EpisodeSpec, np.random.Generator], Appearance]] = {
     "materials": _materials,
     "lights": _lights,
     "specular": _specular,

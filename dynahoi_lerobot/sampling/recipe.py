@@ -25,7 +25,7 @@ PROTOCOLS = ("observe_before_act", "direct_act")
 INSTRUCTIONS = ("reveal", "neutral", "mixed")
 SHORTEST_HOLD_FRAMES = 12
 """The last retry aims nine frames later than the first attempt, and must still be seen to succeed."""
-LARGEST_PUSH_M = 0.2
+MAX_DISTURBANCE_M = 0.2
 OOD_TEMPO = 1.6
 """In ``ood_speed``, speeds begin where training's end and reach this many times as far."""
 
@@ -91,8 +91,8 @@ class Recipe:
         check_views(self.views)
         if not 16 <= self.image_size <= 1024:
             raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")
-        if not 0 <= self.disturbance_m <= LARGEST_PUSH_M:
-            raise ValueError(f"disturbance_m must be 0 to {LARGEST_PUSH_M} m, got {self.disturbance_m}")
+        if not 0 <= self.disturbance_m <= MAX_DISTURBANCE_M:
+            raise ValueError(f"disturbance_m must be 0 to {MAX_DISTURBANCE_M} m, got {self.disturbance_m}")
         if self.hold_frames is not None and self.hold_frames < SHORTEST_HOLD_FRAMES:
             raise ValueError(f"hold_frames must be at least {SHORTEST_HOLD_FRAMES}, or null, got {self.hold_frames}")
 

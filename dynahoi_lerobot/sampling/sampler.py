@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.appearance import Look
+from dynahoi_lerobot.appearance import Appearance
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PhysicalMotion
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.sampling.placement import find_home, in_arena
-from dynahoi_lerobot.sampling.randomization import vary
+from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.timing import Timing, draw_timing
 from dynahoi_lerobot.world.untouched_path import roll_ahead
@@ -149,7 +149,7 @@ def _finish(recipe: Recipe, draft: _Draft, path: np.ndarray, home: np.ndarray) -
         split=recipe.split,
         motion=draft.motion,
         target=draft.target,
-        look=Look.sample(rng),
+        appearance=Appearance.sample(rng),
         task=_instruction(recipe.instructions, draft.motion, draft.target.name, rng),
         protocol=recipe.protocol,
         hand=recipe.hand,
@@ -163,7 +163,7 @@ def _finish(recipe: Recipe, draft: _Draft, path: np.ndarray, home: np.ndarray) -
         oracle_path=path,
         fingerprint=recipe.fingerprint(),
     )
-    return vary(spec, recipe.appearance)
+    return randomize_appearance(spec, recipe.appearance)
 
 
 def _instruction(style: str, motion: Motion, object_name: str, rng: np.random.Generator) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import (
     CONTROL_DT,
+    HAND_SPEED_M_S,
     LOCALIZATION_RADIUS_M,
     MIN_WINDOW_FRAMES,
     UNIT_M,
@@ -30,8 +31,6 @@ TRAVEL_SHARES = (0.2260, 0.5080, 0.1830, 0.0830)
 """The paper's 20.1, 47.7, 16.4 and 5.8 % leave 10 % unassigned; the bins share it so that none strays 3 points: the
 third gets least, as episodes that are redrawn because the hand finds no home add a point to it."""
 
-HAND_SPEED_M_S = 0.3
-"""The fixed speed at which the reachable intercept is computed."""
 MIN_APPROACH_FRAMES = 5
 """No intercept before this: fingers need 0.25 s to close."""
 MIN_HOLD_FRAMES = 6

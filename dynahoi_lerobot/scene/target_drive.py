@@ -20,7 +20,7 @@ GRAVITY_W = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class TargetDrive:
     """How one target is driven.
 
     Attributes:
@@ -35,7 +35,7 @@ class Drive:
     force_w: np.ndarray
 
 
-def drive_for(motion: Motion, target: TargetObject, frames: int) -> Drive:
+def drive_for(motion: Motion, target: TargetObject, frames: int) -> TargetDrive:
     """Return the drive that makes ``target`` perform ``motion`` for ``frames`` frames."""
     if isinstance(motion, PrescribedMotion):
         times = np.arange(-1, frames * SUBSTEPS + 1) * PHYSICS_DT
@@ -45,15 +45,15 @@ def drive_for(motion: Motion, target: TargetObject, frames: int) -> Drive:
     start, velocity = np.asarray(launch.pos), np.asarray(launch.velocity)
     held = min(round(launch.release_s / PHYSICS_DT), frames * SUBSTEPS)
     if held == 0:
-        return Drive(start, velocity, np.zeros((frames, SUBSTEPS, 3)))
+        return TargetDrive(start, velocity, np.zeros((frames, SUBSTEPS, 3)))
     force = np.zeros((frames * SUBSTEPS, 3))
     force[:held] = -target.mass_kg * GRAVITY_W
     force[held : held + 1] = target.mass_kg * velocity / PHYSICS_DT  # the impulse of letting go, in the first free step
-    return Drive(start, np.zeros(3), force.reshape(frames, SUBSTEPS, 3))
+    return TargetDrive(start, np.zeros(3), force.reshape(frames, SUBSTEPS, 3))
 
 
-def _follow(path: np.ndarray, mass_kg: float, frames: int) -> Drive:
+def _follow(path: np.ndarray, mass_kg: float, frames: int) -> TargetDrive:
     """Drive along ``path``, (frames * 25 + 2, 3) positions from one physics step before the start."""
     velocity = np.diff(path, axis=0) / PHYSICS_DT
     force = mass_kg * (np.diff(velocity, axis=0) / PHYSICS_DT - GRAVITY_W)
-    return Drive(path[1], velocity[0], force.reshape(frames, SUBSTEPS, 3))
+    return TargetDrive(path[1], velocity[0], force.reshape(frames, SUBSTEPS, 3))

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.appearance import Distractor, Look
+from dynahoi_lerobot.appearance import Appearance, Distractor
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.motions.base import Box, Launch, Striker, Tether, yaw_quat
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.scene import CONTACT_RATE_RAD_S, HIDDEN_POS, Scene
-from dynahoi_lerobot.scene.target_drive import Drive
+from dynahoi_lerobot.scene.target_drive import TargetDrive
 
 HIDDEN_SIZE = (1e-4, 1e-4, 1e-4)
 FIELDS = (
@@ -36,7 +36,7 @@ FIELDS = (
 """Model fields that differ between worlds."""
 
 
-class Rows:
+class WorldFields:
     """The per-world fields of a batch, by name, and how to fill them."""
 
     def __init__(self, batch: Batch, scene: Scene) -> None:
@@ -58,7 +58,7 @@ class Rows:
         self.fields["eq_data"][ids, self._scene.tether_eq, :6] = self._anchors[ids]  # set_const moved the anchors
         self._batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_POS.value)
 
-    def write_world(self, i: int, motion: Motion, target: TargetObject, drive: Drive, collides_with: int) -> None:
+    def write_world(self, i: int, motion: Motion, target: TargetObject, drive: TargetDrive, collides_with: int) -> None:
         """Fill row ``i`` with a target about to move; the row must have been reset.
 
         Args:
@@ -90,26 +90,26 @@ class Rows:
         """Put the side camera of world ``i`` beside the hand's home (3,) [m], world."""
         self._mocap_pos[i, self._scene.side_mocap] = home_pos_w
 
-    def write_look(self, i: int, look: Look) -> None:
+    def write_appearance(self, i: int, appearance: Appearance) -> None:
         """Give row ``i`` its textures, colours and light."""
         scene, rgba, matid = self._scene, self.fields["geom_rgba"], self.fields["geom_matid"]
         painted = (
-            (scene.target_geoms, look.target_pattern + "_fine", look.target_rgb),
-            ([scene.floor_geom], look.floor_pattern + "_coarse", look.floor_rgb),
-            ([scene.backdrop_geom], look.wall_pattern + "_coarse", look.wall_rgb),
-            (scene.box_geoms, look.box_pattern + "_fine", look.box_rgb),
+            (scene.target_geoms, appearance.target_pattern + "_fine", appearance.target_rgb),
+            ([scene.floor_geom], appearance.floor_pattern + "_coarse", appearance.floor_rgb),
+            ([scene.backdrop_geom], appearance.wall_pattern + "_coarse", appearance.wall_rgb),
+            (scene.box_geoms, appearance.box_pattern + "_fine", appearance.box_rgb),
         )
         for geoms, material, rgb in painted:
             for geom in geoms:
                 matid[i, geom] = scene.materials[material]
                 rgba[i, geom, :3] = rgb
-        rgba[i, scene.hand_geoms, :3] = look.skin_rgb
-        self.fields["light_dir"][i, 0] = np.asarray(look.light_dir) / np.linalg.norm(look.light_dir)
-        self.fields["light_diffuse"][i, 0] = look.light_level * np.asarray(look.light_rgb)
-        self.fields["light_specular"][i, 0] = look.gloss
+        rgba[i, scene.hand_geoms, :3] = appearance.skin_rgb
+        self.fields["light_dir"][i, 0] = np.asarray(appearance.light_dir) / np.linalg.norm(appearance.light_dir)
+        self.fields["light_diffuse"][i, 0] = appearance.light_level * np.asarray(appearance.light_rgb)
+        self.fields["light_specular"][i, 0] = appearance.gloss
         shown = scene.target_geoms[rgba[i, scene.target_geoms, 3] > 0]
-        rgba[i, shown, 3] = look.target_alpha
-        self._write_distractors(i, look.distractors)
+        rgba[i, shown, 3] = appearance.target_alpha
+        self._write_distractors(i, appearance.distractors)
 
     def _write_distractors(self, i: int, distractors: tuple[Distractor, ...]) -> None:
         things = {thing.shape: thing for thing in distractors}

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.episode import EpisodeMeta
+from dynahoi_lerobot.rollout.replay import Resimulate
 from dynahoi_lerobot.verify.checks.base import Evidence, Finding, stratified
-
-Resimulate = Callable[[EpisodeMeta, np.ndarray], tuple[np.ndarray, dict[str, np.ndarray]]]
-"""Plays (T, 18) actions in the episode's world; returns (T, 18) states and (T, H, W, 3) pictures by view."""
 
 SAME_STATE = 1e-5
 """States may differ by so much [m, rad] between processors; on one machine they are equal."""

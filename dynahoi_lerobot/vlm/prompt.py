@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from dynahoi_lerobot.features import HAND_NAMES
-from dynahoi_lerobot.foundation.conventions import HAND_DOF
+from dynahoi_lerobot.foundation.conventions import HAND_DOF, HAND_NAMES
 
 HORIZON = 10
 """T, the frames that one answer commands."""

@@ -22,8 +22,8 @@ from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, check_command
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.target_drive import drive_for
-from dynahoi_lerobot.scene.world_fields import Rows
-from dynahoi_lerobot.world.disturbance import draw_pushes
+from dynahoi_lerobot.scene.world_fields import WorldFields
+from dynahoi_lerobot.world.disturbance import draw_disturbance
 
 CONTROL_SPEC = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
@@ -34,8 +34,8 @@ TOUCH_M = 0.005
 class WorldBatch:
     """N simulated worlds that share one compiled model and one clock rate, each at its own frame of its own episode.
 
-    Every array below has one row per world. Rows are independent to the bit: what happens in one depends neither on its
-    neighbours, nor on the size of the batch, nor on the number of threads.
+    Every array below has one row per world. Rows are independent to the bit: what happens in one depends
+    neither on its neighbours, nor on the size of the batch, nor on the number of threads.
 
     Attributes:
         size: N.
@@ -75,7 +75,7 @@ class WorldBatch:
         self._renderer_class, self._image_size, self._views = RENDERERS[renderer], image_size, tuple(views)
         self._renderers: dict[str, Renderer] = {}
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
-        self._rows = Rows(self._batch, self.scene)
+        self._rows = WorldFields(self._batch, self.scene)
         self._servo = Servo(self.scene.model)
         self._ctrl = self._batch.bind("ctrl")
         self._xpos, self._xmat = self._batch.bind("geom_xpos"), self._batch.bind("geom_xmat")
@@ -86,7 +86,7 @@ class WorldBatch:
         self.palm_distance = np.full(size, np.inf)
         self.executed = np.zeros((size, PALM_DOF + FINGER_DOF))
         self._held = self.executed.copy()
-        self._disturbance_m, self._pushes = disturbance_m, [np.zeros((0, PALM_DOF))] * size
+        self._disturbance_m, self._disturbance = disturbance_m, [np.zeros((0, PALM_DOF))] * size
         self.touch = np.zeros((size, len(TOUCHING)))
         self._let_go = np.zeros(size, bool)
         self._tip_distance: np.ndarray | None = None
@@ -112,7 +112,7 @@ class WorldBatch:
         self._held[chosen] = self.executed[chosen]
         if self._disturbance_m:
             for i, spec in zip(chosen, specs, strict=True):
-                self._pushes[i] = draw_pushes(spec, int(self.attempt[i]), self._disturbance_m)
+                self._disturbance[i] = draw_disturbance(spec, int(self.attempt[i]), self._disturbance_m)
         self.localized[chosen], self._let_go[chosen], self.touch[chosen] = False, False, 0.0
         self.palm_distance[chosen] = self._center_distance()[chosen]
 
@@ -151,7 +151,7 @@ class WorldBatch:
         """Return (n, 18) by how much the worlds ``chosen`` miss their commands at this frame."""
         missed = np.zeros((len(chosen), self.executed.shape[1]))
         if self._disturbance_m:
-            missed[:, :PALM_DOF] = [self._pushes[i][self.frame[i]] for i in chosen]
+            missed[:, :PALM_DOF] = [self._disturbance[i][self.frame[i]] for i in chosen]
         return missed
 
     def check(self, commands: np.ndarray) -> np.ndarray:
@@ -226,7 +226,7 @@ class WorldBatch:
             fingertips=self.fingertips().astype(np.float32),
             phase=self.acting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
-            touch=self.touch[:, : len(FINGERS)].astype(np.float32) if self.rule.feels else None,
+            touch=self.touch[:, : len(FINGERS)].astype(np.float32) if self.rule.uses_contact_sensors else None,
             views={view: self.render(ids, view) for view in self._views} if images else {},
         )
 
@@ -244,7 +244,7 @@ class WorldBatch:
 
     def contacts(self) -> np.ndarray:
         """Return (N, 5) bool, the fingers that touch the target, or would if they collided."""
-        if self.rule.feels:
+        if self.rule.uses_contact_sensors:
             return self.touch[:, : len(FINGERS)] > 0
         return self.tip_distance() <= TOUCH_M
 
@@ -306,7 +306,7 @@ class WorldBatch:
         self._rows.write_world(i, spec.motion, spec.target, drive, self.rule.collisions(spec.motion))
         if isinstance(spec.motion, PrescribedMotion):
             self._rows.turn_target(i, spec.yaw_rad, spec.spin_rad_s)
-        self._rows.write_look(i, spec.look)
+        self._rows.write_appearance(i, spec.appearance)
         self._rows.place_side_camera(i, spec.home_pos_w)
         assert self.scene.hand is not None
         # rounded as commands are, or the hand would creep to its home and, by rounding, disturb what slides or rests
@@ -343,12 +343,12 @@ class WorldBatch:
 
     def _roll(self, ids: np.ndarray, control: np.ndarray) -> Substeps:
         """Roll physics steps, and keep what touched the target in them: forces on average, anything else at all."""
-        names = ("qpos", "sensordata") if self.rule.feels else ("qpos",)
+        names = ("qpos", "sensordata") if self.rule.uses_contact_sensors else ("qpos",)
         record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC, record=names, ids=ids)
         qpos = record["qpos"]
         target = qpos[..., self.scene.target_qpos : self.scene.target_qpos + 3]
         distance = np.linalg.norm(target - qpos[..., self.scene.hand_qpos[:PALM_DOF]], axis=-1)
-        touch = read_touch(record["sensordata"]) if self.rule.feels else None
+        touch = read_touch(record["sensordata"]) if self.rule.uses_contact_sensors else None
         if touch is not None:
             self.touch[ids] = touch.mean(axis=1)
         return Substeps(self.acting[ids], distance, touch)

@@ -11,11 +11,11 @@ import numpy as np
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
 
-PUSHED_SHARE = 0.3
+DISTURBED_SHARE = 0.3
 """Share of the frames of the control phase that are pushed."""
 
 
-def draw_pushes(spec: EpisodeSpec, attempt: int, spread_m: float) -> np.ndarray:
+def draw_disturbance(spec: EpisodeSpec, attempt: int, spread_m: float) -> np.ndarray:
     """Return (F, 3) how far each frame's palm command is missed [m], world; zero in the window and after the intercept.
 
     Args:
@@ -25,7 +25,7 @@ def draw_pushes(spec: EpisodeSpec, attempt: int, spread_m: float) -> np.ndarray:
     """
     rng = np.random.default_rng([0xD157, spec.seed, attempt])
     pushes = rng.normal(0.0, spread_m, (len(spec.oracle_path), PALM_DOF))
-    pushes[rng.random(len(pushes)) >= PUSHED_SHARE] = 0.0
+    pushes[rng.random(len(pushes)) >= DISTURBED_SHARE] = 0.0
     pushes[: spec.window_frames] = 0.0
     pushes[spec.intercept_frame - 1 :] = 0.0  # the last command before the intercept is met, or nothing is caught
     return pushes

@@ -14,7 +14,7 @@ from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.scene import ENVIRONMENT, compile_scene
 from dynahoi_lerobot.scene.target_drive import drive_for
-from dynahoi_lerobot.scene.world_fields import Rows
+from dynahoi_lerobot.scene.world_fields import WorldFields
 
 LIKE_LENGTH_FRAMES = 16
 """Paths whose lengths differ by less roll together; a throw must not wait for a pendulum ten times as long."""
@@ -68,7 +68,7 @@ def _simulate(
     scene = compile_scene(hand)
     assert scene.hand is not None
     batch = Batch(scene.model, nsim=len(motions), nthread=threads)
-    rows, ids = Rows(batch, scene), np.arange(len(motions))
+    rows, ids = WorldFields(batch, scene), np.arange(len(motions))
     rows.reset(ids)
     drives = [drive_for(motion, target, frames - 1) for motion, target in zip(motions, targets, strict=True)]
     for i, drive in enumerate(drives):

@@ -12,7 +12,7 @@ from dynahoi_lerobot.dataset.histograms import SHOWN, histograms
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset
-from dynahoi_lerobot.features import HAND_NAMES
+from dynahoi_lerobot.foundation.conventions import HAND_NAMES
 from dynahoi_lerobot.verify.outliers import find_outliers, reject_outliers
 from dynahoi_lerobot.verify.verify import verify
 from tests.generate.conftest import write

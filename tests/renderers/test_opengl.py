@@ -23,7 +23,7 @@ LEAST_AGREEMENT = 0.99
 def plain(spec: EpisodeSpec) -> EpisodeSpec:
     """Return the episode without patterns, whose phase differs between the renderers."""
     patterns = ("target_pattern", "floor_pattern", "wall_pattern", "box_pattern")
-    return replace(spec, look=replace(spec.look, **dict.fromkeys(patterns, "plain")))
+    return replace(spec, appearance=replace(spec.appearance, **dict.fromkeys(patterns, "plain")))
 
 
 def batch_of(renderer: str, specs: list[EpisodeSpec]) -> WorldBatch:
@@ -73,7 +73,7 @@ def test_geoms_agree_and_have_their_colours(pair: tuple[WorldBatch, WorldBatch |
         shown = pictures[world][np.isin(labels[world], caster.scene.target_geoms)]
         if len(shown) > 4:
             shade = np.median(shown, axis=0) / np.linalg.norm(np.median(shown, axis=0))
-            wanted = np.asarray(spec.look.target_rgb) / np.linalg.norm(spec.look.target_rgb)
+            wanted = np.asarray(spec.appearance.target_rgb) / np.linalg.norm(spec.appearance.target_rgb)
             assert shade @ wanted > 0.98  # light changes how bright a colour is, not which it is
 
 

@@ -60,7 +60,7 @@ def test_the_target_has_its_colour_where_the_labels_say_it_is(
     for spec, image, seen in zip(specs, images, labels, strict=False):
         pixels = image[np.isin(seen, watching.scene.target_geoms)]
         if len(pixels) >= 8:
-            assert _cosine(pixels.mean(axis=0), spec.look.target_rgb) > SAME_HUE, spec.motion.name
+            assert _cosine(pixels.mean(axis=0), spec.appearance.target_rgb) > SAME_HUE, spec.motion.name
             compared += 1
     assert compared >= 16
 
@@ -71,9 +71,9 @@ def test_skin_floor_and_backdrop_have_their_colours(
     scene, compared = watching.scene, 0
     for spec, image, seen in zip(specs, images, labels, strict=False):
         for geoms, rgb in (
-            (scene.hand_geoms, spec.look.skin_rgb),
-            ([scene.floor_geom], spec.look.floor_rgb),
-            ([scene.backdrop_geom], spec.look.wall_rgb),
+            (scene.hand_geoms, spec.appearance.skin_rgb),
+            ([scene.floor_geom], spec.appearance.floor_rgb),
+            ([scene.backdrop_geom], spec.appearance.wall_rgb),
         ):
             pixels = image[np.isin(seen, geoms)]
             if len(pixels) > 50:  # a table may cover the floor

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
 from dynahoi_lerobot.motions import PhysicalMotion, benchmark_motions
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import MIN_OBSERVED_S, sample_spec, sample_specs
-from dynahoi_lerobot.sampling.timing import HAND_SPEED_M_S, MIN_APPROACH_FRAMES
+from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES
 from dynahoi_lerobot.sampling.visibility import in_sight
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.untouched_path import roll_ahead

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.features import JOINT_NAMES
-from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.foundation.conventions import JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.figures.base import figure
 from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay

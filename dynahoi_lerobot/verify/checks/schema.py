@@ -44,7 +44,7 @@ class Schema(Check):
         camera = evidence.features.get(CAMERA_KEY)
         size = None if camera is None else camera["shape"][0]
         encoding = Encoding(codec="h264" if evidence.has_video else "images")
-        touch = CAPTURES[evidence.rows[0]["capture"]].feels
+        touch = CAPTURES[evidence.rows[0]["capture"]].uses_contact_sensors
         wanted = info_features(size, encoding, self._views(evidence), touch=touch)
         for key in sorted(wanted.keys() | evidence.features.keys()):
             found = {name: value for name, value in evidence.features.get(key, {}).items() if name != "info"}

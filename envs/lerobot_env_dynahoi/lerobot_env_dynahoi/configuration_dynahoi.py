@@ -88,7 +88,7 @@ class DynahoiEnvConfig(EnvConfig):
         """
         kinds_of(self.task, self._recipe().motion_names)
         pictures = [picture_feature(self.image_size, view) for view in ("ego", *self.views)]
-        touch = [TOUCH] if CAPTURES[self.capture].feels else []
+        touch = [TOUCH] if CAPTURES[self.capture].uses_contact_sensors else []
         shapes = {feature.key: feature.shape for feature in (*pictures, STATE, FINGERTIPS, PHASE, *touch, ACTION)}
         types = {picture.key: FeatureType.VISUAL for picture in pictures} | {ACTION.key: FeatureType.ACTION}
         self.features = {
