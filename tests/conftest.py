@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
+import av.logging
 import pytest
 
 from dynahoi_lerobot.episode import Episode
@@ -13,7 +15,10 @@ from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from tests.dataset.episodes import write
 from tests.menagerie import write_menagerie
+
+av.logging.set_level(av.logging.ERROR)
 
 TEST = Recipe(split="test", image_size=32)
 
@@ -37,3 +42,9 @@ def expert_episodes(specs: list[EpisodeSpec]) -> list[Episode]:
     """The expert's evaluation on ``specs``, in their order, without images."""
     episodes = evaluate(make_batch(TEST, 22, threads=1), EXPERTS["intercept"](), specs)
     return sorted(episodes, key=lambda episode: episode.meta.seed)
+
+
+@pytest.fixture(scope="session")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six synthetic episodes with video on disk."""
+    return write(tmp_path_factory.mktemp("ours") / "dataset", range(6))

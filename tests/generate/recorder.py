@@ -12,7 +12,7 @@ import numpy as np
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.generate.plan import REDRAW_STRIDE
-from tests.generate.episodes import varied_episode
+from tests.dataset.episodes import varied_episode
 
 
 @dataclass(frozen=True)

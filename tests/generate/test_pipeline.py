@@ -13,8 +13,8 @@ from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate import workers
 from dynahoi_lerobot.generate.pipeline import generate, workspace_path
 from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, shard_size
+from tests.dataset.episodes import write
 from tests.generate import recorder
-from tests.generate.conftest import write
 from tests.generate.recorder import FakeRecipe
 
 

@@ -12,12 +12,13 @@ from dynahoi_lerobot.dataset import open_dataset, read_episodes
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.features import TOUCH
 from dynahoi_lerobot.foundation.conventions import FINGERS
-from dynahoi_lerobot.generate import command, verify_command
+from dynahoi_lerobot.generate import command
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.replay import simulator
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.verify import command as verify_command
 from dynahoi_lerobot.verify.verify import verify
 
 

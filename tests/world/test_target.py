@@ -13,7 +13,7 @@ from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.motions.rolling import RollingMotion
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.target_drive import GRAVITY_W, drive_for
-from dynahoi_lerobot.scene.world_fields import Rows
+from dynahoi_lerobot.scene.world_fields import WorldFields
 from tests.drawing import draw_motion
 from tests.world.playing import world
 
@@ -96,7 +96,7 @@ def _drive(kind: str, driven_frames: int, frames: int) -> tuple[np.ndarray, np.n
     drawn = draw_motion(kind, 3)
     scene = compile_scene(None)
     batch = Batch(scene.model, nsim=1, nthread=1)
-    rows, one = Rows(batch, scene), np.array([0])
+    rows, one = WorldFields(batch, scene), np.array([0])
     drive = drive_for(drawn.motion, drawn.target, frames)
     rows.reset(one)
     rows.write_world(0, drawn.motion, drawn.target, drive, collides_with=0)

@@ -15,8 +15,7 @@ from dynahoi_lerobot.dataset.subset import copy_subset
 from dynahoi_lerobot.foundation.conventions import HAND_NAMES
 from dynahoi_lerobot.verify.outliers import find_outliers, reject_outliers
 from dynahoi_lerobot.verify.verify import verify
-from tests.generate.conftest import write
-from tests.generate.episodes import varied_episode
+from tests.dataset.episodes import varied_episode, write
 
 
 @pytest.mark.parametrize("codec", CODECS.names())

@@ -16,8 +16,7 @@ from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import count_frames
 from dynahoi_lerobot.features import CAMERA_KEY
 from dynahoi_lerobot.foundation.registry import UnknownNameError
-from tests.generate.conftest import write
-from tests.generate.episodes import varied_episode
+from tests.dataset.episodes import varied_episode, write
 
 
 @pytest.mark.parametrize("codec", CODECS.names())

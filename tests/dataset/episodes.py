@@ -1,12 +1,14 @@
-"""Episodes for the dataset tests; worker processes import this, so it stays light."""
+"""Episodes and small datasets for tests without a simulator; worker processes import this, so it stays light."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
+from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.episode import Episode
 from tests.synthetic import synthetic_episode
 
@@ -21,3 +23,12 @@ def varied_episode(seed: int, image_size: int | None = 32, views: Sequence[str] 
         images[:, :4, :4] = np.random.default_rng(seed).integers(0, 255, (4, 4, 3), np.uint8)
     shown = {} if images is None else {view: images[:, ::-1] // (2 + n) for n, view in enumerate(views)}
     return dataclasses.replace(episode, meta=meta, images=images, views=shown)
+
+
+def write(root: Path, seeds: range | list[int], image_size: int | None = 32, **options) -> Path:
+    """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter``."""
+    writer = DatasetWriter(root, image_size, **options)
+    for seed in seeds:
+        writer.add(varied_episode(seed, image_size, options.get("views", ())))
+    writer.finish()
+    return root

@@ -21,9 +21,8 @@ from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import Plan
 from dynahoi_lerobot.verify.checks.base import CHECKS, stratified
 from dynahoi_lerobot.verify.verify import verify
+from tests.dataset.episodes import varied_episode, write
 from tests.generate import recorder
-from tests.generate.conftest import write
-from tests.generate.episodes import varied_episode
 from tests.generate.recorder import FakeRecipe
 
 DATA = "data/chunk-000/file-000.parquet"

@@ -7,9 +7,8 @@ import pytest
 
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.store import Store
-from tests.generate.conftest import write
-from tests.generate.episodes import varied_episode
-from tests.generate.lerobot_api import REPO, open_dataset
+from tests.dataset.episodes import varied_episode, write
+from tests.dataset.lerobot_api import REPO, open_dataset
 
 LENGTHS = [20 + seed % 7 for seed in range(6)]
 

@@ -9,8 +9,8 @@ import pytest
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from tests.generate.episodes import varied_episode
-from tests.generate.lerobot_api import open_dataset, write_with_lerobot
+from tests.dataset.episodes import varied_episode
+from tests.dataset.lerobot_api import open_dataset, write_with_lerobot
 
 SEEDS = range(4)
 

@@ -1,0 +1,59 @@
+"""How the core hangs together: rooms import in one direction only, and none brings in torch or LeRobot."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import dynahoi_lerobot
+from tests.rooms import ROOMS, room_of
+
+PACKAGE = Path(dynahoi_lerobot.__file__).parent
+PROGRAM = """
+import importlib, pkgutil, sys
+import dynahoi_lerobot
+names = [m.name for m in pkgutil.walk_packages(dynahoi_lerobot.__path__, "dynahoi_lerobot.")]
+for name in names:
+    if not name.endswith("__main__"):
+        importlib.import_module(name)
+    heavy = sorted({"torch", "lerobot"} & set(sys.modules))
+    if heavy:
+        sys.exit(f"{name} imports {', '.join(heavy)}")
+print(len(names))
+"""
+
+
+def imports() -> Iterator[tuple[str, str]]:
+    """Yield (importing, imported) module of every import within the core, also those inside functions."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                yield module, node.module
+            elif isinstance(node, ast.Import):
+                yield from ((module, alias.name) for alias in node.names)
+
+
+def test_rooms_import_only_rooms_before_them():
+    wrong = [
+        f"{module} imports {imported}"
+        for module, imported in imports()
+        if module != "dynahoi_lerobot"
+        and imported.startswith("dynahoi_lerobot.")
+        and ROOMS.index(room_of(imported)) > ROOMS.index(room_of(module))
+    ]
+    assert not wrong, "\n".join(wrong)
+
+
+def test_every_folder_is_a_room():
+    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert folders == set(ROOMS) - {"nouns"}
+
+
+def test_no_module_of_the_core_imports_torch_or_lerobot():
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout.split()[-1]) > 100, "the walk must have found the core's modules"
