@@ -42,7 +42,7 @@ def stages_alone(image_size: int) -> dict[str, float]:
     """Return frames/s of physics, rendering and encoding, each alone on all cores."""
     batch = make_batch(Recipe(split="test", image_size=image_size), WORLDS)
     batch.reset(range(WORLDS), sample_specs(Recipe(split="test"), range(WORLDS)))
-    images = batch.render()
+    images = batch.cameras.render()
     rates = {
         "physics": WORLDS / _seconds(lambda: batch.step(batch.executed)),
         "render": WORLDS / _seconds(batch.render),

@@ -74,7 +74,7 @@ def watch(batch: WorldBatch, specs: list[EpisodeSpec]) -> list[Watched]:
     pixels: list[list[int]] = [[] for _ in specs]
     for frame in range(max(spec.window_frames for spec in specs)):
         if frame % EVERY == 0:
-            shown = np.isin(batch.segmentation(), batch.scene.target_geoms).sum(axis=(1, 2))
+            shown = np.isin(batch.cameras.segmentation(), batch.scene.target_geoms).sum(axis=(1, 2))
             for i, spec in enumerate(specs):
                 if frame < spec.window_frames:
                     pixels[i].append(int(shown[i]))

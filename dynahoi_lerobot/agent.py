@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -60,39 +61,74 @@ class WorldState:
     target_contacts: np.ndarray
 
 
-class Agent(ABC):
-    """Maps observations of N worlds to N commands.
+class Actor(ABC):
+    """Whoever moves the hands of N worlds: an `Agent` from observations, an `Expert` from the simulator's state.
 
     Attributes:
         name: labels results.
+        privileged: it sees the simulator's state.
+        has_memory: what it does depends on earlier frames, so that all worlds must begin their episodes together.
         sees_images: turns rendering on.
         image_size: side of the images it was trained on [px], None if it does not say.
-        views: the pictures it needs besides those of the hand's camera.
+        views: the images it needs besides those of the hand's camera.
+        retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
     """
 
-    name: str = "agent"
+    name: str = "actor"
+    privileged: ClassVar[bool]
+    has_memory: ClassVar[bool]
     sees_images: bool = False
     image_size: int | None = None
     views: tuple[str, ...] = ()
+    retries: int = 0
+
+    def reset(self, count: int) -> None:  # noqa: B027 - an actor without memory has nothing to forget
+        """Forget everything; ``count`` new episodes begin."""
 
     def report(self) -> dict[str, Any]:
         """Return what else a result should say about the run, as JSON values."""
         return {}
 
-    def reset(self, count: int) -> None:  # noqa: B027 - an agent without memory has nothing to forget
-        """Forget everything; ``count`` new episodes begin."""
+    @abstractmethod
+    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame.
+
+        Args:
+            observation: what a policy may see.
+            world_state: gives everything the simulator knows; an `Agent` never calls it.
+        """
+
+
+class Agent(Actor):
+    """Maps observations of N worlds to N commands; it cannot see more."""
+
+    name = "agent"
+    privileged = False
+    has_memory = True
+
+    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+        """Return (N, 18) commands."""
+        return self.act(observation)
 
     @abstractmethod
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame."""
 
 
-class Expert(ABC):
-    """Maps the full simulator state of N worlds to N commands: privileged, deterministic and without memory."""
+class Expert(Actor):
+    """Maps the full simulator state of N worlds to N commands, deterministically, world by world.
 
-    name: str = "expert"
-    retries: int = 0
-    """How often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does."""
+    A world may begin an episode at any frame of the others. What an expert keeps between frames, such as a plan, must
+    follow from the episode and the attempt alone.
+    """
+
+    name = "expert"
+    privileged = True
+    has_memory = False
+
+    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+        """Return (N, 18) commands."""
+        return self.act(world_state(observation))
 
     @abstractmethod
     def act(self, world: WorldState) -> np.ndarray:

@@ -36,7 +36,7 @@ class Track:
 
 def simulate(motion: Motion, target: TargetObject, seconds: float) -> Track:
     """Let ``target`` perform ``motion`` with nobody near."""
-    scene = compile_scene(None)
+    scene = compile_scene()
     batch = Batch(scene.model, nsim=1, nthread=1)
     rows, one = WorldFields(batch, scene), np.array([0])
     frames = int(np.ceil(seconds * 20))

@@ -1,5 +1,5 @@
 """Capture rules: what happens when the hand reaches the target, and what counts as a catch. One file each."""
 
-from dynahoi_lerobot.captures.base import CAPTURES, CaptureRule, Track
+from dynahoi_lerobot.captures.base import CAPTURES, CaptureRule, Release, Track, Weld
 
-__all__ = ["CAPTURES", "CaptureRule", "Track"]
+__all__ = ["CAPTURES", "CaptureRule", "Release", "Track", "Weld"]

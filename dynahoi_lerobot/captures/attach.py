@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Substeps, Track
+from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Substeps, Track, Weld
 from dynahoi_lerobot.episode import joints_reached
 from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.scene.scene import ENVIRONMENT
-from dynahoi_lerobot.world.batch import WorldBatch
 
 
 @CAPTURES.register("attach")
@@ -21,6 +20,7 @@ class Attach(CaptureRule):
     """Localised means within 3 cm; captured means localised with all 15 joints at 0.9 of the reference grasp."""
 
     name = "attach"
+    effect = Weld()
     expert = "intercept"
     hand = "capsule"
 
@@ -33,10 +33,6 @@ class Attach(CaptureRule):
         closest = substeps.palm_distance.argmin(axis=1)
         inside = substeps.palm_distance.min(axis=1) < LOCALIZATION_RADIUS_M
         return np.where(inside & substeps.acting, closest, NO_EVENT)
-
-    def apply(self, world: WorldBatch, i: int) -> None:
-        """Weld the target to the palm as it is, and let it pass through everything else."""
-        world.weld_target(i)
 
     def captured(self, track: Track) -> np.ndarray:
         """Return (T,) bool: localised, and the pose matched at the first localised frame."""

@@ -1,22 +1,36 @@
-"""What a capture rule is: an event within a control step, what it changes in the world, and a verdict at the end."""
+"""What a capture rule is: an event within a control step, what it does to the target, and a verdict at the end."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.motions import Motion
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.world.batch import WorldBatch
+from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 
 CAPTURES: Registry[type[CaptureRule]] = Registry("capture rule", "dynahoi_lerobot.captures")
 
 NO_EVENT = -1
+
+
+@dataclass(frozen=True)
+class Weld:
+    """The target is fixed to the palm as it lies, at the palm's velocity, and passes through everything else."""
+
+
+@dataclass(frozen=True)
+class Release:
+    """The target is neither driven nor tethered any more, and keeps its velocity.
+
+    Attributes:
+        collides_with: collision bits that it asks for from now on.
+    """
+
+    collides_with: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,25 +38,27 @@ class Substeps:
     """What n worlds did in the 25 physics steps of one control step.
 
     Attributes:
-        acting: (n,) bool, whether the hand may move.
+        acting: (n,) bool, the control phase has begun.
         palm_distance: (n, 25) palm centre to target centre [m].
-        touch: (n, 25, 7) what touches the target, as ``touch.read_touch`` tells; None if the rule asks for none.
+        contacts: of shape (n, 25), what touches the target; None if the rule uses no contact sensors.
     """
 
     acting: np.ndarray
     palm_distance: np.ndarray
-    touch: np.ndarray | None
+    contacts: TargetContacts | None
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What a verdict is read from: one episode's frames in the control phase, (T, ...) each.
+    """What a verdict is read from: one episode's T frames in the control phase.
 
     Attributes:
-        joints: (T, 15) [rad]; ``open_joints`` and ``reference_joints`` (15,) [rad].
+        joints: (T, 15) joint angles [rad].
+        open_joints: (15,) joint angles of the open hand [rad].
+        reference_joints: (15,) joint angles of the reference grasp [rad].
         localized: (T,) bool.
-        touch: (T, 7) what touches the target, as ``touch.read_touch`` tells; zero if the rule asks for none.
-        palm_distance: (T,) [m].
+        contacts: of shape (T,), what touched the target; zero if the rule uses no contact sensors.
+        palm_distance: (T,) palm centre to target centre [m].
         palm_pos_w: (T, 3) palm centre [m], world.
     """
 
@@ -50,21 +66,23 @@ class Track:
     open_joints: np.ndarray
     reference_joints: np.ndarray
     localized: np.ndarray
-    touch: np.ndarray
+    contacts: TargetContacts
     palm_distance: np.ndarray
     palm_pos_w: np.ndarray
 
 
 class CaptureRule(ABC):
-    """A rule; it has no state of its own, worlds keep theirs."""
+    """A rule; it has no state of its own and changes nothing itself, so one instance serves all worlds."""
 
     name: str
+    effect: ClassVar[Weld | Release]
+    """What its event does to the target, once per episode."""
     expert: ClassVar[str]
     """Who demonstrates under this rule, unless a recipe says otherwise."""
     hand: ClassVar[str]
-    """The embodiment that plays under it, likewise."""
+    """The hand that plays under it, likewise."""
     uses_contact_sensors: ClassVar[bool] = False
-    """Whether it needs to know what touches the target."""
+    """Whether events and verdicts are read from what touches the target."""
     hold_frames: ClassVar[int] = 0
     """Frames that every episode has left after the intercept, at least."""
     settle_frames: ClassVar[int] = 10
@@ -76,14 +94,10 @@ class CaptureRule(ABC):
 
     @abstractmethod
     def events(self, substeps: Substeps) -> np.ndarray:
-        """Return (n,) the physics step within the control step after which ``apply`` is due, or ``NO_EVENT``.
+        """Return (n,) the physics step within the control step after which ``effect`` is due, or ``NO_EVENT``.
 
-        Worlds whose event has been are asked again, in vain.
+        Also called for worlds whose event has happened; the result is ignored there.
         """
-
-    @abstractmethod
-    def apply(self, world: WorldBatch, i: int) -> None:
-        """Change world ``i`` as the event demands; at most once per episode."""
 
     @abstractmethod
     def captured(self, track: Track) -> np.ndarray:

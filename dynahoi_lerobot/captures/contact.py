@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Substeps, Track
+from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Release, Substeps, Track
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGERS
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
-from dynahoi_lerobot.scene.contact_sensors import ELSEWHERE, PALM
 from dynahoi_lerobot.scene.scene import ENVIRONMENT, HAND_BIT
-from dynahoi_lerobot.world.batch import WorldBatch
 
 HELD_FRAMES = CONTROL_HZ // 2
 """A grip counts once it has lasted half a second."""
@@ -31,6 +29,7 @@ class Contact(CaptureRule):
     """Held: gripped by thumb and finger, or finger and palm, off everything else, for 0.5 s in which the hand moves."""
 
     name = "contact"
+    effect = Release(HAND_BIT | ENVIRONMENT)
     expert = "match"
     hand = "opposed"
     uses_contact_sensors = True
@@ -43,13 +42,9 @@ class Contact(CaptureRule):
 
     def events(self, substeps: Substeps) -> np.ndarray:
         """Return the first physics step in which the hand touches the target."""
-        assert substeps.touch is not None
-        strongest = substeps.touch[..., :ELSEWHERE].max(axis=-1)  # (n, 25)
-        return np.where(strongest.max(axis=1) > 0, (strongest > 0).argmax(axis=1), NO_EVENT)
-
-    def apply(self, world: WorldBatch, i: int) -> None:
-        """Let the target go: no drive, no string, and every surface is one."""
-        world.release_target(i, HAND_BIT | ENVIRONMENT)
+        assert substeps.contacts is not None
+        touched = substeps.contacts.by_hand  # (n, 25)
+        return np.where(touched.any(axis=1), touched.argmax(axis=1), NO_EVENT)
 
     def captured(self, track: Track) -> np.ndarray:
         """Return (T,) bool: the target is gripped."""
@@ -64,7 +59,7 @@ class Contact(CaptureRule):
             return "slipped"
         if longest:
             return "enclosed"
-        return "touched" if (track.touch[:, :ELSEWHERE] > 0).any() else "missed"
+        return "touched" if track.contacts.by_hand.any() else "missed"
 
     def success(self, track: Track) -> bool:
         """Return whether a grip lasted long enough on a moving hand."""
@@ -79,11 +74,10 @@ class Contact(CaptureRule):
 
 def gripped(track: Track) -> np.ndarray:
     """Return (T,) bool: between thumb and another finger, or finger and palm, near the palm centre, off all else."""
-    touching = track.touch > 0
-    fingers = touching[:, : len(FINGERS)]
-    opposed = (fingers[:, THUMB] | touching[:, PALM]) & np.delete(fingers, THUMB, axis=1).any(axis=1)
-    opposed |= fingers[:, THUMB] & touching[:, PALM]
-    return opposed & ~touching[:, ELSEWHERE] & (track.palm_distance < HELD_RADIUS_M)
+    fingers, palm = track.contacts.finger_force_n > 0, track.contacts.palm_force_n > 0
+    opposed = (fingers[:, THUMB] | palm) & np.delete(fingers, THUMB, axis=1).any(axis=1)
+    opposed |= fingers[:, THUMB] & palm
+    return opposed & ~(track.contacts.others > 0) & (track.palm_distance < HELD_RADIUS_M)
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:

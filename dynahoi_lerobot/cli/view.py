@@ -70,8 +70,8 @@ def _played(args: argparse.Namespace) -> Shown:
     if args.motion is None:
         raise ValueError("say what to watch: --motion KIND, --dataset DIR --episode I, or --results DIR --seed S")
     actor = make_actor(args.policy, args.capture)
-    size = args.image_size or getattr(actor, "image_size", None) or 256
-    views = {*getattr(actor, "views", ()), args.view} - {"ego"}
+    size = args.image_size or actor.image_size or 256
+    views = {*actor.views, args.view} - {"ego"}
     recipe = Recipe(split=seed_stream(args.split), image_size=size, views=tuple(sorted(views)), capture=args.capture)
     spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]
     return _shown(next(evaluate(make_batch(recipe, 1), actor, [spec], images=True)), args.view)

@@ -19,7 +19,8 @@ from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout.loop import make_batch
-from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, frame_columns
+from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed, seed_stream
@@ -105,11 +106,11 @@ class DynahoiVectorEnv(VectorEnv):
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._recorders: list[WorldRecorder | None] = [None] * num_envs
+        self._session = Session(self._batch, record_images=False)
+        self._success, self._longest = np.zeros(num_envs, bool), np.zeros(num_envs, int)
         self._ended = np.zeros(num_envs, bool)
         self._numbers = np.zeros(num_envs, int)
         self._one_episode = False
-        self._seen: Observation | None = None
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -126,7 +127,7 @@ class DynahoiVectorEnv(VectorEnv):
         self._numbers = self._episode_numbers(seed)
         self._begin(np.arange(self.num_envs))
         self._ended[:] = False
-        return self._look(), {"is_success": np.zeros(self.num_envs, bool)}
+        return self._observe(), {"is_success": np.zeros(self.num_envs, bool)}
 
     def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advance every world by one frame; a world whose episode has ended begins the next one instead.
@@ -134,30 +135,22 @@ class DynahoiVectorEnv(VectorEnv):
         Raises:
             ValueError: for a wrong shape or a value that is not finite; nothing moves then.
         """
-        assert self._seen is not None, "call reset before step"
-        playing = np.flatnonzero(~self._ended)
-        commands = self._batch.check(actions)
-        columns = frame_columns(self._batch, self._seen)
-        for i in playing:
-            self._recorder(i).see(columns, i, {})
-        self._batch.step(commands[playing], playing)
-        for i in playing:
-            self._recorder(i).act(self._batch.executed[i])
+        ended = self._session.step(actions)
         restarting = np.flatnonzero(self._ended)
-        terminated, truncated = self._endings(playing)
-        infos = self._infos(terminated | truncated)
+        terminated, truncated = (self._mask(ids) for ids in (ended.settled, ended.full))
+        infos = self._infos(ended.worlds)
         reward = (infos["is_success"] & (terminated | truncated)).astype(np.float64)
         if restarting.size and not self._one_episode:
             self._numbers[restarting] += self.num_envs
             self._begin(restarting)
             self._ended[restarting] = False
         self._ended |= terminated | truncated
-        return self._look(), reward, terminated, truncated, infos
+        return self._observe(ended.worlds), reward, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...]:  # type: ignore[override]
         """Return the current image of every world, (H, W, 3) uint8 each."""
-        seen = self._seen.images if self._seen is not None else None
-        return tuple(self._batch.render() if seen is None else seen)
+        seen = self._session.observation.images if self._session.observation is not None else None
+        return tuple(self._batch.cameras.render() if seen is None else seen)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Return attribute ``name`` of every world, called if it can be; as gymnasium's other vector envs do."""
@@ -184,7 +177,7 @@ class DynahoiVectorEnv(VectorEnv):
     @property
     def _max_episode_steps(self) -> int:
         """Longest episode now being played [frames]; LeRobot asks after every reset."""
-        return max(recorder.job.frames for recorder in self._recorders if recorder is not None)
+        return int(self._longest.max())
 
     def _episode_numbers(self, seed: int | Sequence[int | None] | None) -> np.ndarray:
         if seed is None:
@@ -199,42 +192,34 @@ class DynahoiVectorEnv(VectorEnv):
         """Begin episode ``self._numbers[i]`` in each world ``i`` of ``ids``."""
         seeds = [kind_seed(self.recipe, self.split, self.kind, int(self._numbers[i])) for i in ids]
         specs = sample_specs(self.recipe, seeds, threads=max(1, self._threads))
-        self._batch.reset(ids, specs)
-        for i, spec in zip(ids, specs, strict=True):
-            self._recorders[i] = WorldRecorder(Job.evaluation(int(i), spec))
+        self._session.begin(ids, [Job.evaluation(int(i), spec) for i, spec in zip(ids, specs, strict=True)])
+        self._longest[ids] = [spec.window_frames + spec.length_frames for spec in specs]
+        self._success[ids] = False
 
-    def _endings(self, playing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N,) terminated and truncated."""
-        terminated, truncated = np.zeros(self.num_envs, bool), np.zeros(self.num_envs, bool)
-        for i in playing:
-            recorder = self._recorder(i)
-            terminated[i] = recorder.settled_at(self._batch.rule.settle_frames)
-            truncated[i] = recorder.full() and not terminated[i]
-        return terminated, truncated
+    def _mask(self, ids: np.ndarray) -> np.ndarray:
+        """(N,) bool, True in worlds ``ids``."""
+        mask = np.zeros(self.num_envs, bool)
+        mask[ids] = True
+        return mask
 
     def _infos(self, ending: np.ndarray) -> dict[str, Any]:
-        """``is_success`` so far for all worlds, and every metric for those that end."""
-        success = np.array([self._recorder(i).success(self._batch.rule) for i in range(self.num_envs)])
-        infos: dict[str, Any] = {"is_success": success}
-        for i in np.flatnonzero(ending):
-            episode = self._recorder(i).freeze(self._batch.rule, POLICY_NAME)
+        """``is_success`` so far for all worlds, and every metric for worlds ``ending`` (n,)."""
+        for i in self._session.playing:
+            self._success[i] = self._session.success(int(i))
+        infos: dict[str, Any] = {"is_success": self._success.copy()}
+        for i in ending:
+            _, episode = self._session.finish(int(i), POLICY_NAME)
             if self._on_episode is not None:
                 self._on_episode(episode)
             for name, value in measure(episode).items():
                 column = infos.setdefault(name, np.full(self.num_envs, np.nan))
                 column[i] = np.nan if value is None else value
-                infos["_" + name] = ending
+                infos["_" + name] = self._mask(ending)
         return infos
 
-    def _look(self) -> dict[str, Any]:
-        idle = self._ended & self._one_episode
-        self._seen = self._batch.observe(images=self._images, ids=np.flatnonzero(~idle))
-        return as_gym(self._seen)
-
-    def _recorder(self, i: int) -> WorldRecorder:
-        recorder = self._recorders[i]
-        assert recorder is not None
-        return recorder
+    def _observe(self, ending: np.ndarray | None = None) -> dict[str, Any]:
+        """Return what is seen now; worlds ``ending`` (n,) show their last frame, those that ended before are black."""
+        return as_gym(self._session.observe(images=self._images, ending=ending))
 
 
 class DynahoiEnv(gym.Env):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.agent import Agent, Expert
+from dynahoi_lerobot.agent import Actor, Agent
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
     specs = _specs(args, recipe, recorder)
     for episodes in _played(args, recipe, actor, specs):
         recorder.extend(episodes)
-        info.extra.update(actor.report() if isinstance(actor, Agent) else {})
+        info.extra.update(actor.report())
         if args.out:
             recorder.write(args.out, info)
     results = recorder.write(args.out, info) if args.out else recorder.results(info)
@@ -103,15 +103,15 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _delayed(actor: Agent | Expert, args: argparse.Namespace) -> Agent | Expert:
+def _delayed(actor: Actor, args: argparse.Namespace) -> Actor:
     if not args.delay_ms:
         return actor
-    if isinstance(actor, Expert):
+    if not isinstance(actor, Agent):
         raise ValueError(f"--delay-ms concerns policies; {args.policy!r} is an expert")
     return DelayedAgent(actor, args.delay_ms)
 
 
-def _actor(args: argparse.Namespace) -> Agent | Expert:
+def _actor(args: argparse.Namespace) -> Actor:
     if args.policy == VLM and not args.set:
         return _vlm(args)
     return make_actor(args.policy, args.capture, args.device, args.set)
@@ -133,9 +133,7 @@ def _vlm(args: argparse.Namespace) -> Agent:
     return VlmAgent(client, name=f"vlm:{args.model}", concurrency=args.batch_size)
 
 
-def make_actor(
-    name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = ()
-) -> Agent | Expert:
+def make_actor(name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = ()) -> Actor:
     """Return the expert called ``name``, the capture rule's own for "expert", or else load it as a policy.
 
     Args:
@@ -153,8 +151,8 @@ def make_actor(
     return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings)
 
 
-def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
-    size = args.image_size or getattr(actor, "image_size", None) or 128
+def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
+    size = args.image_size or actor.image_size or 128
     return Recipe(
         split=seed_stream(args.split),
         motions=args.motions,
@@ -162,7 +160,7 @@ def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
         hand=args.hand,
         protocol=args.protocol,
         image_size=size,
-        views=getattr(actor, "views", ()),
+        views=actor.views,
         appearance=args.appearance,
     )
 
@@ -178,7 +176,7 @@ def _specs(args: argparse.Namespace, recipe: Recipe, recorder: Recorder) -> list
 
 
 def _played(
-    args: argparse.Namespace, recipe: Recipe, actor: Agent | Expert, specs: list[EpisodeSpec]
+    args: argparse.Namespace, recipe: Recipe, actor: Actor, specs: list[EpisodeSpec]
 ) -> Iterator[list[Episode]]:
     """Play ``specs`` and yield them a batch at a time, without images."""
     if not specs:

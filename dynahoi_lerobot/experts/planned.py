@@ -26,7 +26,7 @@ class MotionPlan(Protocol):
 
 
 class PlannedExpert(Expert):
-    """Keeps the plan of every world until its episode or attempt is a new one."""
+    """Plans each attempt of an episode once, from its spec, and keeps the plan of every world until the next."""
 
     def __init__(self) -> None:
         """Start with no plans."""

@@ -1,4 +1,4 @@
-"""The one loop. Generation and evaluation both run it, so they cannot drift apart."""
+"""Playing many episodes with one actor: what generation and evaluation share, so that they cannot drift apart."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Agent, Expert
+from dynahoi_lerobot.agent import Actor
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, frame_columns
+from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -21,12 +22,12 @@ DEFAULT_BATCH = 32
 
 
 def play(
-    batch: WorldBatch, actor: Agent | Expert, jobs: Iterable[Job], *, images: bool = False
+    batch: WorldBatch, actor: Actor, jobs: Iterable[Job], *, images: bool = False
 ) -> Iterator[tuple[Job, Episode]]:
     """Play jobs in the worlds of ``batch`` and yield each with its episode, as they end.
 
-    An expert has no memory, so a world that finishes begins the next job at once. An agent may have some, so it gets
-    the next jobs together, after ``reset``.
+    A world that finishes begins the next job at once, unless the actor has memory: then it gets the next jobs together,
+    after ``reset``.
 
     Args:
         batch: the worlds.
@@ -34,19 +35,16 @@ def play(
         jobs: consumed lazily.
         images: whether to record images even if the actor asks for none.
     """
-    waiting, running = iter(jobs), dict[int, WorldRecorder]()
-    look = images or getattr(actor, "sees_images", False)
+    session, waiting = Session(batch), iter(jobs)
     while True:
-        if isinstance(actor, Expert) or not running:
-            _begin(batch, actor, waiting, running)
-        if not running:
+        if not (actor.has_memory and session.playing.size):
+            _begin(session, actor, waiting)
+        if not session.playing.size:
             return
-        ids = np.array(sorted(running))
-        _step(batch, actor, ids, running, look=look)
-        for i in ids:
-            if running[i].full() or running[i].settled_at(batch.rule.settle_frames):
-                recorder = running.pop(int(i))
-                yield recorder.job, recorder.freeze(batch.rule, actor.name)
+        observation = session.observe(images=images or actor.sees_images)
+        ended = session.step(actor.commands(observation, batch.world_state))
+        for i in ended.worlds:
+            yield session.finish(int(i), actor.name)
 
 
 def record(
@@ -70,7 +68,7 @@ def record(
 
 
 def evaluate(
-    batch: WorldBatch, actor: Agent | Expert, specs: Sequence[EpisodeSpec], *, images: bool = False
+    batch: WorldBatch, actor: Actor, specs: Sequence[EpisodeSpec], *, images: bool = False
 ) -> Iterator[Episode]:
     """Yield one evaluated episode per spec, as they end: the window, then up to L control steps.
 
@@ -96,11 +94,11 @@ def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
 
 
 def _play_with_retries(
-    batch: WorldBatch, actor: Agent | Expert, fresh: Iterator[Job], images: bool
+    batch: WorldBatch, actor: Actor, fresh: Iterator[Job], images: bool
 ) -> Iterator[tuple[Job, Episode]]:
     """Play jobs as ``play`` does, but those that fail again, for as long as the actor may retry."""
     jobs = _Jobs(fresh)
-    attempts = 1 + getattr(actor, "retries", 0)
+    attempts = 1 + actor.retries
     for job, episode in play(batch, actor, jobs, images=images):
         if episode.success or job.attempt == attempts:
             yield job, episode
@@ -136,27 +134,10 @@ def _shortened(spec: EpisodeSpec, hold_frames: int | None) -> EpisodeSpec:
     return replace(spec, length_frames=min(spec.length_frames, spec.intercept_frame + 1 + hold_frames))
 
 
-def _begin(batch: WorldBatch, actor: Agent | Expert, waiting: Iterator[Job], running: dict[int, WorldRecorder]) -> None:
+def _begin(session: Session, actor: Actor, waiting: Iterator[Job]) -> None:
     """Give every idle world a job, as long as there are any."""
-    idle = [i for i in range(batch.size) if i not in running]
+    idle = np.setdiff1d(np.arange(session.batch.size), session.playing)
     begun = list(zip(idle, waiting, strict=False))
-    if not begun:
-        return
-    batch.reset([i for i, _ in begun], [job.spec for _, job in begun], [job.attempt for _, job in begun])
-    running.update((i, WorldRecorder(job)) for i, job in begun)
-    if isinstance(actor, Agent):
-        actor.reset(batch.size)
-
-
-def _step(
-    batch: WorldBatch, actor: Agent | Expert, ids: np.ndarray, running: dict[int, WorldRecorder], *, look: bool
-) -> None:
-    """Observe, act and advance the worlds ``ids`` by one frame, recording each."""
-    observation = batch.observe(images=look, ids=ids)
-    commands = actor.act(batch.world_state(observation)) if isinstance(actor, Expert) else actor.act(observation)
-    columns = frame_columns(batch, observation)
-    for i in ids:
-        running[i].see(columns, i, observation.pictures)
-    batch.step(commands[ids], ids)
-    for i in ids:
-        running[i].act(batch.executed[i])
+    if begun:
+        session.begin([i for i, _ in begun], [job for _, job in begun])
+        actor.reset(session.batch.size)

@@ -11,8 +11,9 @@ from dynahoi_lerobot.captures import CaptureRule, Track
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import open_hand, reference_grasp
-from dynahoi_lerobot.foundation.conventions import FINGERS, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.hands.base import EGO_CAMERA
+from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.world.batch import WorldBatch
 
 
@@ -51,8 +52,13 @@ COLUMNS = (
     "fingertip_distance",
     "localized",
     "touch",
+    "palm_force",
+    "other_contacts",
 )
-"""What is copied of every frame, by its name in ``Episode``; of ``touch`` it keeps the fingers."""
+"""What is copied of every frame."""
+
+VERDICT_COLUMNS = ("palm_force", "other_contacts")
+"""Those that only the capture rule's verdict needs; the others are arrays of ``Episode`` by their names."""
 
 
 def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
@@ -64,59 +70,62 @@ def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.n
         observation.phase,
         batch.target_pose,
         batch.target_velocity,
-        batch.contacts(),
+        batch.touching(),
         batch.palm_distance.copy(),
         np.maximum(tips.min(axis=1), 0.0),
         batch.localized.copy(),
-        batch.touch.copy(),
+        batch.contacts.finger_force_n.copy(),
+        batch.contacts.palm_force_n.copy(),
+        batch.contacts.others.copy(),
     )
     return dict(zip(COLUMNS, values, strict=True))
 
 
 @dataclass
 class WorldRecorder:
-    """Collects one world's frames: ``see`` before each step, ``act`` after it."""
+    """Collects one world's frames: ``add_frame`` before each step, ``add_action`` after it."""
 
     job: Job
     frames: list[tuple[np.ndarray, ...]] = field(default_factory=list)
     pictures: dict[str, list[np.ndarray]] = field(default_factory=dict)
     actions: list[np.ndarray] = field(default_factory=list)
-    settled: int = 0
+    localized_frames: int = 0
 
-    def see(self, columns: dict[str, np.ndarray], i: int, pictures: dict[str, np.ndarray]) -> None:
+    def add_frame(self, columns: dict[str, np.ndarray], i: int, pictures: dict[str, np.ndarray]) -> None:
         """Record what world ``i`` looks like at this frame; ``pictures`` are (N, H, W, 3) of each view."""
         self.frames.append(tuple(columns[name][i] for name in COLUMNS))
-        self.settled += bool(columns["localized"][i])
+        self.localized_frames += bool(columns["localized"][i])
         for view, images in pictures.items():
             self.pictures.setdefault(view, []).append(images[i])
 
-    def act(self, executed: np.ndarray) -> None:
+    def add_action(self, executed: np.ndarray) -> None:
         """Record the command (18,) that was executed from this frame on."""
         self.actions.append(executed.copy())
 
-    def settled_at(self, settle_frames: int) -> bool:
-        """Tell whether the verdict has fallen."""
-        return self.job.stop_settled and self.settled > settle_frames
+    def settled(self, rule: CaptureRule) -> bool:
+        """Tell whether the episode may end because the rule's verdict has fallen."""
+        return self.job.stop_settled and self.localized_frames > rule.settle_frames
 
+    @property
     def full(self) -> bool:
-        """Tell whether the episode has reached its longest length."""
+        """Whether the episode has reached its longest length."""
         return len(self.actions) >= self.job.frames
 
     def success(self, rule: CaptureRule) -> bool:
         """Return the rule's verdict on the frames so far."""
-        return self.settled > 0 and rule.success(self._track(self._columns()))
+        return self.localized_frames > 0 and rule.success(self._track(self._columns()))
 
-    def freeze(self, rule: CaptureRule, agent: str) -> Episode:
+    def freeze(self, rule: CaptureRule, actor: str) -> Episode:
         """Return the recording as an Episode."""
         spec, columns = self.job.spec, self._columns()
         track = self._track(columns)
         captured = np.zeros(len(self.frames), bool)
         captured[spec.window_frames :] = rule.captured(track)
-        touch, localized = columns.pop("touch")[:, : len(FINGERS)], columns.pop("localized")
-        floats = {name: values.astype(np.float32) for name, values in columns.items()}
+        touch, localized = columns.pop("touch"), columns.pop("localized")
+        floats = {name: values.astype(np.float32) for name, values in columns.items() if name not in VERDICT_COLUMNS}
         views = {view: np.stack(images) for view, images in self.pictures.items()}
         return Episode(
-            meta=_meta(self.job, rule.name, agent),
+            meta=_meta(self.job, rule.name, actor),
             images=views.pop(EGO_CAMERA, None),
             action=np.stack(self.actions).astype(np.float32),
             localized=localized,
@@ -145,7 +154,7 @@ class WorldRecorder:
             open_joints=open_hand(),
             reference_joints=reference_grasp(spec),
             localized=columns["localized"][control],
-            touch=columns["touch"][control],
+            contacts=TargetContacts(*(columns[name][control] for name in ("touch", "palm_force", "other_contacts"))),
             palm_distance=columns["palm_distance"][control],
             palm_pos_w=columns["state"][control, :PALM_DOF],
         )

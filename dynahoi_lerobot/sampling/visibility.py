@@ -47,7 +47,6 @@ def _camera() -> tuple[np.ndarray, np.ndarray, float]:
 def _hand_distance() -> np.ndarray:
     """(K, K) how far the open hand is from the camera [m], infinite beside it; rows upwards, columns rightwards."""
     scene = compile_scene()
-    assert scene.hand is not None
     data = mujoco.MjData(scene.model)
     data.qpos[scene.hand_qpos[:3]] = (0.0, 0.0, 1.0)
     data.qpos[scene.hand_qpos[3:]] = scene.hand.open_joints()

@@ -1,6 +1,8 @@
-"""Who touches the target, and how hard: contact sensors in the scene, and reading them."""
+"""What touches the target, and how hard: contact sensors in the scene, and how they are read."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -8,36 +10,59 @@ import numpy as np
 from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.hands.base import PALM_BODY
 
-TOUCHING = (*FINGERS, "palm", "elsewhere")
-"""What is told apart: five fingers, the palm, and everything that is not the hand."""
-PALM, ELSEWHERE = TOUCHING.index("palm"), TOUCHING.index("elsewhere")
-
+N_SENSORS = len(FINGERS) + 2
+"""One for each finger, one for the palm, one for whatever touches the target."""
+PALM, ANY = len(FINGERS), len(FINGERS) + 1
 FOUND, FORCE = 0, slice(1, 4)
 SENSOR_SIZE = 4
 NET_FORCE = 3
-"""The reduction of a contact sensor that adds up all contacts it matches."""
+"""The reduction of a MuJoCo contact sensor that adds up all contacts it matches."""
 
 
-def add_touch_sensors(spec: mujoco.MjSpec) -> None:
-    """Add a contact sensor for each finger, for the palm, and for whatever touches the target."""
+@dataclass(frozen=True, eq=False)
+class TargetContacts:
+    """What touches the target, for worlds, frames or physics steps of any shape (...).
+
+    Attributes:
+        finger_force_n: (..., 5) magnitude of the net force of each finger on the target [N].
+        palm_force_n: (...) that of the palm [N].
+        others: (...) number of contacts with anything but fingers and palm.
+    """
+
+    finger_force_n: np.ndarray
+    palm_force_n: np.ndarray
+    others: np.ndarray
+
+    @property
+    def by_hand(self) -> np.ndarray:
+        """(...) bool, a finger or the palm touches the target."""
+        return (self.finger_force_n > 0).any(axis=-1) | (self.palm_force_n > 0)
+
+
+def no_contacts(*shape: int) -> TargetContacts:
+    """Return contacts of ``shape`` where nothing touches the target."""
+    return TargetContacts(np.zeros((*shape, len(FINGERS))), np.zeros(shape), np.zeros(shape))
+
+
+def read_contacts(sensordata: np.ndarray) -> TargetContacts:
+    """Return what touches the target.
+
+    Args:
+        sensordata: (..., 28) of a scene with ``add_contact_sensors``.
+    """
+    sensors = sensordata.reshape(*sensordata.shape[:-1], N_SENSORS, SENSOR_SIZE)
+    force = np.linalg.norm(sensors[..., FORCE], axis=-1)  # (..., 7)
+    found = sensors[..., FOUND]
+    return TargetContacts(force[..., :PALM], force[..., PALM], found[..., ANY] - found[..., :ANY].sum(axis=-1))
+
+
+def add_contact_sensors(spec: mujoco.MjSpec) -> None:
+    """Add the sensors that ``read_contacts`` reads, in its order."""
     body, subtree = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY
     for finger in FINGERS:
         _add_sensor(spec, f"touch_{finger}", f"{finger}_base", subtree)
     _add_sensor(spec, "touch_palm", PALM_BODY, body)
     _add_sensor(spec, "touch_any", "", mujoco.mjtObj.mjOBJ_UNKNOWN)
-
-
-def read_touch(sensordata: np.ndarray) -> np.ndarray:
-    """Return (..., 7) the net force of each of ``TOUCHING`` on the target [N]; of elsewhere, the number of contacts.
-
-    Args:
-        sensordata: (..., 28) of a scene with ``add_touch_sensors``.
-    """
-    sensors = sensordata.reshape(*sensordata.shape[:-1], len(TOUCHING), SENSOR_SIZE)
-    touch = np.linalg.norm(sensors[..., FORCE], axis=-1)
-    found = sensors[..., FOUND]
-    touch[..., ELSEWHERE] = found[..., ELSEWHERE] - found[..., :ELSEWHERE].sum(axis=-1)
-    return touch
 
 
 def _add_sensor(spec: mujoco.MjSpec, name: str, other: str, kind: mujoco.mjtObj) -> None:

@@ -19,7 +19,7 @@ from dynahoi_lerobot.hands import HANDS, Hand
 from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE, camera_quat
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
-from dynahoi_lerobot.scene.contact_sensors import add_touch_sensors
+from dynahoi_lerobot.scene.contact_sensors import add_contact_sensors
 
 SHAPES = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -89,7 +89,7 @@ class Scene:
     """
 
     model: mujoco.MjModel
-    hand: Hand | None
+    hand: Hand
     slots: dict[str, tuple[int, ...]]
     target_body: int
     target_qpos: int
@@ -124,21 +124,19 @@ class Scene:
 
 
 @functools.cache
-def compile_scene(hand: str | None = "capsule") -> Scene:
-    """Compile the scene with the named hand, or without one to roll targets ahead; cached, as it never changes."""
-    embodiment = None if hand is None else HANDS[hand]()
+def compile_scene(hand: str = "capsule") -> Scene:
+    """Compile the scene with the named hand; cached, as it never changes."""
+    embodiment = HANDS[hand]()
     spec = mujoco.MjSpec()
     _set_options(spec)
     _add_materials(spec)
     _add_surroundings(spec)
     _add_distractors(spec)
-    if embodiment:
-        embodiment.add_to(spec)
-        _set_hand_collisions(spec)
+    embodiment.add_to(spec)
+    _set_hand_collisions(spec)
     _add_target(spec)
     _add_fixtures(spec)
-    if embodiment:
-        add_touch_sensors(spec)
+    add_contact_sensors(spec)
     return _index(spec.compile(), embodiment)
 
 
@@ -262,15 +260,13 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
         **stiff,
     )
     tether.data[:3] = (0.0, 0.0, 0.5)
-    if not spec.body(PALM_BODY):
-        return
     spec.add_equality(
         name="weld", type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="target", name2=PALM_BODY,
         active=False, **stiff,
     )  # fmt: skip
 
 
-def _index(model: mujoco.MjModel, hand: Hand | None) -> Scene:
+def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
     geoms = {model.geom(i).name: i for i in range(model.ngeom)}
     slots = {
         shape: tuple(geoms[f"target_{shape}_{i}"] for i in range(count))
@@ -302,17 +298,12 @@ def _index(model: mujoco.MjModel, hand: Hand | None) -> Scene:
         side_mocap=int(model.body(SIDE_CAMERA).mocapid[0]),
         tether_eq=model.equality("tether").id,
         tether_geom=geoms["tether"],
-        weld_eq=_find(model, mujoco.mjtObj.mjOBJ_EQUALITY, "weld"),
-        palm_site=_find(model, mujoco.mjtObj.mjOBJ_SITE, PALM_SITE),
-        palm_body=_find(model, mujoco.mjtObj.mjOBJ_BODY, PALM_BODY),
-        tip_sites=np.array([_find(model, mujoco.mjtObj.mjOBJ_SITE, f"{finger}_tip") for finger in FINGERS]),
-        camera=_find(model, mujoco.mjtObj.mjOBJ_CAMERA, EGO_CAMERA),
+        weld_eq=model.equality("weld").id,
+        palm_site=model.site(PALM_SITE).id,
+        palm_body=model.body(PALM_BODY).id,
+        tip_sites=np.array([model.site(f"{finger}_tip").id for finger in FINGERS]),
+        camera=model.camera(EGO_CAMERA).id,
         materials={model.mat(i).name: i for i in range(model.nmat)},
         hand_geoms=np.array([i for name, i in geoms.items() if name.startswith(HAND_GEOM_PREFIX)], dtype=int),
         finger_geoms=np.array(fingers),
     )
-
-
-def _find(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
-    """Id of a named thing, -1 in a scene without a hand."""
-    return mujoco.mj_name2id(model, kind, name)

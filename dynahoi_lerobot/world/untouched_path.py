@@ -66,7 +66,6 @@ def _simulate(
 ) -> np.ndarray:
     """(N, frames, 3) positions of physical targets."""
     scene = compile_scene(hand)
-    assert scene.hand is not None
     batch = Batch(scene.model, nsim=len(motions), nthread=threads)
     rows, ids = WorldFields(batch, scene), np.arange(len(motions))
     rows.reset(ids)

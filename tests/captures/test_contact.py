@@ -11,14 +11,14 @@ from dynahoi_lerobot.captures import CAPTURES, Track
 from dynahoi_lerobot.captures.contact import HELD_FRAMES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.motions.constant import Constant
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rollout.loop import make_batch, play
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
-from dynahoi_lerobot.scene.contact_sensors import ELSEWHERE, PALM, TOUCHING
+from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.world.batch import WorldBatch
 
 RECIPE = Recipe(split="test", capture="contact", image_size=32)
@@ -81,13 +81,13 @@ def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
     """Up to the touch the target is on its path; in the frame of the touch its velocity changes by what pushes it."""
     spec = flying(constant, 0.5)
     batch = begin(spec)
-    while not batch.touch[0, :ELSEWHERE].any():
+    while not batch.contacts.by_hand[0]:
         frame = batch.frame[0]
         np.testing.assert_allclose(batch.target_pose[0, :3], spec.oracle_path[frame], atol=1e-9)
         before = batch.target_pose[0, :3].copy()
         batch.step(batch.executed)
     assert np.linalg.norm(batch.target_pose[0, :3] - before) < 0.5 * CONTROL_DT + 0.005
-    assert batch.touch[0, PALM] > 0
+    assert batch.contacts.palm_force_n[0] > 0
     for _ in range(10):
         batch.step(batch.executed)
     assert batch.target_pose[0, 2] < HOME_W[2] - 0.5, "nothing carries it any more"
@@ -98,7 +98,8 @@ def test_an_untouched_target_follows_its_path(constant: EpisodeSpec):
     for _ in range(12):
         batch.step(batch.executed)
     np.testing.assert_allclose(batch.target_pose[0, :3], constant.oracle_path[12], atol=1e-9)
-    assert not batch.touch.any()
+    assert not batch.contacts.by_hand.any()
+    assert not batch.contacts.others.any()
 
 
 def test_a_touched_pendulum_loses_its_string():
@@ -144,7 +145,7 @@ def test_a_hand_that_stays_open_holds_nothing(every_kind: list[EpisodeSpec]):
 
 # -- the verdict ---------------------------------------------------------------------------------------------------
 
-THUMB, INDEX = TOUCHING.index("thumb"), TOUCHING.index("index")
+TOUCHING = (*FINGERS, "palm", "others")
 
 
 def track(frames: int = 20, speed_m_s: float = 0.2, **touching: int) -> Track:
@@ -152,9 +153,10 @@ def track(frames: int = 20, speed_m_s: float = 0.2, **touching: int) -> Track:
     touch = np.zeros((frames, len(TOUCHING)))
     for name, until in touching.items():
         touch[:until, TOUCHING.index(name)] = 1.0
+    contacts = TargetContacts(touch[:, : len(FINGERS)], touch[:, -2], touch[:, -1])
     palm = np.arange(frames)[:, None] * [0.0, 0.0, speed_m_s * CONTROL_DT]
     return Track(
-        np.zeros((frames, 15)), np.zeros(15), np.zeros(15), np.ones(frames, bool), touch, np.zeros(frames), palm
+        np.zeros((frames, 15)), np.zeros(15), np.zeros(15), np.ones(frames, bool), contacts, np.zeros(frames), palm
     )
 
 
@@ -169,9 +171,9 @@ def track(frames: int = 20, speed_m_s: float = 0.2, **touching: int) -> Track:
         (track(thumb=2, index=20), "enclosed"),
         (track(index=20, ring=20), "touched"),
         (track(palm=20), "touched"),
-        (track(elsewhere=20), "missed"),
-        (track(thumb=20, index=20, elsewhere=20), "touched"),
-        (track(thumb=20, index=20, elsewhere=11), "slipped"),
+        (track(others=20), "missed"),
+        (track(thumb=20, index=20, others=20), "touched"),
+        (track(thumb=20, index=20, others=11), "slipped"),
         (track(thumb=20, index=20, speed_m_s=0.05), "slipped"),
         (replace(track(thumb=20, index=20), palm_distance=np.full(20, 0.051)), "touched"),
     ],

@@ -96,6 +96,16 @@ def test_one_episode_mode_freezes_finished_worlds() -> None:
     assert env._batch.frame[0] == frame
 
 
+def test_the_terminal_observation_shows_the_last_frame_also_in_one_episode_mode() -> None:
+    env = DynahoiVectorEnv(1, kind="constant", **SMALL)
+    env.reset(seed=[0], options={"lerobot_new_rollout": True})
+    while not (step := follow_expert(env, 1)[0])[2][0]:
+        pass
+    assert step[0]["pixels"]["ego"][0].std() > 5.0
+    after, *_ = env.step(np.zeros((1, 18), np.float32))
+    assert not after["pixels"]["ego"].any(), "a world that stands still costs no rendering"
+
+
 def test_seeds_number_the_episodes_of_kind_and_split() -> None:
     env = DynahoiVectorEnv(3, kind="lob", split="test_small", images=False, **SMALL)
     env.reset(seed=4)
@@ -155,7 +165,7 @@ def test_without_images_nothing_is_rendered() -> None:
     env = DynahoiVectorEnv(1, images=False, **SMALL)
     observation, _ = env.reset(seed=[0])
     assert "pixels" not in observation
-    assert not env._batch._renderers
+    assert not env._batch.cameras._renderers
 
 
 def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:

@@ -68,7 +68,7 @@ def test_the_expert_catches_every_kind_with_it_and_policies_see_the_same() -> No
 def test_it_is_seen() -> None:
     batch = make_batch(RECIPE, 1)
     batch.reset([0], sample_specs(RECIPE, [0]))
-    shown = batch.segmentation()
+    shown = batch.cameras.segmentation()
     assert np.isin(shown, batch.scene.hand_geoms).mean() > 0.03
     assert len(np.unique(shown[np.isin(shown, batch.scene.hand_geoms)])) > 5
 

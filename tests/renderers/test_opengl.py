@@ -38,7 +38,7 @@ def batch_of(renderer: str, specs: list[EpisodeSpec]) -> WorldBatch:
 def refusal(batch: WorldBatch) -> str:
     """Return what the batch's renderer says when it cannot draw, empty if it can."""
     try:
-        batch.render()
+        batch.cameras.render()
     except RuntimeError as error:
         return str(error)
     return ""
@@ -57,17 +57,17 @@ def pair(specs: list[EpisodeSpec]) -> tuple[WorldBatch, WorldBatch | None]:
 def test_pictures_agree(pair: tuple[WorldBatch, WorldBatch | None]) -> None:
     caster, other = pair
     if other is not None:
-        difference = np.abs(caster.render().astype(int) - other.render()).mean(axis=(1, 2, 3))
+        difference = np.abs(caster.cameras.render().astype(int) - other.cameras.render()).mean(axis=(1, 2, 3))
         assert difference.max() < LARGEST_DIFFERENCE
-    assert caster.render().std(axis=(1, 2, 3)).min() > 5.0  # and they show something
+    assert caster.cameras.render().std(axis=(1, 2, 3)).min() > 5.0  # and they show something
 
 
 def test_geoms_agree_and_have_their_colours(pair: tuple[WorldBatch, WorldBatch | None]) -> None:
     caster, other = pair
-    labels = caster.segmentation()
+    labels = caster.cameras.segmentation()
     if other is not None:
-        assert (labels == other.segmentation()).mean() > LEAST_AGREEMENT
-    pictures = (caster if other is None else other).render()
+        assert (labels == other.cameras.segmentation()).mean() > LEAST_AGREEMENT
+    pictures = (caster if other is None else other).cameras.render()
     for world, spec in enumerate(caster.specs):
         assert spec is not None
         shown = pictures[world][np.isin(labels[world], caster.scene.target_geoms)]
@@ -79,7 +79,7 @@ def test_geoms_agree_and_have_their_colours(pair: tuple[WorldBatch, WorldBatch |
 
 def test_only_the_worlds_asked_for(pair: tuple[WorldBatch, WorldBatch | None]) -> None:
     batch = pair[1] or pair[0]
-    everything, some = batch.render(), batch.render(np.array([1, 4]))
+    everything, some = batch.cameras.render(), batch.cameras.render(np.array([1, 4]))
     assert (some[[1, 4]] == everything[[1, 4]]).all()
     assert not some[[0, 2, 3]].any()
 
@@ -91,4 +91,4 @@ def test_without_opengl_one_sentence_says_what_to_do(specs: list[EpisodeSpec], m
 
     monkeypatch.setattr(opengl, "_platform_class", lambda: Missing)
     with pytest.raises(RuntimeError, match=r"no EGL device.*apt install libegl1.*renderer 'tiles'"):
-        batch_of("opengl", specs[:1]).render()
+        batch_of("opengl", specs[:1]).cameras.render()

@@ -27,12 +27,12 @@ def watching(request: pytest.FixtureRequest, specs: list[EpisodeSpec]) -> WorldB
 
 @pytest.fixture(scope="module")
 def images(watching: WorldBatch) -> np.ndarray:
-    return watching.render()
+    return watching.cameras.render()
 
 
 @pytest.fixture(scope="module")
 def labels(watching: WorldBatch) -> np.ndarray:
-    return watching.segmentation()
+    return watching.cameras.segmentation()
 
 
 def test_images_have_the_promised_shape_and_content(images: np.ndarray):
@@ -105,19 +105,19 @@ def test_the_target_appears_where_the_camera_geometry_puts_it(
 
 
 def test_worlds_that_are_not_asked_for_are_black_and_the_others_unchanged(watching: WorldBatch, images: np.ndarray):
-    some = watching.render(np.array([4, 17]))
+    some = watching.cameras.render(np.array([4, 17]))
     np.testing.assert_array_equal(some[[4, 17]], images[[4, 17]])
     assert not np.delete(some, [4, 17], axis=0).any()
 
 
 def test_pictures_follow_the_world(specs: list[EpisodeSpec]):
     batch = world([specs[3]], image_size=SIZE)
-    before = batch.render()
+    before = batch.cameras.render()
     batch.step(batch.executed)
-    moved = batch.render()
+    moved = batch.cameras.render()
     assert (before != moved).any()
     batch.reset([0], [specs[3]])
-    np.testing.assert_array_equal(batch.render(), before)
+    np.testing.assert_array_equal(batch.cameras.render(), before)
 
 
 def _shown(scene: Scene, spec: EpisodeSpec) -> set[int]:

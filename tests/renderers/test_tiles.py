@@ -28,8 +28,8 @@ def play(specs: list[EpisodeSpec], renderer: str, threads: int = 1) -> tuple[np.
     pictures, labels = [], []
     for frame in range(max(FRAMES) + 1):
         if frame in FRAMES:
-            pictures.append(batch.render())
-            labels.append(batch.segmentation())
+            pictures.append(batch.cameras.render())
+            labels.append(batch.cameras.segmentation())
         commands = batch.executed.copy()
         commands[:, 3:] += 0.05
         batch.step(np.clip(commands, *batch.command_limits()))

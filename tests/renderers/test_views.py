@@ -26,7 +26,7 @@ def batch(specs: list[EpisodeSpec]) -> WorldBatch:
 @pytest.mark.parametrize("view", FURTHER_VIEWS)
 def test_tiles_draw_what_mujoco_warp_draws(view: str, batch: WorldBatch, specs: list[EpisodeSpec]) -> None:
     other = world(specs[:22:3], image_size=SIZE, renderer="warp")
-    ours, theirs = batch.render(view=view).astype(int), other.render(view=view)
+    ours, theirs = batch.cameras.render(view=view).astype(int), other.cameras.render(view=view)
     assert (np.abs(ours - theirs).max(axis=-1) > LEVELS).mean() < MOST_DIFFERENT
     assert ours.std(axis=(1, 2, 3)).min() > 5.0
 
@@ -34,16 +34,16 @@ def test_tiles_draw_what_mujoco_warp_draws(view: str, batch: WorldBatch, specs: 
 def test_opengl_measures_the_same_depth(batch: WorldBatch, specs: list[EpisodeSpec]) -> None:
     other = world(specs[:22:3], image_size=SIZE, renderer="opengl")
     try:
-        theirs = other.depth()
+        theirs = other.cameras.depth()
     except RuntimeError:
         return  # no OpenGL here; test_opengl.py looks at what is said
-    ours = batch.depth()
+    ours = batch.cameras.depth()
     assert (np.abs(ours - theirs) > 0.02 * ours + 0.005).mean() < 0.02
 
 
 def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
     """The target's nearest pixel lies before its centre, by no more than the largest object is wide."""
-    labels, depth = batch.segmentation(), batch.depth()
+    labels, depth = batch.cameras.segmentation(), batch.cameras.depth()
     camera = batch._batch.bind("cam_xpos")[:, batch.scene.camera]
     axis = -batch._batch.bind("cam_xmat")[:, batch.scene.camera].reshape(-1, 3, 3)[:, :, 2]
     centre = ((batch.target_pose[:, :3] - camera) * axis).sum(axis=1)
@@ -58,13 +58,13 @@ def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
 
 def test_pictures_of_depth_and_segmentation(batch: WorldBatch) -> None:
     pictures = batch.observe(images=True).pictures
-    metres = batch.depth()
+    metres = batch.cameras.depth()
     grey = pictures["ego_depth"][..., 0]
     near = (metres > 0) & (metres < 2.5)
     assert near.any()
     np.testing.assert_allclose(grey[near] * DEPTH_LEVEL_M, metres[near], atol=DEPTH_LEVEL_M)
     assert (grey[metres == 0] == 255).all()
-    is_target = np.isin(batch.segmentation(), batch.scene.target_geoms)
+    is_target = np.isin(batch.cameras.segmentation(), batch.scene.target_geoms)
     assert (pictures["ego_segmentation"][is_target] == COLORS["target"]).all()
     assert not (pictures["ego_segmentation"][~is_target] == COLORS["target"]).all(axis=-1).any()
     for thing in ("hand", "target"):

@@ -17,7 +17,7 @@ SIZE = 64
 
 
 def pictures(specs: list[EpisodeSpec], renderer: str = "tiles") -> np.ndarray:
-    return world(specs, image_size=SIZE, renderer=renderer).render().astype(int)
+    return world(specs, image_size=SIZE, renderer=renderer).cameras.render().astype(int)
 
 
 @pytest.fixture(scope="module")

@@ -73,11 +73,11 @@ def test_another_process_sees_the_same_bytes(short: list[EpisodeSpec], pictures:
 def test_resetting_one_world_leaves_the_others_untouched(every_kind: list[EpisodeSpec]):
     batch = world(every_kind[:6])
     wait(batch)
-    before, images = batch._batch.state.copy(), batch.render()
+    before, images = batch._batch.state.copy(), batch.cameras.render()
     batch.reset([2], [every_kind[9]])
     others = [0, 1, 3, 4, 5]
     np.testing.assert_array_equal(batch._batch.state[others], before[others])
-    np.testing.assert_array_equal(batch.render()[others], images[others])
+    np.testing.assert_array_equal(batch.cameras.render()[others], images[others])
     undisturbed = world(every_kind[:6])
     wait(undisturbed)
     for _ in range(5):

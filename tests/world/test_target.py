@@ -94,7 +94,7 @@ def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpe
 def _drive(kind: str, driven_frames: int, frames: int) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3) positions and velocities after every physics step; the force stops after ``driven_frames``."""
     drawn = draw_motion(kind, 3)
-    scene = compile_scene(None)
+    scene = compile_scene()
     batch = Batch(scene.model, nsim=1, nthread=1)
     rows, one = WorldFields(batch, scene), np.array([0])
     drive = drive_for(drawn.motion, drawn.target, frames)

@@ -1,0 +1,99 @@
+"""One control step of physics: 25 steps at 500 Hz, with the capture rule's event at the step where it happens."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from dynahoi_lerobot.captures import CaptureRule
+from dynahoi_lerobot.captures.base import NO_EVENT, Substeps
+from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
+from dynahoi_lerobot.scene.scene import Scene
+from dynahoi_lerobot.world.target import Targets
+
+CONTROL_SPEC = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+
+
+class Physics:
+    """Advances worlds, and keeps what a capture rule and a recording need to know of the last control step.
+
+    Attributes:
+        palm_distance: (N,) [m], least distance of palm and target centre during the last control step.
+        localized: (N,) bool, the target has been localised in the control phase.
+        contacts: of shape (N,), what touched the target during the last control step: mean forces [N] and mean
+            numbers of contacts. Zero if the capture rule uses no contact sensors.
+    """
+
+    def __init__(self, scene: Scene, batch: Batch, targets: Targets, rule: CaptureRule) -> None:
+        """Advance ``batch``, which runs ``scene.model``, under ``rule``."""
+        self._scene, self._batch, self._targets, self._rule = scene, batch, targets, rule
+        self.n_controls = scene.model.nu
+        self.palm_distance = np.full(batch.nsim, np.inf)
+        self.localized = np.zeros(batch.nsim, bool)
+        self.contacts: TargetContacts = no_contacts(batch.nsim)
+
+    def reset(self, ids: np.ndarray, palm_distance: np.ndarray) -> None:
+        """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance`` (n,) [m] from their targets."""
+        self.palm_distance[ids], self.localized[ids] = palm_distance, False
+        for values in (self.contacts.finger_force_n, self.contacts.palm_force_n, self.contacts.others):
+            values[ids] = 0.0
+
+    def control(self, set_points: np.ndarray, force_w: np.ndarray) -> np.ndarray:
+        """Return (n, 25, nu + nv) what MuJoCo needs for a control step.
+
+        Args:
+            set_points: (n, 25, nu) of the servos, palm [m] and joints [rad].
+            force_w: (n, 25, 3) force on the target [N], world.
+        """
+        control = np.zeros((len(set_points), SUBSTEPS, self.n_controls + self._scene.model.nv))
+        control[..., : self.n_controls] = set_points
+        dof = self.n_controls + self._scene.target_dof
+        control[..., dof : dof + 3] = force_w
+        return control
+
+    def advance(self, ids: np.ndarray, control: np.ndarray, acting: np.ndarray) -> None:
+        """Roll one control step; where the capture rule has an event, go back and insert it.
+
+        Args:
+            ids: (n,) worlds.
+            control: (n, 25, nu + nv), see ``control``.
+            acting: (n,) bool, the control phase has begun.
+        """
+        before = self._batch.state[ids].copy()
+        substeps = self._roll(ids, control, acting)
+        self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
+        self.localized[ids] |= acting & (self.palm_distance[ids] < LOCALIZATION_RADIUS_M)
+        events = np.where(self._targets.released[ids], NO_EVENT, self._rule.events(substeps))
+        for row in np.flatnonzero(events != NO_EVENT):
+            self._batch.state[ids[row]] = before[row]
+            self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1, acting[row : row + 1])
+
+    def _roll_through_event(self, i: int, control: np.ndarray, steps: int, acting: np.ndarray) -> None:
+        """Roll world ``i`` for ``steps`` physics steps, apply the rule's effect, and finish the control step."""
+        one = np.array([i])
+        self._roll(one, control[:, :steps], acting)
+        self._targets.apply(self._rule.effect, i)
+        if steps < SUBSTEPS:
+            rest = control[:, steps:].copy()
+            rest[..., self.n_controls :] = 0.0  # whatever drove the target stops
+            self._roll(one, rest, acting)
+
+    def _roll(self, ids: np.ndarray, control: np.ndarray, acting: np.ndarray) -> Substeps:
+        """Roll physics steps; of the contacts in them keep the mean."""
+        sensed = self._rule.uses_contact_sensors
+        names = ("qpos", "sensordata") if sensed else ("qpos",)
+        record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC, record=names, ids=ids)
+        qpos = record["qpos"]
+        target = qpos[..., self._scene.target_qpos : self._scene.target_qpos + 3]
+        distance = np.linalg.norm(target - qpos[..., self._scene.hand_qpos[:PALM_DOF]], axis=-1)
+        contacts = read_contacts(record["sensordata"]) if sensed else None
+        if contacts is not None:
+            self._keep_mean(ids, contacts)
+        return Substeps(acting, distance, contacts)
+
+    def _keep_mean(self, ids: np.ndarray, contacts: TargetContacts) -> None:
+        self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
+        self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
+        self.contacts.others[ids] = contacts.others.mean(axis=1)
