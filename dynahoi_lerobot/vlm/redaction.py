@@ -52,7 +52,8 @@ class Redactor:
 
 def _any_escape(character: str) -> str:
     code = ord(character)
-    escapes = rf"%(?:25)*{code:02x}|\\+(?:u00|x){code:02x}|&\#(?:x0*{code:x}|0*{code});"
+    # The look-behind and the possessive repeats keep the time linear for a megabyte of backslashes or zeros.
+    escapes = rf"%(?:25)*{code:02x}|(?<!\\)\\++(?:u00|x){code:02x}|&\#(?:x0*+{code:x}|0*+{code});"
     return rf"(?:{re.escape(character)}|{escapes})"
 
 
