@@ -67,7 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
     parser.add_argument("--base-url", help="of an OpenAI-compatible endpoint; the key is taken from OPENAI_API_KEY")
-    parser.add_argument("--request-timeout", type=float, default=60.0, help="of one request to it [s]")
+    parser.add_argument(
+        "--request-timeout", type=float, default=60.0, help="of one decision, all its requests included [s]"
+    )
     parser.add_argument(
         "--prices", type=float, nargs=2, default=(0.0, 0.0), help="of a million prompt and completion tokens"
     )
