@@ -156,7 +156,7 @@ def _step(
     commands = actor.act(batch.world_state(observation)) if isinstance(actor, Expert) else actor.act(observation)
     columns = frame_columns(batch, observation)
     for i in ids:
-        running[i].see(columns, i, observation.pictures)
+        running[i].see(columns, i, observation.images)
     batch.step(commands[ids], ids)
     for i in ids:
         running[i].act(batch.executed[i])

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.prompt import HORIZON
 
@@ -31,11 +32,11 @@ class VlmAgent(Agent):
 
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) commands; waits for the models that must answer first."""
-        assert observation.images is not None
+        images = observation.images[EGO_VIEW]
         asked = [i for i, queue in enumerate(self._planned) if not queue and self._in_play(observation, i)]
         states = observation.state.astype(np.float64)
         answers = self._threads.map(
-            lambda i: self._client.plan(observation.tasks[i], states[i], observation.images[i]),  # type: ignore[index]
+            lambda i: self._client.plan(observation.tasks[i], states[i], images[i]),
             asked,
         )
         for i, commands in zip(asked, answers, strict=True):
@@ -50,6 +51,5 @@ class VlmAgent(Agent):
 
     @staticmethod
     def _in_play(observation: Observation, i: int) -> bool:
-        """Only worlds in the control phase of an episode are asked for; the pictures of idle ones are black."""
-        assert observation.images is not None
-        return bool(observation.phase[i, 0] > 0 and observation.images[i].any())
+        """Only worlds in the control phase of an episode are asked for; the images of idle ones are black."""
+        return bool(observation.phase[i, 0] > 0 and observation.images[EGO_VIEW][i].any())

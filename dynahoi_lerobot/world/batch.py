@@ -221,13 +221,12 @@ class WorldBatch:
             ids: the worlds to render (default: all); the images of the others are black.
         """
         return Observation(
-            images=self.render(ids) if images else None,
+            images={view: self.render(ids, view) for view in (EGO_CAMERA, *self._views)} if images else {},
             state=self.state.astype(np.float32),
             fingertips=self.fingertips().astype(np.float32),
             phase=self.acting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.touch[:, : len(FINGERS)].astype(np.float32) if self.rule.uses_contact_sensors else None,
-            views={view: self.render(ids, view) for view in self._views} if images else {},
         )
 
     def world_state(self, observation: Observation) -> WorldState:
