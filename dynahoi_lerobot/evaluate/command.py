@@ -199,7 +199,7 @@ def _watched(episodes: Iterator[Episode], progress: tqdm, out: Path | None, gifs
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             episode_gif(out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
-        yield replace(episode, images=None)
+        yield replace(episode, images={})
     for episode in episodes:
         progress.update()
-        yield replace(episode, images=None)
+        yield replace(episode, images={})

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.prompt import HORIZON
 
@@ -38,11 +39,11 @@ class VlmAgent(Agent):
         Returns:
             (N, 18) palm centre position [m] world and joint angles [rad].
         """
-        assert observation.images is not None
+        images = observation.images[EGO_VIEW]
         due = [i for i, queue in enumerate(self._planned) if not queue and self._in_play(observation, i)]
         states = observation.state.astype(np.float64)
         answers = self._threads.map(
-            lambda i: self._client.plan(observation.tasks[i], states[i], observation.images[i]),  # type: ignore[index]
+            lambda i: self._client.plan(observation.tasks[i], states[i], images[i]),
             due,
         )
         for i, commands in zip(due, answers, strict=True):
@@ -58,5 +59,4 @@ class VlmAgent(Agent):
     @staticmethod
     def _in_play(observation: Observation, i: int) -> bool:
         """Return whether world ``i`` is in the control phase of an episode; the images of idle worlds are black."""
-        assert observation.images is not None
-        return bool(observation.phase[i, 0] > 0 and observation.images[i].any())
+        return bool(observation.phase[i, 0] > 0 and observation.images[EGO_VIEW][i].any())

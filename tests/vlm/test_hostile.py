@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.cli import main
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.failures import Cause
 from dynahoi_lerobot.vlm.redaction import Redactor

@@ -177,7 +177,8 @@ def observe(phase: list[float], idle: tuple[int, ...] = ()) -> Observation:
     images = np.full((n, 8, 8, 3), 9, np.uint8)
     images[list(idle)] = 0
     state = np.ones((n, 18), np.float32)
-    return Observation(images, state, np.zeros((n, 30), np.float32), np.array(phase)[:, None], ("a", "b", "c")[:n])
+    tips, tasks = np.zeros((n, 30), np.float32), ("a", "b", "c")[:n]
+    return Observation({"ego": images}, state, tips, np.array(phase)[:, None], tasks)
 
 
 def test_one_request_for_ten_frames_of_each_acting_world():
