@@ -22,9 +22,12 @@ import torch
 from lerobot.configs import NormalizationMode
 from torch import Tensor, nn
 
-# The spread is measured on the first training batches and then stays fixed: it is a unit, not a statistic to
-# track.
+# The spread is measured on the first training batches and then stays fixed: the targets of training must not drift.
 N_SPREAD_BATCHES = 100
+
+MIN_SPREAD = 1e-4
+"""Smallest spread of a displacement, in the unit of the action: 0.1 mm for positions in metres. A hand that moves less
+is at rest, and the rounding of its position must not be scaled up to the size of a motion."""
 
 _RANGE_KEYS = {
     NormalizationMode.MIN_MAX: ("min", "max"),
@@ -101,16 +104,22 @@ class ActionFrame(nn.Module):
             return
         square = self._displacement(actions, state).detach()[keep].square().mean(0)
         self.n_batches += 1
-        self.mean_square += (square.clamp_min(1e-12) - self.mean_square) / self.n_batches
+        # Unlike mean += (x - mean) / n, lerp returns x itself at weight 1: the initial value leaves no rounding behind.
+        self.mean_square.lerp_(square, 1 / self.n_batches)
+
+    @property
+    def spread(self) -> Tensor:
+        """Root mean square of the displacements in the unit of the action, at least `MIN_SPREAD`, ``(n_dims,)``."""
+        return self.mean_square.sqrt().clamp_min(MIN_SPREAD)
 
     def to_model(self, actions: Tensor, state: Tensor) -> Tensor:
         """Map normalised actions ``(B, H, A)`` to the head's frame, given the normalised state ``(B, S)``."""
-        relative = self._displacement(actions, state) / self.mean_square.sqrt()
+        relative = self._displacement(actions, state) / self.spread
         return torch.cat([relative, actions[..., self.n_dims :]], dim=-1)
 
     def to_actions(self, chunk: Tensor, state: Tensor) -> Tensor:
         """Invert `to_model`."""
-        absolute = chunk[..., : self.n_dims] * self.mean_square.sqrt() + self._position(state)[:, None]
+        absolute = chunk[..., : self.n_dims] * self.spread + self._position(state)[:, None]
         normalised = (absolute - self.action_shift) / self.action_scale
         return torch.cat([normalised, chunk[..., self.n_dims :]], dim=-1)
 

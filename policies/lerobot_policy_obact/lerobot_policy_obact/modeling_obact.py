@@ -19,6 +19,7 @@ from .action_frame import ActionFrame, affine_of, looks_absolute
 from .augment import jitter_colors, shift_images
 from .configuration_obact import ObActConfig
 from .decisions import Decisions
+from .finite import require_finite
 from .frames import EncodedFrames
 from .heads.base import Guide
 from .history import ChunkQueue, History
@@ -97,6 +98,7 @@ class ObActPolicy(PreTrainedPolicy):
         error = self._chunk_error(actions, kept, frames, decisions) * kept  # (R, H)
         seen = self._privileged_error(batch, frames)  # (B, T)
         privileged = self.config.privileged_weight * _masked_mean(seen, frames.keep)  # (B,)
+        require_finite({"action": error, "privileged": privileged}, batch)
         if reduction == "none":
             loss = _masked_mean(decisions.spread(error).flatten(1), keep.flatten(1)) + privileged
             return loss, {"loss": loss.mean().item()}
