@@ -68,7 +68,7 @@ def measure(batch_size: int, image_px: int, settings: dict[str, Any]) -> dict[st
     steps_per_s = 1 / seconds_per_call(step)
     window = {key: value[:1] for key, value in batch.items()}
     frame = {key: value if key == "task" else value[:, -1] for key, value in window.items()}
-    for _ in range(len(policy.history.lookback) * policy.config.obs_stride):
+    for _ in range(len(policy.config.windows.lookback) * policy.config.obs_stride):
         policy.predict_action_chunk(frame)
     return {
         "parameters_m": sum(p.numel() for p in policy.model.parameters()) / 1e6,

@@ -16,11 +16,15 @@ the state at which its actions happen to be executed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from lerobot.configs import NormalizationMode
+from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor, nn
+
+from .configuration_obact import ObActConfig
 
 # The spread is measured on the first training batches and then stays fixed: the targets of training must not drift.
 N_SPREAD_BATCHES = 100
@@ -68,6 +72,20 @@ def looks_absolute(action_stats: dict[str, Any], state_stats: dict[str, Any], n_
     return bool((close & (ratio > 0.5) & (ratio < 2.0)).all())
 
 
+def resolve_action_frame(config: ObActConfig, stats: dict[str, dict[str, Any]] | None) -> str:
+    """Return the config's ``action_frame`` with "auto" resolved.
+
+    Args:
+        config: The policy's config.
+        stats: LeRobot statistics of the training data; without them "auto" is "absolute".
+    """
+    if config.action_frame != "auto":
+        return config.action_frame
+    if not config.can_be_relative or not stats or ACTION not in stats or OBS_STATE not in stats:
+        return "absolute"
+    return "relative" if looks_absolute(stats[ACTION], stats[OBS_STATE], config.relative_dims) else "absolute"
+
+
 class ActionFrame(nn.Module):
     """Maps normalised actions to the frame the head predicts, and back.
 
@@ -91,6 +109,17 @@ class ActionFrame(nn.Module):
         scale, shift = affine or (torch.ones(self.n_dims), torch.zeros(self.n_dims))
         getattr(self, f"{name}_scale").copy_(scale[: self.n_dims].clamp_min(1e-8))
         getattr(self, f"{name}_shift").copy_(shift[: self.n_dims])
+
+    def set_dataset_stats(self, stats: dict[str, dict[str, Any]], mapping: Mapping[str, NormalizationMode]) -> None:
+        """Keep the constants with which LeRobot normalises actions and states.
+
+        Args:
+            stats: LeRobot statistics by feature key.
+            mapping: Normalisation mode by feature type, ``config.normalization_mapping``.
+        """
+        for name, key in (("action", ACTION), ("state", OBS_STATE)):
+            mode = mapping.get(name.upper(), NormalizationMode.IDENTITY)
+            self.set_stats(name, affine_of(stats.get(key), mode))
 
     def observe(self, actions: Tensor, state: Tensor, keep: Tensor) -> None:
         """Add one training batch to the measured spread of the displacements.

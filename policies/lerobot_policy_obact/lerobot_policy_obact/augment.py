@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from .configuration_obact import ObActConfig
+from .observation import Observation
+
+
+def augmented(observation: Observation, config: ObActConfig) -> Observation:
+    """Return the observation with its images shifted and their colours changed as the config says."""
+    shape = observation.images.shape
+    images = observation.images.flatten(1, 2)  # (B, T, C, 3, H, W) -> (B, T*C, 3, H, W): one draw per sample
+    images = jitter_colors(shift_images(images, config.random_shift_px), config.color_jitter)
+    return replace(observation, images=images.reshape(shape))
 
 
 def shift_images(images: Tensor, max_shift_px: int) -> Tensor:

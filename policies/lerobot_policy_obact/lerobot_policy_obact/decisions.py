@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from .configuration_obact import ObActConfig
+from .frames import EncodedFrames
+
 
 @dataclass(frozen=True)
 class Decisions:
@@ -62,3 +65,21 @@ class Decisions:
         n_samples, n_decisions = self.keep.shape[:2]
         places = picked.new_zeros(n_samples * n_decisions, *picked.shape[1:]).index_copy(0, self.rows, picked)
         return places.unflatten(0, (n_samples, n_decisions))
+
+
+def window_decisions(
+    frames: EncodedFrames,
+    frame_index: Sequence[Sequence[int]],
+    config: ObActConfig,
+    wanted: Tensor | None = None,
+) -> Decisions:
+    """Return the decisions whose windows are spaced as the config says.
+
+    Args:
+        frames: Encoded frames, with their padding.
+        frame_index: Frames in the window of each decision, shape ``(K, s + 1)``.
+        config: For the offsets of a window [frames] and the frame rate [Hz].
+        wanted: Decisions to compute, shape ``(B, K)``; None wants all.
+    """
+    age_s = -torch.tensor(config.windows.lookback, device=frames.keep.device) / config.fps  # (s + 1,)
+    return Decisions.among(frames.keep, frame_index, age_s, wanted)

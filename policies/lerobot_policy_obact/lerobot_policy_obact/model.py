@@ -36,6 +36,20 @@ class ObActModel(nn.Module):
         self.head = heads.build(config.head, spec, options=config.head_options)
         self.probe = PositionProbe(width, config.relative_dims) if config.privileged_key else None
 
+    def load_pretrained(self) -> None:
+        """Start from the published weights of backbone and head, where their options name any."""
+        self.backbone.load_pretrained()
+        self.head.load_pretrained()
+
+    def compile_parts(self, backend: str) -> None:
+        """Compile backbone, attention and the parts of the head with ``torch.compile``, each on its own.
+
+        Args:
+            backend: Name of a ``torch.compile`` backend.
+        """
+        for part in (self.backbone, self.attention, *self.head.children()):
+            part.compile(backend=backend)
+
     def conditions(self, frames: EncodedFrames, decisions: Decisions) -> Condition:
         """Fuse the window of each wanted decision into the condition of its chunk, decisions of one sample in a row."""
         fused = self.attention(frames.tokens, decisions)  # (R, N, D)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -10,6 +12,9 @@ from lerobot.utils.constants import OBS_STATE
 from torch import Tensor
 
 from .configuration_obact import ObActConfig
+
+Batch = Mapping[str, Any]
+"""A preprocessed LeRobot batch: tensors by key, and the instruction(s) under "task"."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,7 @@ class Observation:
     texts: list[str]
 
     @classmethod
-    def from_batch(cls, batch: dict[str, Tensor], config: ObActConfig) -> Observation:
+    def from_batch(cls, batch: Batch, config: ObActConfig) -> Observation:
         """Read a preprocessed LeRobot batch, with a time axis (dataset) or without one (environment)."""
         images = torch.stack(
             [_resize(_with_time(batch[key], 5), config.image_size) for key in config.image_features], 2
@@ -72,11 +77,11 @@ def _resize(images: Tensor, size: int) -> Tensor:
     return resized.unflatten(0, images.shape[:2])
 
 
-def _frame_mask(batch: dict[str, Tensor], shape: torch.Size, device: torch.device) -> Tensor:
+def _frame_mask(batch: Batch, shape: torch.Size, device: torch.device) -> Tensor:
     pads = [value for key, value in batch.items() if key.startswith("observation.") and key.endswith("_is_pad")]
     return ~_with_time(pads[0].bool(), 2) if pads else torch.ones(*shape, dtype=torch.bool, device=device)
 
 
-def _texts(batch: dict[str, Tensor | list[str] | str], n: int) -> list[str]:
+def _texts(batch: Batch, n: int) -> list[str]:
     task = batch.get("task", "")
     return [task] * n if isinstance(task, str) else list(task)

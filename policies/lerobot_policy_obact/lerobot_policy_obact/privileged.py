@@ -17,6 +17,8 @@ import pyarrow.parquet as pq
 import torch
 from torch import Tensor, nn
 
+from .configuration_obact import ObActConfig
+
 
 class FrameColumn:
     """One vector column of a LeRobot dataset, by global frame index.
@@ -52,6 +54,26 @@ class FrameColumn:
         """
         frames = index.cpu().reshape(-1, 1) + torch.tensor(offsets)  # (B, T)
         return self.values[frames.clamp(0, len(self.values) - 1)].to(index.device)
+
+
+def privileged_labels(config: ObActConfig, meta: Any | None) -> FrameColumn | None:
+    """Open the privileged column that the config names, if there is a dataset to train on.
+
+    Args:
+        config: The policy's config, its ``action_frame`` resolved.
+        meta: The dataset's LeRobot metadata; None while acting.
+
+    Raises:
+        ValueError: If actions are not relative: the coordinates of ``observation.state`` are then unknown.
+    """
+    if not config.privileged_key or meta is None:
+        return None
+    if config.action_frame != "relative":
+        raise ValueError(
+            f"privileged_key is {config.privileged_key!r}, but only action_frame='relative' knows the coordinates of "
+            f"'observation.state'; action_frame is {config.action_frame!r}, so privileged_key must be ''."
+        )
+    return FrameColumn(meta, config.privileged_key, config.relative_dims)
 
 
 class PositionProbe(nn.Module):

@@ -68,7 +68,7 @@ def test_privileged_supervision_needs_relative_actions(target_root: Path) -> Non
 
 def test_the_probe_learns_where_the_target_is_relative_to_the_palm() -> None:
     policy = make_policy(**RELATIVE, privileged_key="target.pose", ema_decay=0.0)
-    policy.labels = Place()
+    policy.objective.labels = Place()
     batch = make_batch(policy) | {"index": torch.arange(3)}
     policy.config.privileged_weight = 10.0
     before = mean_loss(policy, batch)
@@ -82,7 +82,7 @@ def test_the_probe_learns_where_the_target_is_relative_to_the_palm() -> None:
 
 def test_padded_frames_do_not_teach_the_probe() -> None:
     policy = randomise(make_policy(**RELATIVE, privileged_key="target.pose"))
-    policy.labels = Place()
+    policy.objective.labels = Place()
     batch = make_batch(policy) | {"index": torch.arange(3)}
     batch["action_is_pad"][:] = True  # what remains is the probe's loss
     batch["observation.state_is_pad"][:, 0] = True
@@ -98,7 +98,7 @@ def test_padded_frames_do_not_teach_the_probe() -> None:
 
 def test_acting_needs_no_privileged_column(tmp_path: Path) -> None:
     policy = make_policy(**RELATIVE, privileged_key="target.pose")
-    assert policy.labels is None
+    assert policy.objective.labels is None
     policy.save_pretrained(tmp_path)
     again = type(policy).from_pretrained(tmp_path)
     batch = make_batch(policy)
