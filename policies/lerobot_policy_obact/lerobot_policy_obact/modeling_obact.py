@@ -194,6 +194,7 @@ class ObActPolicy(PreTrainedPolicy):
         """Adopt the LeRobot statistics ``{key: {"mean": (D,), ...}}`` that batches are normalised with, if given."""
         if stats is not None:
             self.frame.set_dataset_stats(stats, self.config.normalization_mapping)
+            self.objective.set_dataset_stats(stats)
 
     def wrap_with_peft(self, *args: Any, **kwargs: Any) -> PreTrainedPolicy:
         """Add adapters to the acting weights. Adapters are not averaged, so the average becomes the base."""

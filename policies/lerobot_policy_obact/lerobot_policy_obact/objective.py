@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from lerobot.utils.constants import ACTION
@@ -22,6 +23,7 @@ from .finite import require_finite
 from .frames import EncodedFrames
 from .model import ObActModel
 from .observation import Batch, Observation
+from .replan import rise_threshold
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class ImitationLoss:
     """The loss of a batch before reduction.
 
     Attributes:
-        error: Weighted loss of every action of the wanted decisions, 0 where ``keep`` is False, shape ``(R, H)``.
+        error: Weighted loss of every action of the wanted decisions, 0 where it is not learned from, shape ``(R, H)``.
         keep: Actions that are learned from, shape ``(B, K, H)``.
         decisions: Which decisions are wanted.
         privileged: Weighted auxiliary loss of every sample, shape ``(B,)``.
@@ -46,7 +48,8 @@ class ImitationLoss:
 
     def per_sample(self) -> Tensor:
         """Return the loss averaged over the actions of each sample, shape ``(B,)``."""
-        return _masked_mean(self.decisions.spread(self.error).flatten(1), self.keep.flatten(1)) + self.privileged
+        error = self.decisions.spread(self.error).flatten(1).sum(-1)  # (R, H) -> (B, K, H) -> (B,)
+        return error / self.keep.flatten(1).sum(-1).clamp_min(1) + self.privileged
 
 
 class ImitationObjective:
@@ -63,6 +66,11 @@ class ImitationObjective:
         self, config: ObActConfig, frame: ActionFrame, labels: Callable[[Tensor, list[int]], Tensor] | None
     ) -> None:
         self.config, self.frame, self.labels = config, frame, labels
+        self.set_dataset_stats(None)
+
+    def set_dataset_stats(self, stats: dict[str, dict[str, Any]] | None) -> None:
+        """Adopt the LeRobot statistics that batches are normalised with; None if they are unknown."""
+        self._risen_from = rise_threshold(self.config, stats)
 
     def __call__(self, model: ObActModel, batch: Batch, observation: Observation, training: bool) -> ImitationLoss:
         """Return the loss of a batch.
@@ -105,16 +113,13 @@ class ImitationObjective:
         return weights / weights.mean()
 
     def _executed(self, batch: Batch) -> Tensor:
-        """Tell which decisions are ever executed, broadcast to ``(B, K, H)``: those after the rise of ``replan_key``.
-
-        A normalised indicator is negative before its rise, and zero where it never changes.
-        """
+        """Return which decisions are ever executed, ``(B, K, 1)``: those after the rise of ``replan_key``."""
         value, windows = batch.get(self.config.replan_key), self.config.windows
         if value is None:
             return torch.ones(1, 1, 1, dtype=torch.bool, device=batch[ACTION].device)
         value = value.reshape(len(value), len(windows.observation_offsets), -1)  # (B, T, D), or (B, T) of numbers
         moments = [index[-1] for index in windows.frame_index]
-        return value[:, moments, -1:] >= 0  # (B, K, 1)
+        return value[:, moments, -1:] >= self._risen_from
 
     def _privileged_error(self, model: ObActModel, batch: Batch, frames: EncodedFrames) -> Tensor:
         """Return the probe's mean absolute error per sample, in units of the normalised state, ``(B,)``."""
@@ -122,14 +127,10 @@ class ImitationObjective:
             return torch.zeros_like(frames.keep[:, 0], dtype=frames.tokens.dtype)
         target = self.labels(batch["index"], self.config.windows.observation_offsets)  # (B, T, P)
         offset = self.frame.normalise_state(target) - frames.position[..., : target.shape[-1]]
-        return _masked_mean((model.probe(frames.tokens) - offset).abs().mean(-1), frames.keep)
+        error = (model.probe(frames.tokens) - offset).abs().mean(-1)  # (B, T)
+        return (error * frames.keep).sum(-1) / frames.keep.sum(-1).clamp_min(1)
 
 
 def _kept_actions(batch: Batch) -> Tensor:
     pad = batch.get(f"{ACTION}_is_pad")
     return torch.ones_like(batch[ACTION][..., 0], dtype=torch.bool) if pad is None else ~pad.bool()  # (B, L)
-
-
-def _masked_mean(error: Tensor, keep: Tensor) -> Tensor:
-    """Average ``(B, n)`` over what is kept of each sample, shape ``(B,)``."""
-    return (error * keep).sum(-1) / keep.sum(-1).clamp_min(1)

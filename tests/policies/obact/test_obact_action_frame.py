@@ -8,14 +8,9 @@ from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.processor import NormalizerProcessorStep, TransitionKey, create_transition
 from lerobot.utils.constants import ACTION, OBS_STATE
 from lerobot_policy_obact.action_frame import MIN_SPREAD, N_SPREAD_BATCHES, ActionFrame, affine_of, looks_absolute
-from obact_helpers import HAND_FEATURES, PUSH_FEATURES, make_batch, make_policy, make_step
+from obact_helpers import HAND_FEATURES, PUSH_FEATURES, make_batch, make_policy, make_step, stats_of
 
 MODES = [NormalizationMode.MEAN_STD, NormalizationMode.MIN_MAX, NormalizationMode.QUANTILES, NormalizationMode.IDENTITY]
-
-
-def stats_of(x: torch.Tensor) -> dict[str, torch.Tensor]:
-    quantiles = {f"q{q:02d}": torch.quantile(x, q / 100, dim=0) for q in (1, 10, 90, 99)}
-    return {"mean": x.mean(0), "std": x.std(0), "min": x.amin(0), "max": x.amax(0)} | quantiles
 
 
 @pytest.mark.parametrize("mode", MODES)
