@@ -1,4 +1,4 @@
-"""Actions as tokens of a vision-language model, as a LeRobot policy: ``lerobot-train --policy.type=actiontokens``."""
+"""Language models that predict actions, as LeRobot policies: ``--policy.type=actiontokens`` and ``=upvla``."""
 
 from .configuration_actiontokens import ActionTokensConfig
 from .modeling_actiontokens import ActionTokensPolicy

@@ -5,7 +5,7 @@ absolute palm targets would force the network to add the palm position to everyt
 displacements does not.
 
 LeRobot normalises actions and states separately before a policy sees them, so their difference in normalised
-units means nothing. `ActionFrame` undoes both scalings (their constants are kept as buffers), subtracts in
+units means nothing. `ActionFrame` undoes both scalings (the constants are buffers), subtracts in
 physical units, and divides by the spread of the displacements:
 
     r = (a - p) / spread,   a = action_scale * a_n + action_shift,   p = state_scale * s_n + state_shift
@@ -45,8 +45,8 @@ def affine_of(stats: dict[str, Any] | None, mode: NormalizationMode) -> tuple[Te
     scaled.
 
     Args:
-        stats: One feature's LeRobot statistics, arrays of shape ``(D,)``.
-        mode: How LeRobot normalises the feature.
+        stats: one feature's LeRobot statistics, arrays of shape ``(D,)``.
+        mode: how LeRobot normalises the feature.
     """
     if stats is None or mode is NormalizationMode.IDENTITY:
         return None
@@ -58,10 +58,15 @@ def affine_of(stats: dict[str, Any] | None, mode: NormalizationMode) -> tuple[Te
 
 
 def looks_absolute(action_stats: dict[str, Any], state_stats: dict[str, Any], n_dims: int) -> bool:
-    """Tell from statistics whether the leading actions are targets in the coordinates of the leading states.
+    """Return whether the leading actions look like targets in the coordinates of the leading states.
 
-    A position target follows the position, so both have about the same mean and spread. A velocity or an
-    increment has neither.
+    A position target follows the position, so both have about the same mean and standard deviation. Those of a velocity
+    or an increment differ.
+
+    Args:
+        action_stats: LeRobot statistics of ``action``, arrays of shape ``(A,)``.
+        state_stats: LeRobot statistics of ``observation.state``, arrays of shape ``(S,)``.
+        n_dims: leading dimensions to compare.
     """
     stats = (action_stats["mean"], action_stats["std"], state_stats["mean"], state_stats["std"])
     action_mean, action_std, state_mean, state_std = (
@@ -76,7 +81,7 @@ def resolve_action_frame(config: ObActConfig, stats: dict[str, dict[str, Any]] |
     """Return the config's ``action_frame`` with "auto" resolved.
 
     Args:
-        config: The policy's config.
+        config: the policy's config.
         stats: LeRobot statistics of the training data; without them "auto" is "absolute".
     """
     if config.action_frame != "auto":
@@ -90,7 +95,7 @@ class ActionFrame(nn.Module):
     """Maps normalised actions to the frame the head predicts, and back.
 
     Args:
-        n_dims: Leading dimensions that are relative to ``observation.state``; 0 makes the map the identity.
+        n_dims: leading dimensions that are relative to ``observation.state``; 0 makes the map the identity.
     """
 
     def __init__(self, n_dims: int) -> None:
@@ -103,30 +108,33 @@ class ActionFrame(nn.Module):
         self.register_buffer("n_batches", torch.zeros((), dtype=torch.long))
 
     def set_stats(self, name: str, affine: tuple[Tensor, Tensor] | None) -> None:
-        """Keep the ``(scale, shift)`` of "action" or "state"; None means that LeRobot leaves the feature as
-        it is.
+        """Store the constants of a normalisation, ``physical = scale * normalised + shift``.
+
+        Args:
+            name: "action" or "state".
+            affine: ``(scale, shift)``, each of shape ``(D,)``; None where LeRobot does not normalise.
         """
         scale, shift = affine or (torch.ones(self.n_dims), torch.zeros(self.n_dims))
         getattr(self, f"{name}_scale").copy_(scale[: self.n_dims].clamp_min(1e-8))
         getattr(self, f"{name}_shift").copy_(shift[: self.n_dims])
 
     def set_dataset_stats(self, stats: dict[str, dict[str, Any]], mapping: Mapping[str, NormalizationMode]) -> None:
-        """Keep the constants with which LeRobot normalises actions and states.
+        """Store the constants with which LeRobot normalises actions and states.
 
         Args:
             stats: LeRobot statistics by feature key.
-            mapping: Normalisation mode by feature type, ``config.normalization_mapping``.
+            mapping: normalisation mode by feature type, ``config.normalization_mapping``.
         """
         for name, key in (("action", ACTION), ("state", OBS_STATE)):
             mode = mapping.get(name.upper(), NormalizationMode.IDENTITY)
             self.set_stats(name, affine_of(stats.get(key), mode))
 
     def observe(self, actions: Tensor, state: Tensor, keep: Tensor) -> None:
-        """Add one training batch to the measured spread of the displacements.
+        """Update the running spread of the displacements with one training batch.
 
         Args:
-            actions: Normalised actions, shape ``(B, H, A)``.
-            state: Normalised ``observation.state`` at the decision, shape ``(B, S)``.
+            actions: normalised actions, shape ``(B, H, A)``.
+            state: normalised ``observation.state`` at the decision, shape ``(B, S)``.
             keep: False where an action is padding, shape ``(B, H)``.
         """
         if self.n_dims == 0 or self.n_batches >= N_SPREAD_BATCHES or not keep.any():

@@ -15,8 +15,8 @@ def averaged_copy(model: nn.Module, decay: float) -> AveragedModel:
     """Return a copy of ``model`` that follows it as an exponential moving average.
 
     Args:
-        model: The network that is trained.
-        decay: Decay per update, reached gradually, ``min(decay, (1 + n) / (10 + n))`` after ``n`` updates, so that the
+        model: the network that is trained.
+        decay: decay per update, reached gradually, ``min(decay, (1 + n) / (10 + n))`` after ``n`` updates, so that the
             average soon forgets the random initial weights.
     """
 
@@ -34,10 +34,10 @@ def match_averages(policy: ObActPolicy, state: dict[str, Tensor], prefix: str, *
     with an average starts it from the checkpoint's weights.
 
     Args:
-        policy: The policy that loads the checkpoint.
-        state: State dict of the checkpoint, changed in place.
-        prefix: What the policy's own keys in it begin with.
-        *_: What else PyTorch passes to such a hook, unused.
+        policy: the policy that loads the checkpoint.
+        state: state dict of the checkpoint, changed in place.
+        prefix: what the policy's own keys in it begin with.
+        *_: what else PyTorch passes to such a hook, unused.
     """
     plain, averaged = f"{prefix}model.", f"{prefix}ema.module."
     found = {key: value for key, value in state.items() if key.startswith(averaged)}

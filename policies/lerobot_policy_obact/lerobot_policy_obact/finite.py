@@ -13,11 +13,11 @@ def require_finite(losses: Mapping[str, Tensor], batch: Mapping[str, Any]) -> No
     """Check every part of a loss.
 
     Args:
-        losses: Parts of the loss by name, any shape.
-        batch: The preprocessed LeRobot batch that they were computed from.
+        losses: parts of the loss by name, any shape.
+        batch: the preprocessed LeRobot batch that they were computed from.
 
     Raises:
-        FloatingPointError: If a part is not finite, naming the part, the dataset frames of the batch where it has their
+        FloatingPointError: if a part is not finite, naming the part, the dataset frames of the batch where it has their
             ``index``, and the inputs that are not finite themselves.
     """
     # One synchronisation with the device for all parts: the rest is only computed once training has failed.

@@ -17,10 +17,10 @@ from .text import ByteTextEncoder
 
 
 class ObActModel(nn.Module):
-    """Everything that learns.
+    """All trained parts: encoders of images, proprioception and text, attention, action head and position probe.
 
     Args:
-        config: The policy's config, with its features filled in.
+        config: the policy's config, with its features filled in.
     """
 
     def __init__(self, config: ObActConfig) -> None:
@@ -45,28 +45,28 @@ class ObActModel(nn.Module):
         """Compile backbone, attention and the parts of the head with ``torch.compile``, each on its own.
 
         Args:
-            backend: Name of a ``torch.compile`` backend.
+            backend: name of a ``torch.compile`` backend.
         """
         for part in (self.backbone, self.attention, *self.head.children()):
             part.compile(backend=backend)
 
     def conditions(self, frames: EncodedFrames, decisions: Decisions) -> Condition:
-        """Fuse the window of each wanted decision into the condition of its chunk, decisions of one sample in a row."""
+        """Fuse the window of each wanted decision into the condition of its chunk, ``R`` rows ordered by sample."""
         fused = self.attention(frames.tokens, decisions)  # (R, N, D)
         if self.text is not None:
-            said = decisions.of_sample(self.text(frames.texts))  # (B, 1, D) -> (R, 1, D)
-            fused = torch.cat([fused, said.to(fused.dtype)], dim=1)
+            text_tokens = decisions.of_sample(self.text(frames.texts))  # (B, 1, D) -> (R, 1, D)
+            fused = torch.cat([fused, text_tokens.to(fused.dtype)], dim=1)
         return Condition(fused, decisions.current(frames.proprioception))
 
     def encode(self, observation: Observation) -> EncodedFrames:
-        """Turn each frame, by itself, into the tokens of its images and one of proprioception."""
+        """Encode each frame independently into the tokens of its images and one token of proprioception."""
         images = observation.images
         n_batch, n_frames, n_cameras = images.shape[:3]
         texts = [text for text in observation.texts for _ in range(n_frames * n_cameras)] if self.text is None else None
-        seen = self.backbone(images.flatten(0, 2), texts)  # (B*T*C, n, D)
-        seen = seen.unflatten(0, (n_batch, n_frames, n_cameras)) + self.camera  # (B, T, C, n, D)
-        felt = self.proprioception(observation.proprioception)[:, :, None]  # (B, T, 1, D)
-        tokens = torch.cat([seen.flatten(2, 3), felt.to(seen.dtype)], dim=2)  # (B, T, N, D) with N = C*n + 1
+        image_tokens = self.backbone(images.flatten(0, 2), texts)  # (B*T*C, n, D)
+        image_tokens = image_tokens.unflatten(0, (n_batch, n_frames, n_cameras)) + self.camera  # (B, T, C, n, D)
+        proprio_tokens = self.proprioception(observation.proprioception)[:, :, None]  # (B, T, 1, D)
+        tokens = torch.cat([image_tokens.flatten(2, 3), proprio_tokens.to(image_tokens.dtype)], dim=2)  # N = C*n + 1
         return EncodedFrames(
             tokens, observation.proprioception, observation.position, observation.keep, observation.texts
         )

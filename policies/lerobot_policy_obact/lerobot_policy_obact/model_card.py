@@ -39,8 +39,8 @@ def describe(config: ObActConfig, n_parameters: int) -> str:
     """Return the section as Markdown.
 
     Args:
-        config: The trained policy's config.
-        n_parameters: Trained and frozen parameters of the network, averaged copy not counted.
+        config: the trained policy's config.
+        n_parameters: trained and frozen parameters of the network, averaged copy not counted.
     """
     spacing_s = config.obs_stride / config.fps
     relative = f"relative to the current state in the first {config.relative_dims} dimensions"

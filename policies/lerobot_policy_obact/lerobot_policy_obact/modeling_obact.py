@@ -30,14 +30,14 @@ class ObActPolicy(PreTrainedPolicy):
     """Observe before act (DynaHOI, Section 4): a window of frames conditions a chunk of actions.
 
     Args:
-        config: The policy's config, with its features filled in.
+        config: the policy's config, with its features filled in.
         dataset_stats: LeRobot statistics of the training data; absent when a checkpoint is opened for acting.
         dataset_meta: LeRobot metadata of the training data, for its frame rate and privileged column.
-        load_pretrained: Whether backbone and head start from published weights, where they name any.
-        **kwargs: What else LeRobot may pass, unused.
+        load_pretrained: whether backbone and head start from published weights, where they name any.
+        **kwargs: what else LeRobot may pass, unused.
 
     Raises:
-        ValueError: If the config and the dataset do not fit, naming the option or feature.
+        ValueError: if the config and the dataset do not fit, naming the option or feature.
     """
 
     config_class = ObActConfig
@@ -84,7 +84,7 @@ class ObActPolicy(PreTrainedPolicy):
             Loss, and what to log.
 
         Raises:
-            FloatingPointError: If the loss is not finite.
+            FloatingPointError: if the loss is not finite.
         """
         observation = Observation.from_batch(batch, self.config)
         if self.training:
@@ -126,10 +126,10 @@ class ObActPolicy(PreTrainedPolicy):
         the hand may move.
 
         Args:
-            batch: Preprocessed observation of one step.
-            noise: Start of the chunks predicted in this step, shape ``(B, H, noise_dim)``; None draws it as
+            batch: preprocessed observation of one step.
+            noise: start of the chunks predicted in this step, shape ``(B, H, noise_dim)``; None draws it as
                 ``noise_seed`` says.
-            **kwargs: Unused.
+            **kwargs: unused.
         """
         self.eval()
         return self.planner.next_action(self._active_model, batch, noise)
@@ -146,14 +146,14 @@ class ObActPolicy(PreTrainedPolicy):
         """Return a whole chunk, normalised, shape ``(B, H, A)``.
 
         Args:
-            batch: One frame per environment, which joins the history, or a dataset batch with a time axis.
-            noise: Start of the sampling, shape ``(B, H, noise_dim)``; None draws it as ``noise_seed`` says.
-            inference_delay: Real-time chunking: actions that will have been executed when this chunk is ready.
-            prev_chunk_left_over: Real-time chunking: unexecuted normalised actions, shape ``(B, n, A)`` or ``(n, A)``.
-            execution_horizon: Real-time chunking: actions over which the guidance to the old chunk fades out.
+            batch: one frame per environment, which joins the history, or a dataset batch with a time axis.
+            noise: start of the sampling, shape ``(B, H, noise_dim)``; None draws it as ``noise_seed`` says.
+            inference_delay: real-time chunking: actions that will have been executed when this chunk is ready.
+            prev_chunk_left_over: real-time chunking: unexecuted normalised actions, shape ``(B, n, A)`` or ``(n, A)``.
+            execution_horizon: real-time chunking: actions over which the guidance to the old chunk fades out.
 
         Raises:
-            ValueError: If the batch has the wrong number of frames.
+            ValueError: if the batch has the wrong number of frames.
         """
         self.eval()
         model = self._active_model

@@ -31,10 +31,10 @@ class ImitationLoss:
     """The loss of a batch before reduction.
 
     Attributes:
-        error: Weighted loss of every action of the wanted decisions, 0 where it is not learned from, shape ``(R, H)``.
-        keep: Actions that are learned from, shape ``(B, K, H)``.
-        decisions: Which decisions are wanted.
-        privileged: Weighted auxiliary loss of every sample, shape ``(B,)``.
+        error: weighted loss of every action of the wanted decisions, 0 where it is not learned from, shape ``(R, H)``.
+        keep: actions that are learned from, shape ``(B, K, H)``.
+        decisions: which decisions are wanted.
+        privileged: weighted auxiliary loss of every sample, shape ``(B,)``.
     """
 
     error: Tensor
@@ -56,9 +56,9 @@ class ImitationObjective:
     """Computes the loss of a batch.
 
     Args:
-        config: The policy's config.
-        frame: The frame in which actions are predicted.
-        labels: Returns positions ``(B, T, P)`` in the unit of the state, given dataset indices ``(B,)`` and frame
+        config: the policy's config.
+        frame: the frame in which actions are predicted.
+        labels: returns positions ``(B, T, P)`` in the unit of the state, given dataset indices ``(B,)`` and frame
             offsets; None trains on actions alone.
     """
 
@@ -76,13 +76,13 @@ class ImitationObjective:
         """Return the loss of a batch.
 
         Args:
-            model: The network whose loss it is.
-            batch: Preprocessed LeRobot batch with the actions of ``config.action_delta_indices``.
-            observation: Its frames, those of ``config.observation_delta_indices``.
-            training: Whether the spread of the displacements may still be measured.
+            model: the network whose loss it is.
+            batch: preprocessed LeRobot batch with the actions of ``config.action_delta_indices``.
+            observation: its frames, those of ``config.observation_delta_indices``.
+            training: whether the spread of the displacements may still be measured.
 
         Raises:
-            FloatingPointError: If the loss is not finite.
+            FloatingPointError: if the loss is not finite.
         """
         frames = model.encode(observation)
         windows, actions = self.config.windows, batch[ACTION]

@@ -1,4 +1,4 @@
-"""The policy's view of a LeRobot batch: images at model size, vectors joined, padding as one mask."""
+"""The observation of a LeRobot batch: images at model size, vectors concatenated, one padding mask."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Observation:
 
     Attributes:
         images: RGB in [0, 1] of ``C`` cameras, shape ``(B, T, C, 3, H, W)``.
-        proprioception: All vector observations joined, normalised, shape ``(B, T, S)``.
-        position: ``observation.state``, normalised, that relative actions refer to, shape ``(B, T, P)``; P
-            may be 0.
+        proprioception: all vector observations concatenated, normalised, shape ``(B, T, S)``.
+        position: ``observation.state``, normalised, the reference of relative actions, shape ``(B, T, P)``; P may be
+            0.
         keep: False where a frame is padding, shape ``(B, T)``.
-        texts: One instruction per sample.
+        texts: one instruction per sample.
     """
 
     images: Tensor

@@ -21,8 +21,8 @@ class ChunkPlanner:
     The network is an argument of every method: acting uses the averaged weights where there are any.
 
     Args:
-        config: The policy's config.
-        frame: The frame in which actions are predicted.
+        config: the policy's config.
+        frame: the frame in which actions are predicted.
     """
 
     def __init__(self, config: ObActConfig, frame: ActionFrame) -> None:
@@ -38,9 +38,9 @@ class ChunkPlanner:
         """Return the next action of every environment, normalised, shape ``(B, A)``.
 
         Args:
-            model: The network.
-            batch: Preprocessed observation of one control step; each call adds one frame to the history.
-            noise: Start of the chunks predicted in this step, shape ``(B, H, noise_dim)``; None draws it.
+            model: the network.
+            batch: preprocessed observation of one control step; each call adds one frame to the history.
+            noise: start of the chunks predicted in this step, shape ``(B, H, noise_dim)``; None draws it.
         """
         observation = Observation.from_batch(batch, self.config)
         self.history.append(observation)
@@ -55,11 +55,11 @@ class ChunkPlanner:
         """Return the encoded frames that a decision sees, shape ``(B, s + 1)``.
 
         Args:
-            model: The network.
-            batch: One frame per environment, which joins the history, or the frames of a dataset sample.
+            model: the network.
+            batch: one frame per environment, which joins the history, or the frames of a dataset sample.
 
         Raises:
-            ValueError: If the batch has another number of frames.
+            ValueError: if the batch has another number of frames.
         """
         observation, windows = Observation.from_batch(batch, self.config), self.config.windows
         n_frames = observation.keep.shape[1]
@@ -79,10 +79,10 @@ class ChunkPlanner:
         """Return one normalised chunk per row of the window, shape ``(B, H, A)``.
 
         Args:
-            model: The network.
-            window: Encoded frames, oldest first.
-            noise: Start of the sampling, shape ``(B, H, noise_dim)``.
-            guide: Steers the sampling, for heads with ``accepts_guide``.
+            model: the network.
+            window: encoded frames, oldest first.
+            noise: start of the sampling, shape ``(B, H, noise_dim)``.
+            guide: steers the sampling, for heads with ``accepts_guide``.
         """
         whole_window = [list(range(window.keep.shape[1]))]
         condition = model.conditions(window, window_decisions(window, whole_window, self.config))
@@ -92,8 +92,8 @@ class ChunkPlanner:
         """Draw the noise that one chunk per row starts from, shape ``(R, H, noise_dim)``.
 
         Args:
-            model: The network, for the size of the noise and its device.
-            chunk_numbers: Chunks predicted before in each row's episode; with a seed the noise depends on them alone.
+            model: the network, for the size of the noise and its device.
+            chunk_numbers: chunks predicted before in each row's episode; with a seed the noise depends on them alone.
         """
         shape, device = (self.config.horizon, model.head.noise_dim), next(model.parameters()).device
         if self.config.noise_seed is None:

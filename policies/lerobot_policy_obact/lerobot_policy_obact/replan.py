@@ -22,7 +22,7 @@ def rise_threshold(config: ObActConfig, stats: dict[str, dict[str, Any]] | None)
     """Return the normalised value of ``config.replan_key`` from which on it has risen.
 
     Args:
-        config: The policy's config.
+        config: the policy's config.
         stats: LeRobot statistics that the batches are normalised with. Without them the indicator is taken to be 0
             before and 1 after its rise, and to vary within the normalised range.
 

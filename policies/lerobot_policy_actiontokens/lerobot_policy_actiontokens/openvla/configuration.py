@@ -1,4 +1,4 @@
-"""The `config.json` of OpenVLA's checkpoints, as a configuration of `transformers`."""
+"""Configuration of OpenVLA's checkpoints for `transformers`."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ class OpenVLAConfig(PreTrainedConfig):
     """One or two vision towers of `timm`, a projector and a language model (OpenVLA, Section 3.1).
 
     Attributes:
-        timm_model_ids: Names of the vision towers in `timm`.
-        timm_override_act_layers: Activation of each tower, None for its own.
-        image_sizes: Side of the square image that each tower sees [px].
-        image_seq_length: Number of patches of an image; by default from the first tower's name.
-        use_fused_vision_backbone: Whether there are two towers, whose features are joined patch by patch.
-        text_config: Of the language model.
-        pad_to_multiple_of: How many rows without a token the embeddings end with.
-        n_action_bins: Number of edges between the bins of an action.
-        norm_stats: ``{dataset: {"action": {"q01": [...], "q99": [...], "mask": [...]}}}``, what actions were
-            normalised by in training.
+        timm_model_ids: names of the vision towers in `timm`.
+        timm_override_act_layers: activation of each tower; None uses the tower's default.
+        image_sizes: side of the square input image of each tower [px].
+        image_seq_length: patches of an image; by default derived from the first tower's name.
+        use_fused_vision_backbone: whether there are two towers, whose features are concatenated per patch.
+        text_config: config of the language model.
+        pad_to_multiple_of: rows without a token at the end of the embeddings.
+        n_action_bins: edges of the bins of an action.
+        norm_stats: ``{dataset: {"action": {"q01": [...], "q99": [...], "mask": [...]}}}``, the
+            statistics by which actions were normalised in training.
     """
 
     model_type = "openvla"
@@ -54,18 +54,20 @@ class OpenVLAConfig(PreTrainedConfig):
 
     @property
     def vocabulary(self) -> int:
-        """Number of tokens of the tokenizer; ids of actions count down from it."""
+        """Number of tokens of the tokenizer; action ids count down from it."""
         return self.text_config.vocab_size - self.pad_to_multiple_of
 
     @property
     def image_token_id(self) -> int:
-        """An id that no text has, for where a patch of the image goes."""
+        """Id of the placeholder of an image patch, which no text contains."""
         return self.text_config.vocab_size - 1
 
 
 def _patches(tower: str, size: int) -> int:
-    """Return how many patches a tower of `timm` cuts an image of ``size`` pixels into."""
+    """Return the number of patches of a ``size`` x ``size`` px image, from the name of a tower of `timm`."""
     patch = re.search(r"patch(\d+)", tower)
     if patch is None:
-        raise ValueError(f"The name {tower!r} tells no patch size, so image_seq_length must be given.")
+        raise ValueError(
+            f"the vision tower is {tower!r}, a name without 'patch<size>': set image_seq_length in the config."
+        )
     return (size // int(patch[1])) ** 2
