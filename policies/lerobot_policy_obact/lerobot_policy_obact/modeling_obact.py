@@ -18,7 +18,7 @@ from .configuration_obact import ObActConfig
 from .frames import EncodedFrames
 from .heads.base import Guide
 from .model import ObActModel
-from .model_card import describe
+from .model_card import describe, insert_section
 from .objective import ImitationObjective
 from .observation import Batch, Observation
 from .planner import ChunkPlanner
@@ -206,10 +206,11 @@ class ObActPolicy(PreTrainedPolicy):
     def _get_default_peft_targets(self) -> dict[str, Any]:
         return {"target_modules": r"model\..*\.(q_proj|v_proj)", "modules_to_save": []}
 
-    def generate_model_card(self, *args: Any, **kwargs: Any) -> ModelCard:
-        """Return LeRobot's model card with a section on what this policy is and how it was configured."""
-        card = super().generate_model_card(*args, **kwargs)
-        card.text += describe(self.config, n_parameters=sum(p.numel() for p in self.model.parameters()))
+    def generate_model_card(self, dataset_repo_id: str, *args: Any, **kwargs: Any) -> ModelCard:
+        """Return LeRobot's model card, with a section on this policy instead of the instructions for robots."""
+        card = super().generate_model_card(dataset_repo_id, *args, **kwargs)
+        n_parameters = sum(p.numel() for p in self.model.parameters())
+        card.text = insert_section(card.text, describe(self.config, n_parameters, dataset_repo_id))
         return card
 
     # -- weights --------------------------------------------------------------------------------------------------
