@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import torch
 from lerobot.configs import NormalizationMode, PreTrainedConfig
@@ -59,6 +59,11 @@ class ChunkConfig(PreTrainedConfig):
         """None: imitation learning uses no rewards."""
         return
 
+    @property
+    def action_dim(self) -> int:
+        """Size of an action, ``A``; 0 without an action."""
+        return self.action_feature.shape[0] if self.action_feature else 0
+
     def validate_features(self) -> None:
         """Check that the dataset has the features the policy needs.
 
@@ -84,8 +89,8 @@ class ChunkPolicy(PreTrainedPolicy):
         config: the policy's config, with its features filled in.
     """
 
-    config_class = ChunkConfig
-    name = "chunk"
+    config_class: ClassVar[type[ChunkConfig]] = ChunkConfig
+    name: ClassVar[str] = "chunk"
     config: ChunkConfig
 
     def __init__(self, config: ChunkConfig) -> None:

@@ -67,7 +67,7 @@ class ActionTokensPolicy(ChunkPolicy):
     def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
         """Return a chunk, normalised, shape ``(B, H, A)``, by greedy decoding constrained to action tokens."""
         self.eval()
-        size = self.config.action_feature.shape[0]
+        size = self.config.action_dim
         count = self.config.chunk_size * size
         prompt = self._prompt(batch)
         action_ids = self.vlm.generate(

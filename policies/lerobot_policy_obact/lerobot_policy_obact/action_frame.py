@@ -98,6 +98,13 @@ class ActionFrame(nn.Module):
         n_dims: leading dimensions that are relative to ``observation.state``; 0 makes the map the identity.
     """
 
+    action_scale: Tensor
+    action_shift: Tensor
+    state_scale: Tensor
+    state_shift: Tensor
+    mean_square: Tensor
+    n_batches: Tensor
+
     def __init__(self, n_dims: int) -> None:
         super().__init__()
         self.n_dims = n_dims
@@ -142,7 +149,7 @@ class ActionFrame(nn.Module):
         square = self._displacement(actions, state).detach()[keep].square().mean(0)
         self.n_batches += 1
         # Unlike mean += (x - mean) / n, lerp returns x itself at weight 1: the initial value leaves no rounding behind.
-        self.mean_square.lerp_(square, 1 / self.n_batches)
+        self.mean_square.lerp_(square, self.n_batches.reciprocal())
 
     @property
     def spread(self) -> Tensor:

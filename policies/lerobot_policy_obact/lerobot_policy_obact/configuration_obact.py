@@ -161,6 +161,17 @@ class ObActConfig(PreTrainedConfig):
         vectors = (FeatureType.STATE, FeatureType.ENV)
         return [key for key, feature in (self.input_features or {}).items() if feature.type in vectors]
 
+    @property
+    def state_dim(self) -> int:
+        """Size of all vector observations together, ``S``."""
+        inputs = self.input_features or {}
+        return sum(inputs[key].shape[0] for key in self.proprioceptive_keys)
+
+    @property
+    def action_dim(self) -> int:
+        """Size of an action, ``A``; 0 without an action."""
+        return self.action_feature.shape[0] if self.action_feature else 0
+
     def validate_features(self) -> None:
         """Check that the dataset has the features the policy needs.
 
@@ -184,7 +195,9 @@ class ObActConfig(PreTrainedConfig):
     def can_be_relative(self) -> bool:
         """Whether state and action are both long enough for `relative_dims`."""
         state, action = self.robot_state_feature, self.action_feature
-        return bool(state and action) and self.relative_dims <= min(state.shape[0], action.shape[0])
+        if state is None or action is None:
+            return False
+        return self.relative_dims <= min(state.shape[0], action.shape[0])
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW as LeRobot builds it when no optimiser is given."""

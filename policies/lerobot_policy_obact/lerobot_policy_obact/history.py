@@ -82,7 +82,9 @@ class ChunkQueue:
     def clear(self) -> None:
         """Drop all chunks; the next step plans for every row."""
         self._chunks: Tensor | None = None
+        self._next = torch.zeros(0, dtype=torch.long)
         self._trigger: Tensor | None = None
+        self.n_planned: list[int] = []
 
     def rows_to_plan(self, trigger: Tensor | None, n_rows: int) -> list[int]:
         """Return the rows whose chunk is used up, or whose trigger rose since the last step.
@@ -95,7 +97,7 @@ class ChunkQueue:
             self._trigger, self.n_planned = trigger, [0] * n_rows
             return list(range(n_rows))
         due = self._next >= self._chunks.shape[1]
-        if trigger is not None:
+        if trigger is not None and self._trigger is not None:
             due = due | (trigger > self._trigger + 1e-3).cpu()
         self._trigger = trigger
         return due.nonzero().flatten().tolist()
@@ -111,7 +113,13 @@ class ChunkQueue:
             self.n_planned[row] += 1
 
     def pop(self) -> Tensor:
-        """Return the next action of every row, shape ``(B, A)``."""
+        """Return the next action of every row, shape ``(B, A)``.
+
+        Raises:
+            RuntimeError: if no chunk was put since the last `clear`.
+        """
+        if self._chunks is None:
+            raise RuntimeError("the queue is empty: put a chunk before the first pop.")
         actions = self._chunks[torch.arange(len(self._chunks)), self._next]
         self._next = self._next + 1
         return actions

@@ -26,13 +26,12 @@ class ObActModel(nn.Module):
     def __init__(self, config: ObActConfig) -> None:
         super().__init__()
         width, n_heads = config.width, config.n_attention_heads
-        state_dim = sum(config.input_features[key].shape[0] for key in config.proprioceptive_keys)
         self.backbone = backbones.build(config.backbone, width, options=config.backbone_options)
         self.camera = nn.Parameter(0.02 * torch.randn(len(config.image_features), 1, width))
-        self.proprioception = nn.Sequential(nn.Linear(state_dim, width), nn.SiLU(), nn.Linear(width, width))
+        self.proprioception = nn.Sequential(nn.Linear(config.state_dim, width), nn.SiLU(), nn.Linear(width, width))
         self.text = None if self.backbone.reads_text else ByteTextEncoder(width)
         self.attention = SpatioTemporalAttention(width, config.n_attention_layers, n_heads, config.dropout)
-        spec = ActionSpec(config.horizon, config.action_feature.shape[0], state_dim, width, n_heads, config.dropout)
+        spec = ActionSpec(config.horizon, config.action_dim, config.state_dim, width, n_heads, config.dropout)
         self.head = heads.build(config.head, spec, options=config.head_options)
         self.probe = PositionProbe(width, config.relative_dims) if config.privileged_key else None
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, ClassVar, Self, cast
 
 import torch
 from huggingface_hub import ModelCard
@@ -40,8 +40,8 @@ class ObActPolicy(PreTrainedPolicy):
         ValueError: if the config and the dataset do not fit, naming the option or feature.
     """
 
-    config_class = ObActConfig
-    name = "obact"
+    config_class: ClassVar[type[ObActConfig]] = ObActConfig
+    name: ClassVar[str] = "obact"
     config: ObActConfig
 
     def __init__(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 from transformers import CONFIG_MAPPING, AutoConfig, PreTrainedConfig
 
@@ -25,7 +25,7 @@ class OpenVLAConfig(PreTrainedConfig):
     """
 
     model_type = "openvla"
-    sub_configs: ClassVar[dict[str, type[PreTrainedConfig]]] = {"text_config": AutoConfig}
+    sub_configs: ClassVar[dict[str, Any]] = {"text_config": AutoConfig}
 
     timm_model_ids: list[str] | None = None
     timm_override_act_layers: list[str | None] | None = None
@@ -43,7 +43,7 @@ class OpenVLAConfig(PreTrainedConfig):
             "vit_large_patch14_reg4_dinov2.lvd142m",
             "vit_so400m_patch14_siglip_224",
         ]
-        self.timm_override_act_layers = self.timm_override_act_layers or [None] * len(self.timm_model_ids)
+        self.timm_override_act_layers = self.timm_override_act_layers or [None for _ in self.timm_model_ids]
         self.image_sizes = self.image_sizes or [224] * len(self.timm_model_ids)
         if self.image_seq_length is None:
             self.image_seq_length = _patches(self.timm_model_ids[0], self.image_sizes[0])
@@ -55,12 +55,12 @@ class OpenVLAConfig(PreTrainedConfig):
     @property
     def vocabulary(self) -> int:
         """Number of tokens of the tokenizer; action ids count down from it."""
-        return self.text_config.vocab_size - self.pad_to_multiple_of
+        return cast(Any, self.text_config).vocab_size - self.pad_to_multiple_of
 
     @property
     def image_token_id(self) -> int:
         """Id of the placeholder of an image patch, which no text contains."""
-        return self.text_config.vocab_size - 1
+        return cast(Any, self.text_config).vocab_size - 1
 
 
 def _patches(tower: str, size: int) -> int:

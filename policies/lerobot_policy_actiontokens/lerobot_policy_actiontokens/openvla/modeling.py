@@ -24,7 +24,7 @@ class OpenVLAForActionPrediction(PreTrainedModel, GenerationMixin):
 
     config_class = OpenVLAConfig
     base_model_prefix = "model"
-    input_modalities = ("image", "text")
+    input_modalities: ClassVar[Any] = ("image", "text")
     supports_gradient_checkpointing = True
     _supports_sdpa = True
     _supports_flash_attn = True
@@ -33,9 +33,10 @@ class OpenVLAForActionPrediction(PreTrainedModel, GenerationMixin):
     def __init__(self, config: OpenVLAConfig) -> None:
         super().__init__(config)
         self.vision_backbone = VisionBackbone(config)
-        self.language_model = AutoModelForCausalLM.from_config(config.text_config)
+        text_config: Any = config.text_config
+        self.language_model = AutoModelForCausalLM.from_config(text_config)
         self.projector = Projector(
-            self.vision_backbone.width, config.text_config.hidden_size, config.use_fused_vision_backbone
+            self.vision_backbone.width, text_config.hidden_size, config.use_fused_vision_backbone
         )
         self.post_init()
 
@@ -79,7 +80,8 @@ class OpenVLAForActionPrediction(PreTrainedModel, GenerationMixin):
         self, *args: Any, pixel_values: Tensor | None = None, is_first_iteration: bool = False, **kwargs: Any
     ) -> dict[str, Any]:
         """Pass the image in the first step only: later steps find its keys and values in the cache."""
-        inputs = super().prepare_inputs_for_generation(*args, is_first_iteration=is_first_iteration, **kwargs)
+        parent: Any = super()
+        inputs = parent.prepare_inputs_for_generation(*args, is_first_iteration=is_first_iteration, **kwargs)
         if is_first_iteration or not kwargs.get("use_cache", True):
             inputs["pixel_values"] = pixel_values
         return inputs
@@ -99,20 +101,17 @@ class VisionBackbone(nn.Module):
 
     def __init__(self, config: OpenVLAConfig) -> None:
         super().__init__()
-        towers = [
-            _tower(name, size, activation)
-            for name, size, activation in zip(
-                config.timm_model_ids, config.image_sizes, config.timm_override_act_layers, strict=True
-            )
-        ]
+        names, sizes = config.timm_model_ids or [], config.image_sizes or []
+        activations = config.timm_override_act_layers or []
+        towers = [_tower(*options) for options in zip(names, sizes, activations, strict=True)]
         self.featurizer = towers[0]
         if config.use_fused_vision_backbone:
             self.fused_featurizer = towers[1]
-        self.width = sum(tower.embed_dim for tower in towers)
+        self.width = sum(int(tower.embed_dim) for tower in towers)
 
     def forward(self, pixel_values: Tensor) -> Tensor:
         """Map pixels ``(B, 3 per tower, H, W)`` to features ``(B, P, width)``."""
-        towers = list(self.children())
+        towers: list[Any] = list(self.children())
         images = pixel_values.split(3, dim=1)
         features = [
             tower.get_intermediate_layers(image, n={len(tower.blocks) - 2})[0]
@@ -162,7 +161,7 @@ class Scale(nn.Module):
         return x * self.scale_factor
 
 
-def _tower(name: str, size: int, activation: str | None) -> nn.Module:
+def _tower(name: str, size: int, activation: str | None) -> Any:
     import timm
     from timm.layers.layer_scale import LayerScale
 

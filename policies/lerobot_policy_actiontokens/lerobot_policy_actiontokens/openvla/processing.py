@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import torch
+from PIL.Image import Image
 from torch import Tensor
 from torchvision.transforms import InterpolationMode
 from torchvision.transforms import functional as tvf
-from transformers import AutoConfig, AutoTokenizer, PreTrainedTokenizerBase
-from transformers.utils import cached_file
+from transformers import AutoConfig, AutoTokenizer
+from transformers.utils.hub import cached_file
 
 from .configuration import OpenVLAConfig
 
@@ -31,9 +32,7 @@ class PrismaticProcessor:
 
     image_token = "<image>"
 
-    def __init__(
-        self, config: OpenVLAConfig, tokenizer: PreTrainedTokenizerBase, image_settings: dict[str, Any]
-    ) -> None:
+    def __init__(self, config: OpenVLAConfig, tokenizer: Any, image_settings: dict[str, Any]) -> None:
         self.config = config
         self.tokenizer = tokenizer
         self.image_settings = image_settings
@@ -42,8 +41,9 @@ class PrismaticProcessor:
     def from_pretrained(cls, name: str | Path, **kwargs: Any) -> Self:
         """Open a checkpoint, by folder or Hub name."""
         kwargs = {key: value for key, value in kwargs.items() if key in ("revision", "token", "cache_dir")}
-        settings = json.loads(Path(cached_file(name, "preprocessor_config.json", **kwargs)).read_text())
-        return cls(AutoConfig.from_pretrained(name, **kwargs), AutoTokenizer.from_pretrained(name, **kwargs), settings)
+        settings = json.loads(Path(str(cached_file(name, "preprocessor_config.json", **kwargs))).read_text())
+        config: Any = AutoConfig.from_pretrained(name, **kwargs)
+        return cls(config, AutoTokenizer.from_pretrained(name, **kwargs), settings)
 
     def __call__(
         self, images: list[list[Tensor]], text: list[str], padding: bool = True, return_tensors: str = "pt"
@@ -74,7 +74,7 @@ class PrismaticProcessor:
         words = self.tokenizer(prompt.removeprefix(self.image_token), add_special_tokens=False)["input_ids"]
         empty = self.tokenizer.get_vocab().get(EMPTY)
         ending = [] if empty is None or words[-1] == empty else [empty]
-        patches = [self.config.image_token_id] * self.config.image_seq_length
+        patches = [self.config.image_token_id] * (self.config.image_seq_length or 0)
         return [self.tokenizer.bos_token_id, *patches, *words, *ending]
 
     def _pixels(self, image: Tensor) -> Tensor:
@@ -88,5 +88,5 @@ class PrismaticProcessor:
             *(self.image_settings[key] for key in ("input_sizes", "interpolations", "means", "stds")), strict=True
         ):
             resized = tvf.resize(pil_image, size[1:], InterpolationMode(interpolation), antialias=True)
-            pixels.append(tvf.normalize(tvf.to_tensor(resized), mean, std))
+            pixels.append(tvf.normalize(tvf.to_tensor(cast(Image, resized)), mean, std))
         return torch.cat(pixels)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from diffusers import VQModel
+from diffusers.models.autoencoders.vq_model import VQModel
 from torch import Tensor, nn
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import torch
-from diffusers import VQModel
+from diffusers.models.autoencoders.vq_model import VQModel
 from lerobot.utils.constants import ACTION
 from torch import Tensor, nn
 from transformers import AutoModelForCausalLM, AutoTokenizer
@@ -40,7 +40,7 @@ class UPVLAPolicy(ChunkPolicy):
         )  # random: equal codes would stay equal
         self.tokenizer = AutoTokenizer.from_pretrained(config.llm_name, padding_side="left")
         self.tokenizer.pad_token = self.tokenizer.pad_token or self.tokenizer.eos_token
-        width, size = self.llm.config.hidden_size, config.action_feature.shape[0]
+        width, size = self.llm.config.hidden_size, config.action_dim
         self.pooling = AttentionPooling(width, config.n_heads)
         self.to_actions = nn.Linear(width, config.chunk_size * size)
 
@@ -93,7 +93,8 @@ class UPVLAPolicy(ChunkPolicy):
 
 
 def _image_tokenizer(config: UPVLAConfig) -> VQModel:
-    place = {"subfolder": config.image_tokenizer_folder} if config.image_tokenizer_folder else {}
+    place: dict[str, Any] = {"subfolder": config.image_tokenizer_folder} if config.image_tokenizer_folder else {}
     if config.load_weights:
         return VQModel.from_pretrained(config.image_tokenizer, **place)
-    return VQModel.from_config(VQModel.load_config(config.image_tokenizer, **place))
+    settings = cast(dict[str, Any], VQModel.load_config(config.image_tokenizer, **place))
+    return cast(VQModel, VQModel.from_config(settings))

@@ -28,6 +28,8 @@ class Backbone(nn.Module, ABC):
     """
 
     reads_text: ClassVar[bool] = False
+    pixel_mean: Tensor
+    pixel_std: Tensor
 
     def __init__(
         self, width: int, mean: tuple[float, ...] = IMAGENET_MEAN, std: tuple[float, ...] = IMAGENET_STD

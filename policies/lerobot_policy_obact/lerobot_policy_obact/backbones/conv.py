@@ -66,7 +66,8 @@ class StandardisedPatches(nn.Conv2d):
     def forward(self, images: Tensor, mean: Tensor, std: Tensor) -> Tensor:
         """Convolve ``(images - mean) / std``, of shapes ``(F, C, H, W)`` and ``(C, 1, 1)``."""
         weight = self.weight / std  # (C', C, 4, 4)
-        return F.conv2d(images, weight, self.bias - (weight * mean).sum((1, 2, 3)), self.stride)
+        shift = (weight * mean).sum((1, 2, 3))  # (C',)
+        return F.conv2d(images, weight, -shift if self.bias is None else self.bias - shift, self.stride)
 
 
 def saturation(images: Tensor) -> Tensor:

@@ -31,7 +31,9 @@ class KeypointTokens(nn.Module):
         """Map features ``(F, C, h, w)`` to tokens ``(F, K, D)``."""
         weights = self.heatmaps(features).flatten(2).softmax(-1)  # (F, K, h*w)
         pooled = weights @ features.flatten(2).transpose(1, 2)  # (F, K, C)
-        position = weights @ pixel_grid(*features.shape[-2:], features.device).to(weights.dtype)  # (F, K, 2)
+        position = weights @ pixel_grid(features.shape[-2], features.shape[-1], features.device).to(
+            weights.dtype
+        )  # (F, K, 2)
         sinusoids = sinusoidal_features(position, N_FREQUENCIES, min_period=0.125, max_period=4.0).flatten(
             -2
         )  # (F, K, 2*n)

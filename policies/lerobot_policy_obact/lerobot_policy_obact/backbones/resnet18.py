@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torchvision.models import get_model, get_model_weights
+from torchvision.models import ResNet, get_model, get_model_weights
 from torchvision.ops import FrozenBatchNorm2d
 
 from .base import Backbone, backbones
@@ -28,8 +30,8 @@ class ResNet18Backbone(Backbone):
         self.weights, self.grid = weights, grid
         # Batch statistics over few, correlated frames are unreliable: use ImageNet's frozen ones, or group norm.
         norm = FrozenBatchNorm2d if weights else _group_norm
-        self.resnet = get_model("resnet18", weights=None, norm_layer=norm)
-        self.resnet.layer4 = self.resnet.fc = nn.Identity()
+        self.resnet = cast(ResNet, get_model("resnet18", weights=None, norm_layer=norm))
+        del self.resnet.layer4, self.resnet.fc
         self.keypoints = KeypointTokens(256, n_keypoints, width)
         self.grid_token = nn.Linear(256, width)
         self.slot = nn.Parameter(0.02 * torch.randn(n_keypoints + grid * grid, width))

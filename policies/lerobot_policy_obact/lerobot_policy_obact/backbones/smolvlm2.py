@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -43,7 +45,7 @@ class SmolVLM2Backbone(Backbone):
         super().__init__(width, mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
         self.name, self.pretrained, self.freeze = name, pretrained, freeze
         self.grid, self.max_text_tokens = grid, max_text_tokens
-        config = AutoConfig.from_pretrained(name)
+        config: Any = AutoConfig.from_pretrained(name)
         config.text_config.num_hidden_layers = min(n_layers, config.text_config.num_hidden_layers)
         self.input_px = config.vision_config.image_size
         self.vlm = SmolVLMModel(config)

@@ -6,6 +6,8 @@ noise and 1 is data.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -40,13 +42,14 @@ class DiffusionHead(ActionHead):
         n_draws: int = 1,
         clip: float = 5.0,
     ) -> None:
-        from diffusers import DDIMScheduler, DDPMScheduler
+        from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+        from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
 
         super().__init__(spec)
         if sampler not in SAMPLERS:
             raise ValueError(f"sampler is {sampler!r}, but must be one of {', '.join(SAMPLERS)}.")
         scheduler = DDIMScheduler if sampler == "ddim" else DDPMScheduler
-        self.scheduler = scheduler(
+        self.scheduler: Any = scheduler(
             num_train_timesteps=n_train_steps, beta_schedule="squaredcos_cap_v2", clip_sample_range=clip
         )
         self.n_train_steps, self.n_steps, self.n_draws = n_train_steps, n_steps, n_draws

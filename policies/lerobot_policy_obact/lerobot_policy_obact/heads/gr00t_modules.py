@@ -8,6 +8,7 @@ vision-language tokens ``(B, S, C)``, embodiment ids ``(B,)``.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 
 import torch
 import torch.nn.functional as F
@@ -89,8 +90,9 @@ class TimestepEncoder(nn.Module):
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        layers = {"linear_1": nn.Linear(N_TIME_FEATURES, width), "linear_2": nn.Linear(width, width)}
-        self.timestep_embedder = nn.ModuleDict(layers)
+        self.timestep_embedder = nn.ModuleDict()
+        self.timestep_embedder["linear_1"] = nn.Linear(N_TIME_FEATURES, width)
+        self.timestep_embedder["linear_2"] = nn.Linear(width, width)
 
     def forward(self, time_bucket: Tensor) -> Tensor:
         """Map integer times ``(B,)`` to ``(B, D)``."""
@@ -99,7 +101,8 @@ class TimestepEncoder(nn.Module):
         angle = time_bucket.float()[:, None] * rate
         features = torch.cat([angle.cos(), angle.sin()], dim=-1)  # (B, 256)
         first, second = self.timestep_embedder["linear_1"], self.timestep_embedder["linear_2"]
-        return second(F.silu(first(features.to(first.weight.dtype))))
+        dtype = next(first.parameters()).dtype
+        return second(F.silu(first(features.to(dtype))))
 
 
 class AdaLayerNorm(nn.Module):
@@ -160,13 +163,13 @@ class FeedForward(nn.Module):
 
     def __init__(self, width: int, dropout: float) -> None:
         super().__init__()
-        entry = nn.ModuleDict({"proj": nn.Linear(width, 4 * width)})
+        entry = nn.Sequential(OrderedDict(proj=nn.Linear(width, 4 * width)))
         # The dropouts keep the released numbering of the linear layers: net.0.proj and net.2.
         self.net = nn.ModuleList([entry, nn.Dropout(dropout), nn.Linear(4 * width, width), nn.Dropout(dropout)])
 
     def forward(self, x: Tensor) -> Tensor:
         """Map ``(B, L, D)`` to ``(B, L, D)``."""
-        hidden = F.gelu(self.net[0]["proj"](x), approximate="tanh")
+        hidden = F.gelu(self.net[0](x), approximate="tanh")
         return self.net[3](self.net[2](self.net[1](hidden)))
 
 
