@@ -55,6 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
     parser.add_argument("--device", help="torch device of the policy")
+    add_trust_argument(parser)
     parser.add_argument(
         "--set",
         action="append",
@@ -73,6 +74,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--gifs", type=int, default=0, help="how many episodes to keep as GIFs in --out")
     parser.add_argument("--per-kind", action="store_true", help="print a row per kind of motion, too")
+
+
+def add_trust_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--trust``, which every command that loads a policy has."""
+    parser.add_argument(
+        "--trust", action="store_true", help="load the checkpoint even if that runs code of its own (docs/trust.md)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -114,7 +122,7 @@ def _delayed(actor: Agent | Expert, args: argparse.Namespace) -> Agent | Expert:
 def _actor(args: argparse.Namespace) -> Agent | Expert:
     if args.policy == VLM and not args.set:
         return _vlm(args)
-    return make_actor(args.policy, args.capture, args.device, args.set)
+    return make_actor(args.policy, args.capture, args.device, args.set, trust=args.trust)
 
 
 def _vlm(args: argparse.Namespace) -> Agent:
@@ -134,7 +142,12 @@ def _vlm(args: argparse.Namespace) -> Agent:
 
 
 def make_actor(
-    name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = ()
+    name: str,
+    capture: str = "attach",
+    device: str | None = None,
+    settings: Sequence[str] = (),
+    *,
+    trust: bool = False,
 ) -> Agent | Expert:
     """Return the expert called ``name``, the capture rule's own for "expert", or else load it as a policy.
 
@@ -143,14 +156,16 @@ def make_actor(
         capture: rule under which it is to catch.
         device: torch device of a policy, its own if None.
         settings: changes of a policy's config, ``KEY=VALUE`` each.
+        trust: load a policy even if that can run code of its own.
 
     Raises:
+        UntrustedCheckpointError: if loading the policy could run code of its own, unless ``trust`` allows that.
         ValueError: if there is no such policy, or its config cannot be changed so.
     """
     key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
     if settings and key in (*EXPERTS.names(), VLM):
         raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
-    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings)
+    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings, trust=trust)
 
 
 def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
