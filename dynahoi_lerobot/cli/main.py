@@ -6,6 +6,7 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report, on a CPU in minutes"),
@@ -33,13 +34,20 @@ def main(argv: Sequence[str] | None = None) -> int:
             importlib.import_module(module).add_arguments(command)
     args = parser.parse_args(words)
     try:
+        _check_summary_file(getattr(args, "json", None))
         return importlib.import_module(COMMANDS[args.command][0]).run(args)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         print(f"dynahoi {args.command}: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print(f"dynahoi {args.command}: stopped", file=sys.stderr)
         return STOPPED
+
+
+def _check_summary_file(path: object) -> None:
+    """Refuse, before any work, a ``--json FILE`` that could not be written after it."""
+    if isinstance(path, Path) and (path.is_dir() or not path.parent.is_dir()):
+        raise ValueError(f"--json must name a file in an existing folder, got {path}")
 
 
 def entry() -> None:

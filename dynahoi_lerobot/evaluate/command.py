@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
@@ -12,11 +12,10 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Agent, Expert
-from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.evaluate.actors import VLM, add_trust_argument, image_size_for, make_actor, views_of
 from dynahoi_lerobot.evaluate.gif import episode_gif
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.experts import EXPERTS
@@ -27,9 +26,8 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import SMALL_TEST, seed_stream, split_seeds
 
-VLM = "vlm"
-EXPERT_ALIAS = "expert"
-"""The capture rule's own demonstrator."""
+DEFAULT_IMAGE_SIZE = 128
+"""Side of the images [px] for experts and for policies that do not say theirs."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,13 +72,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--gifs", type=int, default=0, help="how many episodes to keep as GIFs in --out")
     parser.add_argument("--per-kind", action="store_true", help="print a row per kind of motion, too")
-
-
-def add_trust_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--trust``, which every command that loads a policy has."""
-    parser.add_argument(
-        "--trust", action="store_true", help="load the checkpoint even if that runs code of its own (docs/trust.md)"
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -141,43 +132,15 @@ def _vlm(args: argparse.Namespace) -> Agent:
     return VlmAgent(client, name=f"vlm:{args.model}", concurrency=args.batch_size)
 
 
-def make_actor(
-    name: str,
-    capture: str = "attach",
-    device: str | None = None,
-    settings: Sequence[str] = (),
-    *,
-    trust: bool = False,
-) -> Agent | Expert:
-    """Return the expert called ``name``, the capture rule's own for "expert", or else load it as a policy.
-
-    Args:
-        name: of an expert, or of a policy as `PolicyAgent` takes it.
-        capture: rule under which it is to catch.
-        device: torch device of a policy, its own if None.
-        settings: changes of a policy's config, ``KEY=VALUE`` each.
-        trust: load a policy even if that can run code of its own.
-
-    Raises:
-        UntrustedCheckpointError: if loading the policy could run code of its own, unless ``trust`` allows that.
-        ValueError: if there is no such policy, or its config cannot be changed so.
-    """
-    key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
-    if settings and key in (*EXPERTS.names(), VLM):
-        raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
-    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings, trust=trust)
-
-
 def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
-    size = args.image_size or getattr(actor, "image_size", None) or 128
     return Recipe(
         split=seed_stream(args.split),
         motions=args.motions,
         capture=args.capture,
         hand=args.hand,
         protocol=args.protocol,
-        image_size=size,
-        views=getattr(actor, "views", ()),
+        image_size=image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE),
+        views=views_of(actor),
         appearance=args.appearance,
     )
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.intervals import bootstrap_means
-from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.metrics import METRICS
 
 

@@ -18,6 +18,7 @@ from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, REMEDY, PolicyErro
 from dynahoi_lerobot.features import CAMERA_KEY, PICTURE_PREFIX
 from dynahoi_lerobot.renderers.views import FURTHER_VIEWS
 
+
 class PolicyAgent(Agent):
     """Plays a checkpoint folder or a Hub repository, exactly as ``lerobot-eval`` would."""
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate import files
-from dynahoi_lerobot.evaluate.files import ResultsError
-from dynahoi_lerobot.evaluate.rows import Row, episode_row
+from dynahoi_lerobot.evaluate import result_files
+from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
+from dynahoi_lerobot.evaluate.result_files import ResultsError
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
 
 __all__ = ["Recorder", "Results", "ResultsError", "RunInfo", "read_results", "summarise", "write_results"]
@@ -58,7 +58,7 @@ class Results:
     Attributes:
         folder: where it was read from or written to.
         info: what was evaluated and how.
-        rows: one row an episode, as ``rows.episode_row`` makes them.
+        rows: one row an episode, as ``episode_row`` makes them.
         actions: one (T, 18) float32 array an episode, palm position [m] world and joint angles [rad].
     """
 
@@ -102,7 +102,7 @@ class Recorder:
         Raises:
             ResultsError: if there are results and they are damaged, or of another evaluation than ``info``'s.
         """
-        if not (Path(folder) / files.METRICS_FILE).exists():
+        if not (Path(folder) / result_files.METRICS_FILE).exists():
             return cls()
         earlier = read_results(folder)
         for what, value in info.conditions.items():
@@ -132,7 +132,7 @@ class Recorder:
             ValueError: if nothing was recorded, or an episode was played under another capture rule.
         """
         results = self.results(info, Path(folder))
-        files.write(results.folder, results.as_json(), results.rows, results.actions)
+        result_files.write(results.folder, results.as_json(), results.rows, results.actions)
         return results
 
     def results(self, info: RunInfo, folder: Path = Path()) -> Results:
@@ -193,10 +193,9 @@ def read_results(folder: Path) -> Results:
         ResultsError: one sentence that says what is missing or damaged.
     """
     folder = Path(folder)
-    head, rows, actions = files.read(folder)
+    head, rows, actions = result_files.read(folder)
     info = RunInfo(
-        *(str(head[key]) for key in ("policy", "split", "capture", "command", "fingerprint")),
-        extra=dict(head.get("extra") or {}),
+        *(head[key] for key in ("policy", "split", "capture", "command", "fingerprint")), extra=head.get("extra") or {}
     )
     return Results(folder, info, tuple(rows), tuple(actions))
 

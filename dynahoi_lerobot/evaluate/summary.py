@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.intervals import bootstrap, wilson
-from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.evaluate.strata import STRATA
 from dynahoi_lerobot.metrics import METRICS, Metric
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 ACROSS = 4
 """Panels in a row."""
 
+LARGEST_ON_AXIS = 1e12
+
 
 def columns_of(entries: Sequence[Entry]) -> tuple[str, ...]:
     """Return the paper's metrics, led by S_hold if anything was captured by contact."""
@@ -102,4 +104,5 @@ def _extra(entry: Entry, key: str) -> float:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Tell whether ``value`` is a number that an axis can show; JSON knows greater ones."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST_ON_AXIS
