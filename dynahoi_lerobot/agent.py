@@ -25,7 +25,7 @@ class Observation(Pictured):
         phase: (N, 1) float32, 0 observing, 1 acting.
         tasks: N instructions.
         touch: (N, 5) float32 force on each finger [N], None unless the capture rule uses_contact_sensors.
-        views: further pictures by name, (N, H, W, 3) uint8 each; see `views.py`.
+        views: further pictures by name, (N, H, W, 3) uint8 each; see `camera_views.py`.
     """
 
     images: np.ndarray | None

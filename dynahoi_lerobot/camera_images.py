@@ -10,7 +10,7 @@ class Pictured:
 
     Attributes:
         images: (N, H, W, 3) uint8 RGB, or None where nothing was rendered.
-        views: further pictures by name, of the same shape; see `views.py`.
+        views: further pictures by name, of the same shape; see `camera_views.py`.
     """
 
     images: np.ndarray | None

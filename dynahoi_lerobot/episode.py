@@ -87,7 +87,7 @@ class Episode(Pictured):
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
         touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
             None where the capture rule does not feel.
-        views: further pictures by name, (T, H, W, 3) uint8 each; see `views.py`.
+        views: further pictures by name, (T, H, W, 3) uint8 each; see `camera_views.py`.
     """
 
     meta: EpisodeMeta

@@ -15,7 +15,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.actors import add_trust_argument, image_size_for, make_actor, views_of
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import Results, read_results
-from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.recipe import Recipe

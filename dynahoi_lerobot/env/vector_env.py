@@ -78,7 +78,7 @@ class DynahoiVectorEnv(VectorEnv):
             split: ``train``, ``val``, ``test``, ``test_small`` or ``ood_*``.
             image_size: side of the images [px].
             images: whether observations contain images; without them nothing is rendered.
-            views: pictures besides those of the hand's camera, under ``pixels``; see `views.py`.
+            views: pictures besides those of the hand's camera, under ``pixels``; see `camera_views.py`.
             appearance, protocol, capture, hand, renderer, instructions: see ``Recipe``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.

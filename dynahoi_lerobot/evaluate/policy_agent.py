@@ -16,7 +16,7 @@ from dynahoi_lerobot.agent import Agent, Observation
 from dynahoi_lerobot.env.vector_env import as_gym
 from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, REMEDY, PolicyError, trusted_checkpoint
 from dynahoi_lerobot.features import CAMERA_KEY, PICTURE_PREFIX
-from dynahoi_lerobot.renderers.views import FURTHER_VIEWS
+from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
 
 
 class PolicyAgent(Agent):
@@ -42,7 +42,7 @@ class PolicyAgent(Agent):
         inputs = self._policy.config.input_features
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
-        self.views = tuple(view for view in FURTHER_VIEWS if PICTURE_PREFIX + view in inputs)
+        self.views = tuple(view for view in EXTRA_VIEWS if PICTURE_PREFIX + view in inputs)
 
     def reset(self, count: int) -> None:
         """Forget queued actions and history."""

@@ -16,7 +16,7 @@ from dynahoi_lerobot.foundation.rotations import matrix_to_rotvec, quat_to_matri
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS, Renderer
-from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.scene.contact_sensors import TOUCHING, read_touch
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, check_command
@@ -61,7 +61,7 @@ class WorldBatch:
     ) -> None:
         """Allocate ``size`` worlds; ``threads`` simulate them (0: all cores), without influence on the result.
 
-        ``views`` are drawn besides the hand's camera, see `views.py`; ``disturbance_m`` is the spread of the pushes
+        ``views`` are drawn besides the hand's camera (`camera_views.py`); ``disturbance_m`` is the spread of the pushes
         that make the palm miss its commands.
 
         Raises:

@@ -16,7 +16,7 @@ from dynahoi_lerobot.features import ACTION, FINGERTIPS, PHASE, PICTURE_PREFIX, 
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
