@@ -16,7 +16,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.actors import VLM, add_trust_argument, image_size_for, make_actor, views_of
 from dynahoi_lerobot.evaluate.gif import episode_gif
-from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
+from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.arguments import names
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
         recipe.fingerprint(),
         {"recipe": asdict(recipe), "delay_ms": args.delay_ms, "settings": args.set},
     )
-    recorder = Recorder.resume(args.out, info) if args.out else Recorder()
+    recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
     specs = _specs(args, recipe, recorder)
     for episodes in _played(args, recipe, actor, specs):
         recorder.extend(episodes)
@@ -145,7 +145,7 @@ def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
     )
 
 
-def _specs(args: argparse.Namespace, recipe: Recipe, recorder: Recorder) -> list[EpisodeSpec]:
+def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) -> list[EpisodeSpec]:
     """Sample the episodes that are still to be played."""
     seeds = split_seeds(args.split)
     if args.episodes is not None:

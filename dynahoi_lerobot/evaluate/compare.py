@@ -48,7 +48,7 @@ def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Compar
         UnknownNameError: if the metric is not registered.
         ValueError: if no episode is in both sets with the metric applying.
     """
-    kind = METRICS[metric].kind
+    aggregation = METRICS[metric].aggregation
     pairs = paired_values(rows_a, rows_b, metric)
     if len(pairs) == 0:
         raise ValueError(f"the result sets share no episode with a value of {metric}; evaluate both on the same split")
@@ -56,7 +56,7 @@ def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Compar
     means = bootstrap_means(differences)
     low, high = np.percentile(means, [2.5, 97.5])
     only_a, only_b = int((differences > 0).sum()), int((differences < 0).sum())
-    p_value = mcnemar(only_a, only_b) if kind == "rate" else _tail(means)
+    p_value = mcnemar(only_a, only_b) if aggregation == "rate" else _tail(means)
     return Comparison(metric, len(pairs), float(differences.mean()), float(low), float(high), p_value)
 
 

@@ -96,5 +96,5 @@ def _check_row(row: Row) -> None:
         value, (low, high) = row.get(name), metric.bounds
         if value is not None and not (math.isfinite(value) and low <= value <= high):
             raise ValueError(f"seed {row['seed']} has the {name} {value}, which must be {low:g} to {high:g}")
-        if metric.kind == "rate" and value not in (None, 0.0, 1.0):
+        if metric.aggregation == "rate" and value not in (None, 0.0, 1.0):
             raise ValueError(f"seed {row['seed']} has the {name} {value}, which must be 0 or 1")

@@ -15,7 +15,7 @@ from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.result_files import ResultsError
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
 
-__all__ = ["Recorder", "Results", "ResultsError", "RunInfo", "read_results", "summarise", "write_results"]
+__all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Results:
         }
 
 
-class Recorder:
+class ResultsRecorder:
     """Collects episodes batch by batch; of each it keeps a row and the commands, never the images."""
 
     def __init__(self, rows: Sequence[Row] = (), actions: Sequence[np.ndarray] = ()) -> None:
@@ -96,7 +96,7 @@ class Recorder:
         self._actions = list(actions)
 
     @classmethod
-    def resume(cls, folder: Path, info: RunInfo) -> Recorder:
+    def resume(cls, folder: Path, info: RunInfo) -> ResultsRecorder:
         """Return a recorder that goes on where the results in ``folder`` end, empty if there are none.
 
         Raises:
@@ -181,7 +181,7 @@ def write_results(
     Raises:
         ValueError: if there is no episode, or one was played under another capture rule.
     """
-    recorder = Recorder()
+    recorder = ResultsRecorder()
     recorder.extend(episodes)
     return recorder.write(folder, RunInfo(policy, split, capture, command, fingerprint, dict(extra or {})))
 

@@ -49,7 +49,7 @@ def estimate(metric: Metric, values: Iterable[float | None]) -> Estimate:
     known = np.array([value for value in values if value is not None], np.float64)
     if known.size == 0:
         return Estimate(None, None, None, metric.unit, 0)
-    ends = wilson(int(known.sum()), known.size) if metric.kind == "rate" else bootstrap(known)
+    ends = wilson(int(known.sum()), known.size) if metric.aggregation == "rate" else bootstrap(known)
     return Estimate(float(known.mean()), *ends, metric.unit, int(known.size))
 
 
