@@ -11,10 +11,10 @@ from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
 
 VLM = "vlm"
-"""Names the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
+"""Name of the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
 
 EXPERT_ALIAS = "expert"
-"""Names the expert of the capture rule: ``intercept`` under attach, ``match`` under contact."""
+"""Name of the capture rule's own expert: ``intercept`` under attach, ``match`` under contact."""
 
 
 def make_actor(

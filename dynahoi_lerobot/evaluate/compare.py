@@ -1,4 +1,4 @@
-"""Two policies on the same episodes: the paired difference, its interval and how surprising it is."""
+"""Paired comparison of two policies on the same episodes: difference, confidence interval and p-value."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from dynahoi_lerobot.metrics import METRICS
 
 @dataclass(frozen=True)
 class Comparison:
-    """Policy A against policy B on the episodes both played.
+    """Policy A against policy B on the episodes that both played.
 
     Attributes:
         metric: the compared metric.
@@ -35,14 +35,19 @@ class Comparison:
 
 
 def paired_values(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> np.ndarray:
-    """Return (n, 2) values of ``metric`` in the episodes that both row sets hold and in which it applies."""
+    """Return (n, 2) values of ``metric``, in its unit, in the episodes that both have played and where it applies."""
     other = {_identity(row): row[metric] for row in rows_b}
     pairs = ((row[metric], other.get(_identity(row))) for row in rows_a)
     return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
 
 
 def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Comparison:
-    """Compare two row sets on one metric, episode by episode.
+    """Compare two evaluations on one metric, episode by episode.
+
+    Args:
+        rows_a: the episodes of policy A.
+        rows_b: the episodes of policy B.
+        metric: name of a registered metric.
 
     Raises:
         UnknownNameError: if the metric is not registered.

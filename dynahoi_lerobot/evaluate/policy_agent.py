@@ -1,4 +1,4 @@
-"""A trained LeRobot policy as an agent: LeRobot's own loading, processors and action selection.
+"""A trained LeRobot policy as an agent, with LeRobot's own loading, processors and action selection.
 
 Nothing here imports torch or LeRobot before a policy is loaded.
 """
@@ -20,7 +20,7 @@ from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
 
 
 class PolicyAgent(Agent):
-    """Plays a checkpoint folder or a Hub repository, exactly as ``lerobot-eval`` would."""
+    """Acts as ``lerobot-eval`` would with the same checkpoint folder or Hub repository."""
 
     def __init__(
         self, path: str, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
@@ -30,7 +30,7 @@ class PolicyAgent(Agent):
         Args:
             path: a ``pretrained_model`` folder, or a Hub repository id.
             device: torch device, the policy's own if None.
-            settings: changes of its config, ``KEY=VALUE`` each.
+            settings: overrides of its config, ``KEY=VALUE`` each.
             trust: load it even if that can run code of its own.
 
         Raises:
@@ -49,7 +49,7 @@ class PolicyAgent(Agent):
         self._policy.reset()
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands."""
+        """Return (N, 18) float commands: palm position [m] world and joint angles [rad]."""
         import torch
         from lerobot.envs.utils import preprocess_observation
 

@@ -1,4 +1,4 @@
-"""The bytes of a result folder: writing its three files at once, reading them with errors that teach."""
+"""Reading and writing the three files of a result folder; whatever is damaged is one ``ResultsError``."""
 
 from __future__ import annotations
 

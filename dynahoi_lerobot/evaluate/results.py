@@ -28,8 +28,8 @@ class RunInfo:
         capture: the capture rule, ``attach`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: anything a figure may need, such as ``n_obs_frames`` or ``data_fraction``; ``delay_ms`` and ``settings``,
-            where the policy was delayed or its config changed.
+        extra: further JSON values: ``delay_ms`` [ms] and ``settings`` where the policy was delayed or its config changed,
+            ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
     """
 
     policy: str
@@ -41,7 +41,7 @@ class RunInfo:
 
     @property
     def conditions(self) -> dict[str, Any]:
-        """What all episodes of one evaluation have in common, in words for a message."""
+        """What must be equal for an evaluation to be resumed, by a name for messages."""
         changed = {name: self.extra.get(name) or "none" for name in ("delay_ms", "settings")}
         return {
             "policy": self.policy,
@@ -53,7 +53,7 @@ class RunInfo:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """One evaluation: what was run, and a row and the commands of every episode.
+    """One evaluation: what was run, and a row and the actions of every episode.
 
     Attributes:
         folder: where it was read from or written to.
@@ -88,16 +88,16 @@ class Results:
 
 
 class ResultsRecorder:
-    """Collects episodes batch by batch; of each it keeps a row and the commands, never the images."""
+    """Collects episodes batch by batch and writes the result folder; keeps a row and the actions of each, no images."""
 
     def __init__(self, rows: Sequence[Row] = (), actions: Sequence[np.ndarray] = ()) -> None:
-        """Start empty, or go on from the rows and actions of an earlier run."""
+        """Start empty, or from the rows and (T, 18) actions of an earlier run."""
         self._rows = list(rows)
         self._actions = list(actions)
 
     @classmethod
     def resume(cls, folder: Path, info: RunInfo) -> ResultsRecorder:
-        """Return a recorder that goes on where the results in ``folder`` end, empty if there are none.
+        """Return a recorder that resumes the results in ``folder``, an empty one if there are none.
 
         Raises:
             ResultsError: if there are results and they are damaged, or of another evaluation than ``info``'s.

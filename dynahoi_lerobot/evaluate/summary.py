@@ -1,4 +1,4 @@
-"""Rows to numbers: every metric with its interval, over all rows or by stratum."""
+"""Aggregation: every metric with its confidence interval, over all episodes or by stratum."""
 
 from __future__ import annotations
 

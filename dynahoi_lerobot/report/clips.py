@@ -1,4 +1,4 @@
-"""GIFs that stand in a result folder, embedded."""
+"""The GIFs of result folders, embedded in the page."""
 
 from __future__ import annotations
 

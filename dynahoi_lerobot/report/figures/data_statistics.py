@@ -1,4 +1,4 @@
-"""What was played: the hierarchy of motions, durations and travels."""
+"""Statistics of the evaluated episodes: hierarchy of motions, durations and travels."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def data_statistics(entries: Sequence[Entry]) -> Figure:
     _shares(durations, rows, "duration", PAPER_DURATION)
     _shares(travels, rows, "travel", PAPER_TRAVEL)
     durations.set(xlabel="recording [frames]", ylabel="episodes [%]")
-    travels.set(xlabel="straight way to the intercept [u]")
+    travels.set(xlabel="straight distance to the intercept [u]")
     return drawing
 
 

@@ -1,4 +1,4 @@
-"""Small multiples that several figures share: one panel a metric, one colour an entry."""
+"""Small multiples that several figures share: one panel per metric, one colour per evaluation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGEST_ON_AXIS = 1e12
 
 
 def columns_of(entries: Sequence[Entry]) -> tuple[str, ...]:
-    """Return the paper's metrics, led by S_hold if anything was captured by contact."""
+    """Return the paper's metrics, led by S_hold if any evaluation uses the capture rule contact."""
     return columns_for([entry.results for entry in entries])
 
 
