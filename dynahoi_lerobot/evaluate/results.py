@@ -28,8 +28,8 @@ class RunInfo:
         capture: the capture rule, ``attach`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: further JSON values: ``delay_ms`` [ms] and ``settings`` where the policy was delayed or its config changed,
-            ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
+        extra: further JSON values: ``delay_ms`` [ms] and ``settings`` where the policy was delayed or its config
+            changed, ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
     """
 
     policy: str

@@ -60,6 +60,7 @@ def test_bad_input_is_one_sentence_and_a_non_zero_exit(
     assert list(tmp_path.iterdir()) == [], "nothing is left behind"
 
 
+@pytest.mark.slow
 def test_evaluate_writes_results_and_goes_on_where_it_stopped(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -93,7 +94,7 @@ def test_a_summary_that_could_not_be_written_is_refused_before_the_work(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("capture", ["attach", "contact"])
+@pytest.mark.parametrize("capture", ["attach", pytest.param("contact", marks=pytest.mark.slow)])
 def test_an_evaluated_episode_plays_again_from_its_results(
     capture: str, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:

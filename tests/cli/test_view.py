@@ -81,6 +81,7 @@ def test_a_missing_or_damaged_dataset_is_one_sentence(
     assert message.count("\n") == 0
 
 
+@pytest.mark.slow
 def test_a_policy_plays_at_the_size_it_was_trained_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "policy.mp4"
     assert view("--motion", "planar", "--policy", CHECKPOINT, "--out", out) == 0

@@ -14,9 +14,10 @@ import pytest
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.evaluate.gif import write_gif
-from dynahoi_lerobot.report import render_report
+from dynahoi_lerobot.report import page, render_report
 from dynahoi_lerobot.report.clips import find_clips
 from dynahoi_lerobot.report.entries import read_entries
+from dynahoi_lerobot.report.figures.base import FIGURES
 from tests.report.example_runs import example_run
 
 
@@ -90,15 +91,17 @@ def test_damage_is_one_sentence_and_leaves_no_page(
     damage: Callable[[Path], None], sentence: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     damage(folder)
-    page = folder.parent / "page.html"
-    assert cli.main(["report", str(folder), "--out", str(page)]) == cli.BAD_INPUT
+    goal = folder.parent / "page.html"
+    assert cli.main(["report", str(folder), "--out", str(goal)]) == cli.BAD_INPUT
     message = capsys.readouterr().err.strip()
     assert sentence in message
     assert message.count("\n") == 0
-    assert not page.exists()
+    assert not goal.exists()
 
 
-def test_odd_but_honest_values_still_make_a_page(folder: Path) -> None:
+def test_odd_but_honest_values_still_make_a_page(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = [FIGURES[name] for name in ("data", "obs-frames", "data-scaling", "stages")]
+    monkeypatch.setattr(page, "in_order", lambda: drawn)
     set_head(extra={"n_obs_frames": 10**400, "data_fraction": "half", "recipe": 7})(folder)
     set_column("tier", ["new", "kinematic", "", "<b>"])(folder)
     set_column("stage", ["?", "missed", "", "<b>"])(folder)
