@@ -15,7 +15,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.renderers.views import check_views
+from dynahoi_lerobot.renderers.camera_views import check_views
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.randomization import check_appearance
 
@@ -45,7 +45,7 @@ class Recipe:
         instructions: whether texts name the motion: ``reveal``, ``neutral`` or ``mixed``.
         appearance: what of it is randomised more strongly: see `appearance.py`.
         image_size: side of the square camera images [px].
-        views: pictures besides those of the hand's camera, of the same size: see `views.py`.
+        views: pictures besides those of the hand's camera, of the same size: see `camera_views.py`.
         renderer: one of the renderers.
         hold_frames: frames to record after the intercept, None for all of the L that the episode was drawn with. On
             average two thirds of those only hold what is already caught; a training set needs few of them.
