@@ -16,7 +16,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.features import FINGERTIPS, PHASE, STATE, TOUCH
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
+from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, frame_columns
@@ -294,8 +294,8 @@ def as_gym(observation: Observation) -> dict[str, Any]:
 
 
 def register_envs() -> None:
-    """Register ``dynahoi/<kind>-v0`` for every benchmark kind, and ``dynahoi/all-v0``."""
-    for kind in (None, *benchmark_motions(), *(name for name, motion in MOTIONS.items() if motion.held_out)):
+    """Register ``dynahoi/<kind>-v0`` for every registered motion, and ``dynahoi/all-v0`` for those of the split."""
+    for kind in (None, *MOTIONS.names()):
         gym_id = f"dynahoi/{kind or 'all'}-v0"
         if gym_id not in gym.registry:
             gym.register(

@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import Draw, PrescribedMotion, Vector
+from dynahoi_lerobot.motions.base import PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class CircularMotion(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw radius, speed, sense, phase and plane."""
         radius = draw.uniform(0.08, 0.25)
-        rate = draw.pace(0.1, 0.6) / radius * draw.sign()
+        rate = draw.sample_speed(0.1, 0.6) / radius * draw.sign()
         return cls(draw.meeting_point(), radius, rate, draw.angle(), draw.angle())
 
     def axes(self) -> np.ndarray:

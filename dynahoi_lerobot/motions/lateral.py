@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from dynahoi_lerobot.motions.base import MOTIONS, Vector
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.geometry import Vector
 from dynahoi_lerobot.motions.harmonic import HarmonicMotion
 
 

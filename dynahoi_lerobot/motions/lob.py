@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.throw import ThrowMotion
 
 
@@ -23,4 +24,4 @@ class Lob(ThrowMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the throw."""
         yaw = np.pi + draw.uniform(-0.5, 0.5)
-        return cls.aimed(draw, draw.uniform(0.5, 0.85), yaw, draw.pace(0.8, 1.5), draw.uniform(0.5, 0.9))
+        return cls.aimed(draw, draw.uniform(0.5, 0.85), yaw, draw.sample_speed(0.8, 1.5), draw.uniform(0.5, 0.9))

@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion, Vector, as_vector
+from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector, as_vector
 
 KNOT_S = 0.8
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
@@ -33,7 +35,7 @@ class RandomSpline(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw a random walk of control points that is pulled back to the meeting point."""
-        knot_s = KNOT_S / draw.tempo
+        knot_s = KNOT_S / draw.speed_scale
         count = int(np.ceil(draw.horizon_s / knot_s)) + 4
         step = draw.uniform(0.05, 0.3)
         middle, heading = np.asarray(draw.meeting_point()), draw.rng.normal(size=3)

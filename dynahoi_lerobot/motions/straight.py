@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import PrescribedMotion, Vector
+from dynahoi_lerobot.motions.base import PrescribedMotion
+from dynahoi_lerobot.motions.geometry import Vector
 
 RISE_M = 0.7
 """How much height a straight path may gain or lose within its horizon [m]."""

@@ -7,7 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, Launch, Striker, as_vector, damping_ratio_for, yaw_quat
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import as_vector, yaw_quat
+from dynahoi_lerobot.motions.launch import Launch, Striker, damping_ratio_for
 from dynahoi_lerobot.motions.tabletop import TabletopMotion, reach_m
 from dynahoi_lerobot.objects import TargetObject
 
@@ -26,7 +29,7 @@ class Struck(TabletopMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the blow; it lands 0.25 to 0.6 s before the intercept and within the window."""
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.25, 0.6), draw.window_s - 0.1))
-        speed = draw.pace(0.35, 0.8)
+        speed = draw.sample_speed(0.35, 0.8)
         yaw = np.pi + draw.uniform(-1.9, 1.9)
         return cls(
             draw.meeting_point(), yaw, speed, impact_s, draw.uniform(0.5, 0.85), draw.uniform(0.02, 0.06)

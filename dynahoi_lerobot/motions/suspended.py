@@ -7,7 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import GRAVITY_M_S2, Draw, Launch, PhysicalMotion, Tether, Vector, as_vector
+from dynahoi_lerobot.motions.base import PhysicalMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector, as_vector
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Tether
 from dynahoi_lerobot.objects import TargetObject
 
 

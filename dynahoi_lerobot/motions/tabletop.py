@@ -7,7 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import Box, PhysicalMotion, Vector, as_vector, heading, yaw_quat
+from dynahoi_lerobot.motions.base import PhysicalMotion
+from dynahoi_lerobot.motions.geometry import Vector, as_vector, heading, yaw_quat
+from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 
 TABLE_HALF_M = (1.1, 0.9, 0.02)

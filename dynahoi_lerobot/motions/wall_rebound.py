@@ -7,16 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import (
-    GRAVITY_M_S2,
-    MOTIONS,
-    Box,
-    Draw,
-    Launch,
-    as_vector,
-    damping_ratio_for,
-    yaw_quat,
-)
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import as_vector, yaw_quat
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, damping_ratio_for
 from dynahoi_lerobot.motions.tabletop import TabletopMotion, reach_m
 from dynahoi_lerobot.objects import TargetObject
 
@@ -37,7 +31,7 @@ class WallRebound(TabletopMotion):
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.2, 0.6), draw.window_s - 0.05))
         yaw = draw.uniform(-2.2, 2.2)
         return cls(
-            draw.meeting_point(), yaw, draw.pace(0.3, 0.7), impact_s,
+            draw.meeting_point(), yaw, draw.sample_speed(0.3, 0.7), impact_s,
             draw.uniform(0.6, 0.9), draw.uniform(0.01, 0.04),
         )  # fmt: skip
 
