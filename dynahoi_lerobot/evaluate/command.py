@@ -43,6 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motions", type=names, default=(), help="comma-separated kinds of motion; all of the split by default"
     )
+    parser.add_argument(
+        "--objects", type=names, default=(), help="comma-separated objects; all of the split by default"
+    )
     parser.add_argument("--capture", default="attach", help="capture rule")
     parser.add_argument("--hand", default="", help="embodiment; the capture rule's own by default")
     parser.add_argument("--protocol", default="observe_before_act", help="or direct_act")
@@ -158,6 +161,7 @@ def _recipe(args: argparse.Namespace, actor: Agent | Expert) -> Recipe:
     return Recipe(
         split=seed_stream(args.split),
         motions=args.motions,
+        objects=args.objects,
         capture=args.capture,
         hand=args.hand,
         protocol=args.protocol,

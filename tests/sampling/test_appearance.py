@@ -1,4 +1,4 @@
-"""Appearance changes pictures and nothing else; each switch is a stream of its own."""
+"""Appearance changes pictures and nothing else; each randomization has random numbers of its own."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.rollout.loop import record
-from dynahoi_lerobot.sampling.randomization import SWITCHES, randomize_appearance
+from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS, randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.world.playing import world
 
@@ -25,20 +25,20 @@ def few(specs: list[EpisodeSpec]) -> list[EpisodeSpec]:
     return specs[:22:3]
 
 
-@pytest.mark.parametrize("switch", SWITCHES)
-def test_a_switch_changes_what_is_seen_in_every_episode(switch: str, few: list[EpisodeSpec]) -> None:
-    varied = [randomize_appearance(spec, [switch]) for spec in few]
+@pytest.mark.parametrize("name", RANDOMIZATIONS)
+def test_a_randomization_changes_what_is_seen_in_every_episode(name: str, few: list[EpisodeSpec]) -> None:
+    varied = [randomize_appearance(spec, [name]) for spec in few]
     assert all(new.appearance != old.appearance for new, old in zip(varied, few, strict=True))
     assert (np.abs(pictures(varied) - pictures(few)).max(axis=(1, 2, 3)) > 8).mean() > 0.7
 
 
-@pytest.mark.parametrize("switch", SWITCHES)
-def test_switches_do_not_disturb_each_other(switch: str, few: list[EpisodeSpec]) -> None:
-    """What a switch sets is the same alone and with all others."""
+@pytest.mark.parametrize("name", RANDOMIZATIONS)
+def test_randomizations_do_not_disturb_each_other(name: str, few: list[EpisodeSpec]) -> None:
+    """What one of them sets is the same alone and with all others."""
     for spec in few:
         alone, together = (
-            randomize_appearance(spec, [switch]).appearance,
-            randomize_appearance(spec, list(SWITCHES)).appearance,
+            randomize_appearance(spec, [name]).appearance,
+            randomize_appearance(spec, list(RANDOMIZATIONS)).appearance,
         )
         changed = [name for name, value in vars(alone).items() if value != getattr(spec.appearance, name)]
         assert changed
@@ -47,7 +47,7 @@ def test_switches_do_not_disturb_each_other(switch: str, few: list[EpisodeSpec])
 
 def test_nothing_but_pictures_changes() -> None:
     plain = next(record(Recipe(image_size=32), [3]))
-    varied = next(record(Recipe(image_size=32, appearance=tuple(SWITCHES)), [3]))
+    varied = next(record(Recipe(image_size=32, appearance=tuple(RANDOMIZATIONS)), [3]))
     for name in ("state", "action", "target_pose", "target_contacts"):
         np.testing.assert_array_equal(getattr(plain, name), getattr(varied, name))
     assert plain.meta.task == varied.meta.task
@@ -83,6 +83,6 @@ def test_highlights_only_brighten_and_opengl_has_them_too(few: list[EpisodeSpec]
     assert np.corrcoef(added.ravel(), theirs.ravel())[0, 1] > 0.4
 
 
-def test_unknown_switches_are_refused() -> None:
+def test_unknown_randomizations_are_refused() -> None:
     with pytest.raises(ValueError, match="unknown appearance 'fog'; known: materials, lights"):
         Recipe(appearance=("fog",))

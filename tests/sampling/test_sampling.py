@@ -10,11 +10,13 @@ import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
-from dynahoi_lerobot.motions import PhysicalMotion, benchmark_motions
+from dynahoi_lerobot.motions import PhysicalMotion
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.candidate import MIN_OBSERVED_S
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import MIN_OBSERVED_S, sample_spec, sample_specs
+from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES
-from dynahoi_lerobot.sampling.visibility import in_sight
+from dynahoi_lerobot.sampling.visibility import visible
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.untouched_path import roll_ahead
 
@@ -52,7 +54,7 @@ def test_what_is_drawn_does_not_depend_on_how_it_is_shown(specs: list[EpisodeSpe
 
 
 def test_the_22_kinds_take_turns(specs: list[EpisodeSpec]):
-    assert [spec.motion.name for spec in specs] == benchmark_motions() * 2
+    assert [spec.motion.name for spec in specs] == list(BENCHMARK.splits["test"].motions) * 2
     chosen = sample_specs(Recipe(motions=("vertical", "constant"), split="val"), range(3))
     assert [spec.motion.name for spec in chosen] == ["vertical", "constant", "vertical"]
 
@@ -90,12 +92,12 @@ def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpe
         right, up, back = ((seen - model.cam_pos[camera]) @ axes.reshape(3, 3)).T
         in_view = (back < 0) & (np.abs(right) < -back * slope) & (np.abs(up) < -back * slope)
         assert in_view.mean() >= 0.9
-        assert in_sight(seen).mean() >= 0.9
+        assert visible(seen).mean() >= 0.9
 
 
 def test_the_hand_hides_what_is_behind_it():
     points = np.array([[0.1, 0.0, 0.05], [0.03, 0.05, -0.17], [1.0, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.2, 0.9, 0.0]])
-    np.testing.assert_array_equal(in_sight(points), [True, False, True, False, False])
+    np.testing.assert_array_equal(visible(points), [True, False, True, False, False])
 
 
 def test_what_is_let_go_is_seen_moving_before_control_starts(specs: list[EpisodeSpec]):

@@ -1,5 +1,11 @@
-"""What a third party's package would hold: importing it registers a motion and an object, outside the core's tree."""
+"""What a package of somebody else's would hold: ``register`` adds a motion and an object from outside the core."""
 
-from tests.third_party import caltrop, drift
+from __future__ import annotations
 
-__all__ = ["caltrop", "drift"]
+import importlib
+
+
+def register() -> None:
+    """Register both, as importing such a package would."""
+    importlib.import_module("tests.third_party.caltrop")
+    importlib.import_module("tests.third_party.drift")
