@@ -17,7 +17,7 @@ from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.renderers.views import check_views
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
-from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
+from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
 from dynahoi_lerobot.sampling.instructions import INSTRUCTION_STYLES
 from dynahoi_lerobot.sampling.randomization import check_appearance
 
@@ -127,8 +127,12 @@ class Recipe:
         raise ValueError(f"{noun} {name!r} is held out for split {splits[0]!r}, got split {self.split!r}")
 
     def fingerprint(self) -> str:
-        """Return 16 hex digits that identify this recipe together with the code that plays it."""
-        text = json.dumps(dataclasses.asdict(self), sort_keys=True) + code_fingerprint()
+        """Return 16 hexadecimal digits that identify the recipe and the code that plays it.
+
+        The code includes the modules of motions and objects that the recipe names and somebody else registered.
+        """
+        named = [*(MOTIONS[name] for name in self.motions), *(OBJECTS[name] for name in self.objects)]
+        text = json.dumps(dataclasses.asdict(self), sort_keys=True) + code_fingerprint() + extension_fingerprint(named)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
