@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import PhysicalMotion
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.candidate import MIN_OBSERVED_S
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES
-from dynahoi_lerobot.sampling.visibility import visible
+from dynahoi_lerobot.sampling.visibility import REFERENCE_HAND, visible
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.untouched_path import roll_ahead
 
@@ -93,6 +94,15 @@ def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpe
         in_view = (back < 0) & (np.abs(right) < -back * slope) & (np.abs(up) < -back * slope)
         assert in_view.mean() >= 0.9
         assert visible(seen).mean() >= 0.9
+
+
+@pytest.mark.parametrize("hand", [name for name in HANDS.names() if name != REFERENCE_HAND])
+def test_every_hand_plays_the_same_episodes_from_the_same_homes(hand: str, specs: list[EpisodeSpec]):
+    for other, spec in zip(sample_specs(replace(TEST, hand=hand), range(22)), specs, strict=False):
+        assert other.hand == hand
+        assert_same(replace(other, hand=spec.hand, fingerprint=spec.fingerprint), spec)
+        assert other.reference_joints.shape == other.open_joints.shape == (FINGER_DOF,)
+        assert not np.array_equal(other.reference_joints, spec.reference_joints)
 
 
 def test_the_hand_hides_what_is_behind_it():
