@@ -49,10 +49,10 @@ class Bounce(PhysicalMotion):
 
     @classmethod
     def objects(cls) -> list[str]:
-        """Return the one that bounces the same way whatever side it lands on."""
+        """Return the ball, which bounces the same way whatever side it lands on."""
         return ["ball"]
 
     def launch(self, target: TargetObject) -> Launch:
-        """Return the drop."""
+        """Return the release above the floor, with horizontal velocity."""
         ratio = damping_ratio_for(self.restitution)
         return Launch(self.start, velocity=self.velocity, release_s=self.release_s, damping_ratio=ratio)

@@ -1,4 +1,4 @@
-"""What the motions on a circle share: a planar orbit whose angle is a function of time."""
+"""Base class of motions on a circle at constant angular speed."""
 
 from __future__ import annotations
 
@@ -58,6 +58,6 @@ class CircularMotion(PrescribedMotion):
         return self.radius_m * self.rate_rad_s**2 * self._orbit(time_s, np.pi)
 
     def _orbit(self, time_s: np.ndarray, ahead: float) -> np.ndarray:
-        """(K, 3) unit vector to the target, turned ``ahead`` [rad]; each derivative turns it by a quarter."""
+        """(K, 3) unit vector from the centre, ``ahead`` [rad] of the target; a derivative is a quarter turn ahead."""
         angle = self.rate_rad_s * time_s + self.phase_rad + ahead
         return np.column_stack([np.cos(angle), np.sin(angle)]) @ self.axes()

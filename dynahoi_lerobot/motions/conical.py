@@ -24,8 +24,8 @@ class ConicalPendulum(SuspendedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw string and angle."""
-        return cls.hung(draw, float(np.radians(draw.sample_speed(12, 32))))
+        """Draw length and angle."""
+        return cls.hanging(draw, float(np.radians(draw.sample_speed(12, 32))))
 
     def precession_rad_s(self, target: TargetObject) -> float:
         """Return W with W^2 cos(a) (I + m l^2 - I_z) = m g l: the rigid body's steady precession."""

@@ -13,7 +13,7 @@ from dynahoi_lerobot.motions.harmonic import HarmonicMotion
 @MOTIONS.register("depth")
 @dataclass(frozen=True)
 class Depth(HarmonicMotion):
-    """Harmonic along (1.0, 0.0, 0.0)."""
+    """Harmonic along x, where the palm faces."""
 
     name: ClassVar[str] = "depth"
     phrase: ClassVar[str] = "oscillating towards and away from the hand"

@@ -1,4 +1,4 @@
-"""What the three simple harmonic motions share."""
+"""Base class of simple harmonic motions along an axis."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ class HarmonicMotion(PrescribedMotion):
         amplitude_m: A.
         frequency_hz: f.
         phase_rad: phase at t = 0.
+
+    Class attributes:
+        axis: unit vector of the oscillation, world.
     """
 
     center: Vector

@@ -13,7 +13,7 @@ from dynahoi_lerobot.motions.harmonic import HarmonicMotion
 @MOTIONS.register("lateral")
 @dataclass(frozen=True)
 class Lateral(HarmonicMotion):
-    """Harmonic along (0.0, 1.0, 0.0)."""
+    """Harmonic along y, across the view."""
 
     name: ClassVar[str] = "lateral"
     phrase: ClassVar[str] = "oscillating from side to side"

@@ -22,6 +22,6 @@ class Lob(ThrowMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw the throw."""
+        """Draw direction, flight time, distance and height."""
         yaw = np.pi + draw.uniform(-0.5, 0.5)
         return cls.aimed(draw, draw.uniform(0.5, 0.85), yaw, draw.sample_speed(0.8, 1.5), draw.uniform(0.5, 0.9))

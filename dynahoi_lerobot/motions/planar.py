@@ -22,5 +22,5 @@ class PlanarPendulum(SuspendedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw string and deflection."""
-        return cls.hung(draw, float(np.radians(draw.sample_speed(12, 40))))
+        """Draw length and initial angle."""
+        return cls.hanging(draw, float(np.radians(draw.sample_speed(12, 40))))

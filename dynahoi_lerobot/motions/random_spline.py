@@ -19,7 +19,7 @@ BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) /
 @MOTIONS.register("random_spline")
 @dataclass(frozen=True)
 class RandomSpline(PrescribedMotion):
-    """Twice continuously differentiable; control points every 0.8 s, steps of 0.05 to 0.3 m, held near the stage.
+    """Twice continuously differentiable; control points every 0.8 s, steps of 0.05 to 0.3 m, drawn to their middle.
 
     Attributes:
         points: control points [m]; the first segment starts at t = 0.
@@ -34,7 +34,7 @@ class RandomSpline(PrescribedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw a random walk of control points that is pulled back to the meeting point."""
+        """Draw control points as a random walk with a pull back to the meeting point."""
         knot_s = KNOT_S / draw.speed_scale
         count = int(np.ceil(draw.horizon_s / knot_s)) + 4
         step = draw.uniform(0.05, 0.3)

@@ -1,4 +1,4 @@
-"""What the two rolling motions share: a plank, and a round object that rolls down it without slipping."""
+"""Base class of rolling motions: a round object that rolls down a plank without slipping."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ PLANK_HALF_WIDTH_M = 0.07
 
 @dataclass(frozen=True)
 class RollingMotion(PhysicalMotion):
-    """Down a slope a = g (sin q - c cos q / r) / (1 + I / (m r^2)), from rest; c is the rolling friction.
+    """From rest with acceleration g (sin q - c cos q / r) / (1 + I / (m r^2)); c is the rolling friction [m].
 
     Attributes:
-        meeting: where the centre of the target is to be met, on the slope or at its foot [m].
+        meeting: centre of the target ``run_m`` after its release, on the slope or at its foot [m].
         slope_rad: inclination q, 4 to 12 degrees.
         yaw_rad: horizontal direction of descent.
-        run_m: rolled from rest to ``meeting`` [m].
+        run_m: distance from the release to ``meeting`` [m].
         release_s: time of release [s].
     """
 
@@ -41,12 +41,12 @@ class RollingMotion(PhysicalMotion):
 
     @classmethod
     def objects(cls) -> list[str]:
-        """Return the round ones."""
+        """Return the names of those that roll."""
         return [name for name, kind in OBJECTS.items() if kind.rolls]
 
     @classmethod
     def rolled(cls, draw: Draw, run_m: float, until_s: float) -> Self:
-        """Return a roll that is at the meeting point ``until_s``, shortened if there is no time for ``run_m``."""
+        """Return a roll that reaches the meeting point at ``until_s`` [s], at most ``run_m`` [m] after its release."""
         slope = float(np.radians(draw.sample_speed(4, 12)))
         acceleration = rolling_acceleration(slope, draw.target)
         run = min(run_m, acceleration * until_s**2 / 2)

@@ -13,7 +13,7 @@ from dynahoi_lerobot.motions.harmonic import HarmonicMotion
 @MOTIONS.register("vertical")
 @dataclass(frozen=True)
 class Vertical(HarmonicMotion):
-    """Harmonic along (0.0, 0.0, 1.0)."""
+    """Harmonic along z."""
 
     name: ClassVar[str] = "vertical"
     phrase: ClassVar[str] = "oscillating up and down"

@@ -27,7 +27,7 @@ class WallRebound(TabletopMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw approach and rebound; the wall is hit 0.2 to 0.6 s before the intercept and within the window."""
+        """Draw speed, direction, materials; the wall is hit 0.2 to 0.6 s before the intercept and within the window."""
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.2, 0.6), draw.window_s - 0.05))
         yaw = draw.uniform(-2.2, 2.2)
         return cls(
@@ -36,9 +36,9 @@ class WallRebound(TabletopMotion):
         )  # fmt: skip
 
     def launch(self, target: TargetObject) -> Launch:
-        """Return the target under way on the table, fast enough to reach the wall in time, and the wall."""
+        """Return the target sliding on the table, fast enough to meet the wall at ``impact_s``, and the wall."""
         direction, reach = self.direction(), reach_m(target)
-        lost = self.friction * GRAVITY_M_S2 * self.impact_s  # speed that the table takes [m/s]
+        lost = self.friction * GRAVITY_M_S2 * self.impact_s  # speed lost to friction on the way [m/s]
         distance = (self.speed_m_s + lost / 2) * self.impact_s
         wall = np.asarray(self.contact) + (reach + WALL_HALF_M[0]) * direction
         wall[2] += WALL_HALF_M[2] - target.rest_height_m

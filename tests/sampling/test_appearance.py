@@ -92,14 +92,12 @@ def test_highlights_only_brighten_and_lie_where_the_light_is_reflected() -> None
 
 def highlights(specs: list[EpisodeSpec]) -> tuple[WorldBatch, np.ndarray]:
     """A batch of glossy targets under a light from behind the camera, and (N, H, W) what gloss adds [grey levels]."""
-    lit = [
-        replace(spec, appearance=replace(spec.appearance, light_dir=LIGHT_DIR, target_pattern="plain"))
-        for spec in specs
-    ]
-    glossy = [replace(spec, appearance=replace(spec.appearance, gloss=0.25, target_rgb=DARK)) for spec in lit]
-    dull = [replace(spec, appearance=replace(spec.appearance, target_rgb=DARK)) for spec in lit]
-    batch = world(glossy, image_size=2 * SIZE)
-    return batch, (batch.render().astype(int) - world(dull, image_size=2 * SIZE).render()).sum(axis=-1)
+    plain = {"light_dir": LIGHT_DIR, "target_pattern": "plain", "target_rgb": DARK}
+    dull, glossy = (
+        world([replace(s, appearance=replace(s.appearance, gloss=gloss, **plain)) for s in specs], image_size=2 * SIZE)
+        for gloss in (0.0, 0.25)
+    )
+    return glossy, (glossy.render().astype(int) - dull.render()).sum(axis=-1)
 
 
 def reflection_pixel(batch: WorldBatch, i: int) -> np.ndarray:
