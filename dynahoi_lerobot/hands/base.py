@@ -33,8 +33,8 @@ class Hand(ABC):
     """A hand, which adds its bodies, actuators, sites and camera to a model under construction.
 
     It must keep to these names and frames: body ``palm`` hangs on joints ``palm_x, palm_y, palm_z``; the fifteen joints
-    are named as in ``conventions.JOINT_NAMES``; site ``palm_center`` lies in the middle of the grasp volume and coincides
-    with the origin of ``palm`` at zero slide positions; sites ``<finger>_tip`` sit on the pads with z along the finger;
+    are named as in ``conventions.JOINT_NAMES``; site ``palm_center`` lies in the middle of the grasp volume, at the
+    origin of ``palm`` at zero slide positions; sites ``<finger>_tip`` sit on the pads with z along the finger;
     camera ``ego`` is fixed to the palm; each actuator drives one joint, in the order of ``conventions.HAND_NAMES``.
     """
 
