@@ -51,6 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="observe_before_act or direct_act, which has no observation window",
     )
     parser.add_argument(
+        "--objects", type=names, default=(), help="comma-separated objects; all of the split by default"
+    )
+    parser.add_argument(
         "--appearance",
         type=names,
         default=(),
@@ -163,6 +166,7 @@ def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
     return Recipe(
         split=seed_stream(args.split),
         motions=args.motions,
+        objects=args.objects,
         capture=args.capture,
         hand=args.hand,
         protocol=args.protocol,
