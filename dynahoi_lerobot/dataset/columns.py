@@ -39,7 +39,7 @@ def info_features(
             "shape": list(column.shape),
             "names": list(column.names),
         }
-    codec = encoding.kind
+    codec = encoding.make_codec()
     for key in picture_keys(features):
         features[key]["dtype"] = "video" if codec.is_video else "image"
         if codec.is_video:

@@ -17,7 +17,7 @@ from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, bookkeeping_a
 from dynahoi_lerobot.dataset.statistics import LEVELS, NAMES, Stats, table_stats
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 
-Row = dict[str, Any]
+EpisodeRow = dict[str, Any]
 
 TRACES = ("palm_distance", "fingertip_distance", "open_joints", "reference_joints")
 """Arrays of an Episode that are no per-frame column; metrics need them, so the episode table keeps them.
@@ -40,33 +40,33 @@ META_COLUMNS = tuple(_META)
 """Those of them that are fields of EpisodeMeta."""
 
 
-def own_columns(episode: Episode) -> Row:
+def own_columns(episode: Episode) -> EpisodeRow:
     """Return our columns of the episode's row."""
     traces = {f"stats/{name}": np.asarray(getattr(episode, name), np.float32).tolist() for name in TRACES}
     return asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | traces
 
 
-def stats_columns(stats: dict[str, Stats]) -> Row:
+def stats_columns(stats: dict[str, Stats]) -> EpisodeRow:
     """Return ``stats/<key>/<name>`` columns."""
     return {f"stats/{key}/{name}": stats[key][name].tolist() for key in stats for name in NAMES}
 
 
-def row_histogram(row: Row, key: str) -> np.ndarray:
+def row_histogram(row: EpisodeRow, key: str) -> np.ndarray:
     """Return the (3, 256) counts of the episode's sampled pictures."""
     return np.array(row[HISTOGRAM + key], np.int64).reshape(3, LEVELS)
 
 
-def video_columns(keys: Iterable[str], place: dict[str, Any]) -> Row:
+def video_columns(keys: Iterable[str], place: dict[str, Any]) -> EpisodeRow:
     """Return ``videos/<key>/<name>`` columns; the pictures of an episode lie at the same place for every key."""
     return {f"videos/{key}/{name}": value for key in keys for name, value in place.items()}
 
 
-def row_stats(row: Row, key: str) -> Stats:
+def row_stats(row: EpisodeRow, key: str) -> Stats:
     """Return the statistics of one column of the episode from its row."""
     return {name: np.array(row[f"stats/{key}/{name}"]) for name in NAMES}
 
 
-def place_row(row: Row, episode_index: int, first_index: int, task_index: int) -> Row:
+def place_row(row: EpisodeRow, episode_index: int, first_index: int, task_index: int) -> EpisodeRow:
     """Return the row with its place in the dataset, and the statistics of the columns that depend on it."""
     length = row["length"]
     arrays = bookkeeping_arrays(length, episode_index, first_index, task_index)
@@ -95,7 +95,7 @@ def row_schema(features: Features) -> pa.Schema:
     return pa.schema(list(columns.items()))
 
 
-def without_place(row: Row) -> Row:
+def without_place(row: EpisodeRow) -> EpisodeRow:
     """Return the row without what ``place_row`` adds, ready to be placed in another dataset."""
     dropped = ("episode_index", "dataset_from_index", "dataset_to_index", "meta/")
     stats = tuple(f"stats/{key}/" for key in BOOKKEEPING)

@@ -1,4 +1,4 @@
-"""``meta/manifest.json``: what a dataset promises, so that it can be checked, resumed and merged."""
+"""``meta/manifest.json``: hashes, seeds and provenance of a dataset, by which it is checked, resumed and merged."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ BLOCK = 1 << 20
 
 @dataclass(frozen=True)
 class Manifest:
-    """The promises of one dataset.
+    """What a dataset contains and where it comes from.
 
     Attributes:
         episodes: number of episodes.
         frames: number of frames.
         files: sha256 of every other file, by its path below the root.
         seeds: every episode's seed, in the dataset's order.
-        provenance: recipe, encoding and fingerprint of the code, as the generator gave them.
+        provenance: recipe, seed, encoding and code fingerprint of the generation plan.
         yields: how many seeds were tried and how many were kept, missed or rejected.
     """
 
@@ -53,7 +53,7 @@ class Manifest:
 
 
 def hash_files(root: Path, known: dict[str, str] | None = None) -> dict[str, str]:
-    """Return the sha256 of every file below ``root`` but the manifest; ``known`` ones are believed."""
+    """Return the sha256 of every file below ``root`` but the manifest; ``known`` hashes are taken as they are."""
     names = (path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file())
     known = known or {}
     return {name: known.get(name) or sha256(root / name) for name in names if name != MANIFEST_PATH}

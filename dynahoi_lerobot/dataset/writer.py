@@ -18,10 +18,10 @@ from dynahoi_lerobot.dataset.columns import (
     picture_arrays,
     picture_keys,
 )
-from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, Row, own_columns, stats_columns, video_columns
+from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, EpisodeRow, own_columns, stats_columns, video_columns
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
-from dynahoi_lerobot.dataset.metadata import Catalog
-from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, Layout
+from dynahoi_lerobot.dataset.metadata import MetadataWriter
+from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, FileLimits
 from dynahoi_lerobot.dataset.statistics import (
     picture_histogram,
     picture_stats,
@@ -45,7 +45,7 @@ class DatasetWriter:
         root: Path,
         image_size: int | None,
         encoding: Encoding | None = None,
-        layout: Layout | None = None,
+        layout: FileLimits | None = None,
         *,
         views: Sequence[str] = (),
         touch: bool = False,
@@ -64,8 +64,8 @@ class DatasetWriter:
             FileExistsError: if ``root`` exists.
             ValueError: if video cannot hold frames of this size.
         """
-        self.encoding, self.layout = encoding or Encoding(), layout or Layout()
-        self._codec = self.encoding.kind
+        self.encoding, self.layout = encoding or Encoding(), layout or FileLimits()
+        self._codec = self.encoding.make_codec()
         self._image_size = image_size
         if image_size is not None and self._codec.is_video and image_size % 2:
             raise ValueError(f"image size is {image_size} pixels; video needs an even number")
@@ -74,7 +74,7 @@ class DatasetWriter:
         features = info_features(image_size, self.encoding, views, touch=touch)
         self._keys = picture_keys(features)
         self._schema = arrow_schema(features)
-        self._catalog = Catalog(root, features, self.layout)
+        self._catalog = MetadataWriter(root, features, self.layout)
         self._data = RollingParquet(root, DATA_PATH, self._schema, self.layout)
         self._videos: dict[str, VideoWriter] = {}
         """The file of each view that is being written; all of them begin and end with the same episodes."""
@@ -139,8 +139,8 @@ class DatasetWriter:
                     f"episode of seed {episode.meta.seed} has {key} of shape {found}; the dataset needs {wanted}"
                 )
 
-    def _picture_columns(self, episode: Episode) -> Row:
-        sample, pictures, columns = sampled_frames(len(episode)), picture_arrays(episode), Row()
+    def _picture_columns(self, episode: Episode) -> EpisodeRow:
+        sample, pictures, columns = sampled_frames(len(episode)), picture_arrays(episode), EpisodeRow()
         for key in self._keys:
             images = pictures[key] if len(sample) == len(episode) else pictures[key][sample]
             histogram = picture_histogram(images)
@@ -148,7 +148,7 @@ class DatasetWriter:
             columns |= stats_columns({key: picture_stats(histogram, len(sample))})
         return columns
 
-    def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> Row:
+    def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> EpisodeRow:
         place = self._catalog.next_place(episode.meta.task)
         bookkeeping = bookkeeping_arrays(len(episode), *place)
         pictures = {} if self._codec.is_video else picture_arrays(episode)
@@ -156,7 +156,7 @@ class DatasetWriter:
         chunk, file = self._data.write(table)
         return {"data/chunk_index": chunk, "data/file_index": file}
 
-    def _write_videos(self, episode: Episode) -> Row:
+    def _write_videos(self, episode: Episode) -> EpisodeRow:
         if not all(self._fits(video, len(episode)) for video in self._videos.values()):
             self._close_videos()
         if not self._videos:

@@ -15,9 +15,9 @@ from tqdm import tqdm
 from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.foundation.arguments import names
-from dynahoi_lerobot.generate.executors.base import EXECUTORS, Executor, Fleet
+from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record, shard_size
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
 
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 
@@ -46,10 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--executor", help="local, slurm or ray: spread the shards as datatrove tasks")
     parser.add_argument("--tasks", type=int, help="number of tasks; one per shard by default")
     parser.add_argument("--dry-run", action="store_true", help="show what --executor would do, the Slurm scripts say")
-    parser.add_argument("--partition", default=Fleet.partition, help="Slurm partition")
-    parser.add_argument("--time", default=Fleet.time, help="Slurm time limit per task")
-    parser.add_argument("--cpus-per-task", type=int, default=Fleet.cpus_per_task)
-    parser.add_argument("--gpus-per-task", type=int, default=Fleet.gpus_per_task)
+    parser.add_argument("--partition", default=ClusterResources.partition, help="Slurm partition")
+    parser.add_argument("--time", default=ClusterResources.time, help="Slurm time limit per task")
+    parser.add_argument("--cpus-per-task", type=int, default=ClusterResources.cpus_per_task)
+    parser.add_argument("--gpus-per-task", type=int, default=ClusterResources.gpus_per_task)
     parser.add_argument("--json", type=Path, help="write the summary there as well")
 
 
@@ -88,14 +88,14 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     return 0
 
 
-def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
+def _plan(args: argparse.Namespace, recipe: Any) -> GenerationPlan:
     changes: dict[str, Any] = {}
     if args.image_size:
         changes["image_size"] = args.image_size
     changes |= {name: getattr(args, name) for name in ("views", "appearance", "motions") if getattr(args, name)}
     if args.capture:
         changes |= {"capture": args.capture, "hand": "", "expert": ""}
-    return Plan(
+    return GenerationPlan(
         replace(recipe, **changes),
         args.episodes,
         args.seed,
@@ -111,23 +111,23 @@ def _load_recipe(path: Path | None) -> Any:
     return Recipe() if path is None else load_recipe(path)
 
 
-def _record(plan: Plan, threads: int) -> Record:
+def _record(plan: GenerationPlan, threads: int) -> Record:
     """Return the expert's recorder; ``threads`` (0: all cores) share the worlds of one process."""
     from dynahoi_lerobot.rollout.loop import record
 
     return partial(record, threads=threads, images=plan.camera)
 
 
-def _executor(args: argparse.Namespace, plan: Plan, record: Record) -> Executor:
+def _executor(args: argparse.Namespace, plan: GenerationPlan, record: Record) -> Executor:
     workers = -1 if args.workers == 1 else args.workers
-    fleet = Fleet(
+    resources = ClusterResources(
         args.tasks, workers, args.cpus_per_task, gpus_per_task=args.gpus_per_task,
         partition=args.partition, time=args.time,
     )  # fmt: skip
-    return EXECUTORS[args.executor](plan, args.root, record, fleet)
+    return EXECUTORS[args.executor](plan, args.root, record, resources)
 
 
-def _generate(plan: Plan, args: argparse.Namespace, record: Record) -> Manifest:
+def _generate(plan: GenerationPlan, args: argparse.Namespace, record: Record) -> Manifest:
     with tqdm(total=plan.episodes, unit="episode", smoothing=0.05, disable=None) as bar:
 
         def show(done: int) -> None:

@@ -10,13 +10,13 @@ from typing import Any
 from dynahoi_lerobot.dataset.files import replace_text
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.generate.plan import Plan, Progress, Record
+from dynahoi_lerobot.generate.plan import GenerationPlan, Progress, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.generate.workers import make_in_processes
 
 
 def generate(
-    plan: Plan, root: Path, *, record: Record, workers: int = 1, progress: Progress = lambda _: None
+    plan: GenerationPlan, root: Path, *, record: Record, workers: int = 1, progress: Progress = lambda _: None
 ) -> Manifest:
     """Make the dataset of a plan.
 
@@ -46,7 +46,7 @@ def generate(
     return manifest
 
 
-def finished(plan: Plan, root: Path) -> Manifest | None:
+def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
     """Return the manifest if ``root`` already holds the plan's dataset, None if nothing is there.
 
     Raises:
@@ -68,7 +68,7 @@ def workspace_path(root: Path) -> Path:
     return root.with_name(f"{root.name}.partial")
 
 
-def open_workspace(plan: Plan, root: Path) -> Path:
+def open_workspace(plan: GenerationPlan, root: Path) -> Path:
     """Make the folder for the shards, or enter that of an interrupted run of the same plan.
 
     Raises:
@@ -101,7 +101,7 @@ def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
 def merge_shards(maker: ShardMaker, root: Path) -> Manifest:
     """Merge the finished shards of a plan into ``root``."""
     sources = [maker.path(shard) for shard in range(maker.plan.shards)]
-    return merge(sources, root, layout=maker.plan.layout, provenance=maker.plan.identity())
+    return merge(sources, root, limits=maker.plan.limits, provenance=maker.plan.identity())
 
 
 def _differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:

@@ -13,9 +13,9 @@ from av.error import FFmpegError
 from dynahoi_lerobot.dataset.columns import content_arrays
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, Record
-from dynahoi_lerobot.verify.plausibility import implausibilities
+from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, GenerationPlan, Record
 
 Tick = Callable[[], object]
 """Called after each stored episode."""
@@ -31,7 +31,7 @@ class ShardMaker:
         record: plays the expert.
     """
 
-    plan: Plan
+    plan: GenerationPlan
     folder: Path
     record: Record
 
@@ -65,7 +65,7 @@ class ShardMaker:
         with temporary_sibling(target) as temporary:
             plan = self.plan
             writer = DatasetWriter(
-                temporary, plan.image_size, plan.encoding, plan.layout, views=plan.views, touch=plan.touch
+                temporary, plan.image_size, plan.encoding, plan.limits, views=plan.views, touch=plan.touch
             )
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
@@ -114,7 +114,7 @@ class _Filling:
             if seed not in expected - seen:
                 raise GenerationError(f"the recorder gave an episode of seed {seed}, which was not asked for")
             seen.add(seed)
-            if not implausibilities(content_arrays(episode)):
+            if not trajectory_problems(content_arrays(episode)):
                 self._writer.add(episode)
                 kept.add(seed)
                 self._tick()

@@ -11,7 +11,7 @@ import numpy as np
 from dynahoi_lerobot.dataset.paths import STATS_PATH
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset
-from dynahoi_lerobot.verify.checks.base import Evidence
+from dynahoi_lerobot.verify.checks.base import CheckedDataset
 
 MARGIN = 1.0
 """Default margin on either side, in widths of the robust range."""
@@ -59,14 +59,14 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
     """
     if margin < 0:
         raise ValueError(f"the margin is {margin}; it must be 0 or more")
-    evidence = Evidence(root, 0)
+    dataset = CheckedDataset(root, 0)
     stats = json.loads((root / STATS_PATH).read_text())[column]
     q01, q99 = np.array(stats["q01"]), np.array(stats["q99"])
     width = q99 - q01
     low, high = q01 - margin * width, q99 + margin * width
-    names = evidence.features[column]["names"]
+    names = dataset.features[column]["names"]
     found = []
-    for row, columns in evidence.each_episode():
+    for row, columns in dataset.each_episode():
         values = columns[column].astype(np.float64)
         beyond = np.maximum(low - values, values - high)  # (T, D), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)

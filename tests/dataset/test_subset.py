@@ -14,7 +14,7 @@ from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset
 from dynahoi_lerobot.foundation.conventions import HAND_NAMES
 from dynahoi_lerobot.verify.outliers import find_outliers, reject_outliers
-from dynahoi_lerobot.verify.verify import verify
+from dynahoi_lerobot.verify.runner import verify
 from tests.dataset.episodes import varied_episode, write
 
 

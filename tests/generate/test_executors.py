@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
-from dynahoi_lerobot.generate.executors.base import EXECUTORS, Fleet
+from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import GenerationError, Plan
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
@@ -18,17 +18,17 @@ from tests.generate.test_command import run
 
 
 @pytest.fixture
-def plan() -> Plan:
+def plan() -> GenerationPlan:
     """Seven episodes in four shards, planned by the code as it is now, like that of the processes started next."""
     code_fingerprint.cache_clear()
-    return Plan(FakeRecipe(), 7, shard_episodes=2)
+    return GenerationPlan(FakeRecipe(), 7, shard_episodes=2)
 
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
     """The dataset as one process makes it."""
     root = tmp_path_factory.mktemp("alone") / "d"
-    generate(Plan(FakeRecipe(), 7, shard_episodes=2), root, record=recorder.record)
+    generate(GenerationPlan(FakeRecipe(), 7, shard_episodes=2), root, record=recorder.record)
     return root
 
 
@@ -38,7 +38,7 @@ def same(first, second) -> bool:
 
 
 def test_local_tasks_give_the_same_bytes(plan, alone, tmp_path):
-    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record, Fleet(tasks=3, workers=1))
+    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record, ClusterResources(tasks=3, workers=1))
     assert executor.run() is True
     assert same(alone, tmp_path / "d")
     assert not list((tmp_path / "d.partial").glob("shard-*"))
@@ -53,7 +53,7 @@ def test_local_processes_through_the_command(plan, alone, tmp_path):
 
 
 def test_finished_tasks_are_skipped_and_lost_work_is_done_again(plan, alone, tmp_path):
-    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record_until_marked, Fleet(workers=1))
+    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record_until_marked, ClusterResources(workers=1))
     folder = executor.maker.folder
     folder.mkdir()
     (folder / "stop").touch()
@@ -80,7 +80,7 @@ def test_ray_tasks_give_the_same_bytes(plan, alone, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
-        executor = EXECUTORS["ray"](plan, tmp_path / "d", recorder.record, Fleet(tasks=2, mem_per_cpu_gb=1))
+        executor = EXECUTORS["ray"](plan, tmp_path / "d", recorder.record, ClusterResources(tasks=2, mem_per_cpu_gb=1))
         assert executor.run() is True
     finally:
         ray.shutdown()
@@ -124,11 +124,11 @@ def test_slurm_submits_two_jobs(tmp_path, monkeypatch, capsys):
 def test_machines_with_other_code_refuse_to_work(plan, tmp_path):
     other = dataclasses.replace(plan, code="0123")
     with pytest.raises(GenerationError, match="made by code 0123, this machine has"):
-        EXECUTORS["local"](other, tmp_path / "d", recorder.record, Fleet(workers=1)).run()
+        EXECUTORS["local"](other, tmp_path / "d", recorder.record, ClusterResources(workers=1)).run()
 
 
 def test_failed_tasks_are_an_error(plan, tmp_path):
-    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record, Fleet())
+    executor = EXECUTORS["local"](plan, tmp_path / "d", recorder.record, ClusterResources())
     executor.maker.folder.mkdir()
     with pytest.raises(GenerationError, match=r"4 of 4 shards failed; see .*logs/shards/logs"):
         executor.require_all_shards()

@@ -15,12 +15,12 @@ import pytest
 from dynahoi_lerobot.dataset.files import link, temporary_sibling
 from dynahoi_lerobot.dataset.manifest import hash_files
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import Plan
+from dynahoi_lerobot.generate.plan import GenerationPlan
 from tests.generate.recorder import FakeRecipe, record
 from tests.generate.test_command import run
 
 REPOSITORY = Path(__file__).parents[2]
-PLAN = Plan(FakeRecipe(), 5, shard_episodes=2)
+PLAN = GenerationPlan(FakeRecipe(), 5, shard_episodes=2)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_workers_leave_when_their_parent_is_killed(undisturbed, tmp_path):
         "from tests.generate.test_interruption import *\n"
         "from tests.generate.recorder import record_slowly\n"
         "if __name__ == '__main__':\n"
-        "    plan = Plan(FakeRecipe(), 400, shard_episodes=2)\n"
+        "    plan = GenerationPlan(FakeRecipe(), 400, shard_episodes=2)\n"
         f"    generate(plan, Path({str(tmp_path / 'd')!r}), record=record_slowly, workers=2)"
     )
     script = tmp_path / "script.py"
@@ -124,7 +124,7 @@ def test_file_system_that_stops_writing(undisturbed, tmp_path, capsys, largest_b
 
 
 def test_video_cut_short_by_a_full_disk_is_noticed(tmp_path, monkeypatch):
-    from dynahoi_lerobot.generate import video
+    from dynahoi_lerobot.dataset import video
     from tests.dataset.episodes import write
 
     monkeypatch.setattr(video, "count_frames", lambda path: 7)

@@ -12,14 +12,14 @@ from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate import workers
 from dynahoi_lerobot.generate.pipeline import generate, workspace_path
-from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, shard_size
+from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, GenerationPlan, shard_size
 from tests.dataset.episodes import write
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
 
 
-def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -> Plan:
-    return Plan(FakeRecipe(**recipe), episodes, seed, shard_episodes=shard_episodes)
+def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -> GenerationPlan:
+    return GenerationPlan(FakeRecipe(**recipe), episodes, seed, shard_episodes=shard_episodes)
 
 
 @pytest.fixture(scope="module")

@@ -14,12 +14,12 @@ from dynahoi_lerobot.features import TOUCH
 from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.generate import command
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import Plan
+from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.replay import simulator
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify import command as verify_command
-from dynahoi_lerobot.verify.verify import verify
+from dynahoi_lerobot.verify.runner import verify
 
 
 def run(module, *words) -> int:
@@ -63,7 +63,7 @@ def test_bad_input_is_one_sentence(words, sentence, capsys):
 
 def test_edited_actions_do_not_replay(tmp_path):
     recipe = Recipe(motions=("constant",))
-    plan = Plan(recipe, 1, camera=False)
+    plan = GenerationPlan(recipe, 1, camera=False)
     generate(plan, tmp_path / "d", record=partial(record, images=False))
     replay = simulator(plan.identity()["recipe"], images=False)
 
@@ -101,7 +101,7 @@ VIEWS = ("side", "ego_depth", "ego_segmentation")
 @pytest.mark.parametrize("codec", ["h264", "images"])
 def test_further_views_are_stored_read_and_replayed(tmp_path, codec):
     recipe = Recipe(motions=("constant", "struck"), image_size=48, views=VIEWS)
-    plan = Plan(recipe, 2, encoding=Encoding(codec), shard_episodes=1)  # two shards, merged
+    plan = GenerationPlan(recipe, 2, encoding=Encoding(codec), shard_episodes=1)  # two shards, merged
     generate(plan, tmp_path / "d", record=record)
     assert verify(tmp_path / "d", decoded=None, resimulate=simulator(plan.identity()["recipe"], images=True)) == []
     for episode in read_episodes(tmp_path / "d"):
@@ -113,7 +113,9 @@ def test_further_views_are_stored_read_and_replayed(tmp_path, codec):
 
 
 def test_a_missing_view_is_named(tmp_path):
-    generate(Plan(Recipe(motions=("constant",), image_size=16, views=("side",)), 1), tmp_path / "d", record=record)
+    generate(
+        GenerationPlan(Recipe(motions=("constant",), image_size=16, views=("side",)), 1), tmp_path / "d", record=record
+    )
     info = json.loads((path := tmp_path / "d" / "meta/info.json").read_text())
     del info["features"]["observation.images.side"]
     path.write_text(json.dumps(info))

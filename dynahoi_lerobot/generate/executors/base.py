@@ -8,15 +8,15 @@ from pathlib import Path
 
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.generate.pipeline import finished, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
 
 EXECUTORS: Registry[type[Executor]] = Registry("executor", "dynahoi_lerobot.generate.executors")
 
 
 @dataclass(frozen=True)
-class Fleet:
-    """What a cluster shall give.
+class ClusterResources:
+    """The resources that generation asks a cluster for.
 
     Attributes:
         tasks: number of tasks; each makes every tasks-th shard. None for one shard per task.
@@ -39,7 +39,7 @@ class Fleet:
     activate: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse fleets of nothing.
+        """Refuse requests that no cluster can grant.
 
         Raises:
             ValueError: if a number is not positive.
@@ -52,11 +52,11 @@ class Fleet:
 class Executor(ABC):
     """Runs the two steps of a plan. datatrove marks finished tasks below the workspace and skips them."""
 
-    def __init__(self, plan: Plan, root: Path, record: Record, fleet: Fleet) -> None:
+    def __init__(self, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources) -> None:
         """Prepare to make ``plan`` at ``root``; nothing is written yet."""
-        self.plan, self.root, self.fleet = plan, root.absolute(), fleet
+        self.plan, self.root, self.resources = plan, root.absolute(), resources
         self.maker = ShardMaker(plan, workspace_path(self.root), record)
-        self.tasks = min(fleet.tasks or plan.shards, plan.shards)
+        self.tasks = min(resources.tasks or plan.shards, plan.shards)
         self.logs = self.maker.folder / "logs"
 
     def run(self) -> bool:

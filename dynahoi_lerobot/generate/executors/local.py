@@ -18,7 +18,7 @@ class Local(Executor):
         shards = LocalPipelineExecutor(
             [MakeShards(self.maker)],
             tasks=self.tasks,
-            workers=self.fleet.workers,
+            workers=self.resources.workers,
             logging_dir=str(self.logs / "shards"),
             start_method="spawn",
         )
@@ -32,7 +32,7 @@ class Local(Executor):
 
     def describe(self) -> str:
         """Say how the shards would be divided."""
-        at_once = self.tasks if self.fleet.workers == -1 else self.fleet.workers
+        at_once = self.tasks if self.resources.workers == -1 else self.resources.workers
         return (
             f"{self.plan.shards} shards of up to {self.plan.shard_episodes} episodes in {self.tasks} tasks, {at_once} "
             f"at once on this machine, merged into {self.root}"

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.dataset.dataset_stats import DatasetStats
-from dynahoi_lerobot.dataset.episode_table import Row, row_histogram, row_stats
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_histogram, row_stats
 from dynahoi_lerobot.dataset.paths import HISTOGRAMS_PATH, STATS_PATH
 from dynahoi_lerobot.dataset.statistics import NAMES, Stats, picture_stats, sampled_frames, table_stats
-from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 ROUNDING = 1e-9
 """Relative difference that another order of summation may make."""
@@ -22,21 +22,21 @@ ROUNDING = 1e-9
 class Statistics(Check):
     """Computes every statistic again, of each episode and of the dataset."""
 
-    def dataset(self, evidence: Evidence) -> Iterator[str]:
+    def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield statistics of the whole dataset that differ."""
-        told = json.loads((evidence.root / STATS_PATH).read_text())
-        summary = DatasetStats(evidence.features)
-        for row in evidence.stats_rows:
+        told = json.loads((dataset.root / STATS_PATH).read_text())
+        summary = DatasetStats(dataset.features)
+        for row in dataset.stats_rows:
             summary.add(row)
-        found = summary.stats(evidence.root)
+        found = summary.stats(dataset.root)
         for key in sorted(found.keys() | told.keys()):
             yield from _differences(f"{STATS_PATH}: {key}", told.get(key, {}), found.get(key, {}))
-        if json.loads((evidence.root / HISTOGRAMS_PATH).read_text()) != summary.histograms(evidence.root, found):
+        if json.loads((dataset.root / HISTOGRAMS_PATH).read_text()) != summary.histograms(dataset.root, found):
             yield f"{HISTOGRAMS_PATH} does not count the dataset's states and actions"
 
-    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield statistics in the episode table that differ."""
-        for key in evidence.pictures:
+        for key in dataset.pictures:
             found = picture_stats(row_histogram(row, key), len(sampled_frames(row["length"])))
             yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), found)
         for key, stats in table_stats(dict(columns)).items():
