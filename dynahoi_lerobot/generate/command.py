@@ -64,6 +64,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     Returns:
         The exit code: 0 done, 1 failed (run it again to go on), 2 bad input, 130 stopped by the user.
     """
+    complete = args.root.exists()
     try:
         plan = _plan(args, recipe if recipe is not None else _load_recipe(args.recipe))
         if args.executor is not None:
@@ -73,6 +74,8 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
                 return 0
         recorder = record or _record(plan, 0 if args.workers == 1 else 1)
         manifest = _generate(plan, args, recorder)
+        if complete:
+            _say(f"{args.root} was already complete; its files agree with its manifest", 0)
     except ModuleNotFoundError as error:
         return _say(f"--executor needs {error.name}; install dynahoi_lerobot[scale]", BAD_INPUT)
     except (ValueError, FileExistsError, FileNotFoundError) as error:

@@ -11,8 +11,9 @@ from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate import workers
-from dynahoi_lerobot.generate.pipeline import generate, workspace_path
+from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, GenerationPlan, shard_size
+from dynahoi_lerobot.generate.workspace import workspace_path
 from tests.dataset.episodes import write
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynahoi_lerobot.foundation.registry import Registry
-from dynahoi_lerobot.generate.pipeline import finished, open_workspace, workspace_path
+from dynahoi_lerobot.generate.pipeline import finished
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
+from dynahoi_lerobot.generate.workspace import open_workspace, workspace_path
 
 EXECUTORS: Registry[type[Executor]] = Registry("executor", "dynahoi_lerobot.generate.executors")
 
@@ -67,13 +68,14 @@ class Executor(ABC):
 
         Raises:
             FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
-            GenerationError: if tasks failed.
+            GenerationError: if tasks failed, or another process is making this dataset.
         """
         if finished(self.plan, self.root) is not None:
             return True
-        open_workspace(self.plan, self.root)
-        self._forget_lost_work()
-        return self.launch()
+        with open_workspace(self.plan, self.root):
+            self.maker.discard_damaged()
+            self._forget_lost_work()
+            return self.launch()
 
     @abstractmethod
     def launch(self) -> bool:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dynahoi_lerobot.dataset.manifest import sha256
+from dynahoi_lerobot.dataset.manifest import file_problems
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
-
-OWNED = ("data/", "videos/", "meta/")
-"""Folders in which no file may be that the manifest does not list."""
 
 
 @CHECKS.register("files")
@@ -18,17 +15,7 @@ class Files(Check):
 
     def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield missing, changed and unknown files."""
-        if not (dataset.root / MANIFEST_PATH).is_file():
+        if (dataset.root / MANIFEST_PATH).is_file():
+            yield from file_problems(dataset.root, dataset.manifest)
+        else:
             yield f"{MANIFEST_PATH} is missing, so no file can be compared with what was written"
-            return
-        expected = dataset.manifest.files
-        for name, digest in expected.items():
-            path = dataset.root / name
-            if not path.is_file():
-                yield f"{name} is missing"
-            elif (found := sha256(path)) != digest:
-                yield f"{name} has changed: its sha256 is {found[:12]}..., the manifest says {digest[:12]}..."
-        present = (path.relative_to(dataset.root).as_posix() for path in dataset.root.rglob("*") if path.is_file())
-        for name in sorted(set(present) - set(expected) - {MANIFEST_PATH}):
-            if name.startswith(OWNED):
-                yield f"{name} is not in the manifest"
