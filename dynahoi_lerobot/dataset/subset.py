@@ -18,7 +18,7 @@ from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import FileLimits
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
@@ -33,11 +33,14 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
 
     Raises:
         FileExistsError: if ``output`` exists.
+        FileNotFoundError: if ``root`` holds no dataset of this project.
         ValueError: if no episode is kept, or one does not exist.
     """
     store, kept = Store(root), set(episodes)
     if output.exists():
         raise FileExistsError(f"{output} exists; choose a new folder")
+    if not (root / MANIFEST_PATH).is_file():
+        raise FileNotFoundError(f"{root} was not written by this project: {MANIFEST_PATH} is missing")
     if not kept:
         raise ValueError("no episode is kept; a dataset holds one or more")
     if unknown := sorted(kept - set(range(store.episodes))):
@@ -55,7 +58,7 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
 
 
 class _Cutter:
-    """Copies episodes' packets; every set of source files with kept episodes gives one set of files.
+    """Copies the video packets of episodes; each set of source files with kept episodes gives one set of new files.
 
     An episode begins with a key frame and no codec here reorders frames, so its packets stand alone.
     """
