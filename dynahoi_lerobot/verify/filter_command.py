@@ -38,21 +38,29 @@ def run(args: argparse.Namespace) -> int:
         The exit code: 0 done, 1 the disk failed, 2 bad input.
     """
     try:
-        if args.out is None and not args.dry_run:
-            raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
-        if not args.dry_run and args.out.exists():
-            raise FileExistsError(f"{args.out} exists; choose a new folder")
+        output = _output(args)
         episodes = Store(args.root).episodes
         outliers = find_outliers(args.root, args.margin, args.column)
-        if not args.dry_run:
+        if output is not None:
             left_out = {outlier.episode for outlier in outliers}
-            copy_subset(args.root, args.out, [index for index in range(episodes) if index not in left_out])
+            copy_subset(args.root, output, [index for index in range(episodes) if index not in left_out])
         _report(args, episodes, outliers)
     except (ValueError, KeyError, FileExistsError, FileNotFoundError) as error:
         return _say(error, BAD_INPUT)
     except OSError as error:
         return _say(error, FAILED)
     return DONE
+
+
+def _output(args: argparse.Namespace) -> Path | None:
+    """Return where the new dataset goes, None in a dry run."""
+    if args.dry_run:
+        return None
+    if args.out is None:
+        raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
+    if args.out.exists():
+        raise FileExistsError(f"{args.out} exists; choose a new folder")
+    return args.out
 
 
 def _report(args: argparse.Namespace, episodes: int, outliers: list[Outlier]) -> None:

@@ -45,6 +45,7 @@ def test_local_tasks_give_the_same_bytes(plan, alone, tmp_path):
     assert executor.run() is True, "done already"
 
 
+@pytest.mark.slow
 def test_local_processes_through_the_command(plan, alone, tmp_path):
     words = ("--root", tmp_path / "d", "--episodes", 7, "--shard-episodes", 2)
     assert run(*words, "--executor", "local", "--tasks", 2, "--workers", 2) == 0
@@ -76,7 +77,7 @@ def test_ray_tasks_give_the_same_bytes(plan, alone, tmp_path, monkeypatch):
     import ray
 
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    ray.init(num_cpus=2, _memory=4 << 30, include_dashboard=False, log_to_driver=False)
     try:
         executor = EXECUTORS["ray"](plan, tmp_path / "d", recorder.record, ClusterResources(tasks=2, mem_per_cpu_gb=1))
         assert executor.run() is True

@@ -31,6 +31,7 @@ def undisturbed(tmp_path_factory) -> dict[str, str]:
     return hash_files(root)
 
 
+@pytest.mark.slow
 def test_killed_at_twenty_random_instants(undisturbed, tmp_path):
     command = [sys.executable, "-m", "tests.generate.killer", str(tmp_path), "20"]
     output = subprocess.run(command, check=True, cwd=REPOSITORY, capture_output=True, timeout=120).stdout
@@ -51,6 +52,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("words", [("--workers", "2"), ("--executor", "local", "--tasks", "2", "--workers", "2")])
 def test_workers_end_with_their_parent(tmp_path, words, ending):

@@ -91,7 +91,7 @@ def test_a_physical_dataset_holds_forces_and_replays(tmp_path, capsys):
     assert dataset.meta.stats[TOUCH.key]["max"].max() == pytest.approx(touch.max())
     rows = dataset.meta.episodes
     assert set(rows["capture"]) == {"contact"}
-    assert set(rows["agent"] if "agent" in rows.column_names else rows["expert"]) == {"match"}
+    assert set(rows["agent"]) == {"match"}
     assert set(rows["stage"]) == {"held"}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -94,16 +95,18 @@ class Check:
 
 
 def stratified(rows: list[EpisodeRow], count: int) -> list[int]:
-    """Return ``count`` sorted row positions, as many of each kind of motion as possible and spread over each kind."""
+    """Return ``count`` sorted row positions (all if there are fewer), divided evenly among the kinds of motion.
+
+    Where a kind has too few rows, the others give more; within a kind the positions are spread evenly.
+    """
     kinds: dict[str, list[int]] = {}
     for position, row in enumerate(rows):
         kinds.setdefault(row.get("motion", ""), []).append(position)
-    share = -(-count // max(1, len(kinds)))
-    spread = [_spread(positions, share) for _, positions in sorted(kinds.items())]
-    turns = [positions[turn] for turn in range(share) for positions in spread if turn < len(positions)]
-    return sorted(turns[:count])
+    turns = [(turn, kind) for kind, positions in kinds.items() for turn in range(len(positions))]
+    shares = Counter(kind for _, kind in sorted(turns)[:count])
+    return sorted(position for kind, share in shares.items() for position in _spread(kinds[kind], share))
 
 
 def _spread(positions: list[int], count: int) -> list[int]:
-    chosen = np.unique(np.linspace(0, len(positions) - 1, min(count, len(positions))).round().astype(int))
+    chosen = np.linspace(0, len(positions) - 1, count).round().astype(int)
     return [positions[choice] for choice in chosen]
