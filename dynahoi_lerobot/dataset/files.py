@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all."""
+"""Atomic folders and files: they appear complete under their name, or not at all."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def temporary_sibling(target: Path) -> Iterator[Path]:
 
 
 def temporary_name(target: Path) -> Path:
-    """Return ``.<name>.<host>.<process>.<random>.tmp`` beside ``target``: whose it is can be told from its name."""
+    """Return ``.<name>.<host>.<process>.<random>.tmp`` beside ``target``; the name says which process made it."""
     return target.with_name(f".{target.name}.{socket.gethostname()}.{os.getpid()}.{_RUN}.tmp")
 
 
@@ -56,7 +56,7 @@ def remove_stale(folder: Path, name: str) -> None:
 
 
 def _is_running(process: int, run: str) -> bool:
-    """Tell whether a process of this host still runs; one that had our number before us does not."""
+    """Return whether a process of this host still runs; an earlier one with our process id does not."""
     if process == os.getpid():
         return run == _RUN
     try:
@@ -69,13 +69,13 @@ def _is_running(process: int, run: str) -> bool:
 
 
 def sync_tree(folder: Path) -> None:
-    """Ask the disk to keep every file below ``folder``, so that a rename cannot survive a power cut without them."""
+    """Flush every file below ``folder`` to disk, so that a rename cannot survive a power cut without them."""
     for path in [*sorted(folder.rglob("*")), folder]:
         sync(path)
 
 
 def sync(path: Path) -> None:
-    """Ask the disk to keep one file or folder."""
+    """Flush one file or folder to disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -84,7 +84,7 @@ def sync(path: Path) -> None:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a small file so that readers see the old text or the new one, never a part."""
+    """Write a small file atomically: readers see the old text or the new one."""
     temporary = temporary_name(path)
     temporary.write_text(text)
     sync(temporary)
@@ -92,7 +92,7 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def link(source: Path, target: Path) -> None:
-    """Give a file a second name; copy it where the file system has no links."""
+    """Hard-link a file; copy it where the file system has no links."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         target.hardlink_to(source)

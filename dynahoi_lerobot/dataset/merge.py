@@ -1,4 +1,4 @@
-"""Merge datasets of ours into one: videos are linked, tables renumbered; no picture is read."""
+"""Merge datasets that this project wrote: videos are hard-linked, tables renumbered, no picture decoded."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def merge(
     limits: FileLimits | None = None,
     provenance: dict[str, Any] | None = None,
 ) -> Manifest:
-    """Merge datasets, in the given order, into a new one; ``root`` appears when it is whole.
+    """Merge datasets, in the given order, into a new one; ``root`` appears when it is complete.
 
     Args:
         sources: folders of datasets written by this project.
         root: a path that does not exist yet.
         limits: file size limits.
-        provenance: what the manifest shall say about the dataset's origin.
+        provenance: stored in the manifest: recipe, seed, encoding and code fingerprint.
 
     Raises:
         FileExistsError: if ``root`` exists.

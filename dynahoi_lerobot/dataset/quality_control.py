@@ -19,7 +19,7 @@ Columns = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class TrajectoryLimits:
-    """Bounds that no sound recording exceeds; wider than those of any hand, so that only corruption is rejected.
+    """Bounds that no intact recording exceeds; wider than those of any hand, so that only corruption is rejected.
 
     Attributes:
         palm_m: largest distance of the palm from the origin along an axis [m].

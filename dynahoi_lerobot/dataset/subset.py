@@ -24,7 +24,7 @@ from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 
 def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest:
-    """Copy the named episodes, in their order, to a new dataset; ``output`` appears when it is whole.
+    """Copy the named episodes, in their order, to a new dataset; ``output`` appears when it is complete.
 
     Args:
         root: a dataset written by this project.

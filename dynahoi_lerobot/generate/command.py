@@ -54,12 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None) -> int:
-    """Carry the command out.
+    """Generate a dataset and print a JSON summary.
 
     Args:
-        args: what ``add_arguments`` declares.
-        record: plays the expert, ``dynahoi_lerobot.rollout.loop.record`` by default.
-        recipe: what the options override, the default recipe or ``--recipe`` by default.
+        args: the parsed arguments of ``add_arguments``.
+        record: plays the expert; ``dynahoi_lerobot.rollout.loop.record`` by default.
+        recipe: what the options override; that of ``--recipe``, or the default recipe, by default.
 
     Returns:
         The exit code: 0 done, 1 failed (run it again to go on), 2 bad input, 130 stopped by the user.

@@ -71,7 +71,7 @@ class GenerationPlan:
         seed: the first episode's seed.
         camera: whether to store pictures, of the recipe's size.
         encoding: how to store them.
-        shard_episodes: episodes per shard, the unit of work that is made whole or not at all.
+        shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
     """

@@ -27,7 +27,7 @@ Tick = Callable[[], object]
 
 @dataclass(frozen=True)
 class ShardMaker:
-    """Makes the shards of a plan; travels to other processes.
+    """Makes, checks and merges the shards of a plan; it is pickled for worker processes.
 
     Attributes:
         plan: what to make.
@@ -138,7 +138,7 @@ def is_whole(folder: Path) -> bool:
 
 
 class _Filling:
-    """Writes one episode per slot; failed slots are drawn again after all others."""
+    """Writes one episode per slot; failed slots are drawn again, with other seeds, after all others."""
 
     def __init__(self, maker: ShardMaker, writer: DatasetWriter, tick: Tick) -> None:
         self._maker, self._writer, self._tick = maker, writer, tick

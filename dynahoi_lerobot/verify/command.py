@@ -56,7 +56,7 @@ def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> in
         findings = verify(args.root, decoded=decoded, resimulate=simulator, replayed=args.replay, progress=show)
     for finding in findings:
         print(finding)
-    print(f"{args.root}: {len(findings)} findings" if findings else f"{args.root}: {episodes} episodes, all sound")
+    print(f"{args.root}: {len(findings)} findings" if findings else f"{args.root}: {episodes} episodes, no findings")
     if args.json:
         args.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
     return FAILED if findings else PASSED

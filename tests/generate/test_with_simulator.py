@@ -38,7 +38,7 @@ def simulated(tmp_path_factory):
 
 def test_simulated_episodes_are_sound_and_replay(simulated, capsys):
     assert run(verify_command, simulated, "--replay", 2, "--decode", "all") == 0
-    assert "2 episodes, all sound" in capsys.readouterr().out
+    assert "2 episodes, no findings" in capsys.readouterr().out
 
 
 def test_broken_dataset_is_reported(simulated, tmp_path, capsys):
@@ -82,7 +82,7 @@ def test_a_physical_dataset_holds_forces_and_replays(tmp_path, capsys):
     words = ("--root", root, "--episodes", 3, "--image-size", 32, "--motions", "constant,planar,struck")
     assert run(command, *words, "--capture", "contact") == 0
     assert run(verify_command, root, "--replay", 3, "--decode", "all") == 0
-    assert "3 episodes, all sound" in capsys.readouterr().out
+    assert "3 episodes, no findings" in capsys.readouterr().out
     dataset = LeRobotDataset("local/contact", root=root)
     assert dataset.meta.features[TOUCH.key]["names"] == list(FINGERS)
     touch = np.stack([dataset[i][TOUCH.key].numpy() for i in range(len(dataset))])

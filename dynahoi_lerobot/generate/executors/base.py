@@ -64,7 +64,7 @@ class Executor(ABC):
         """Make the dataset, or hand it to a queue.
 
         Returns:
-            True if the dataset is whole now, False if it will be when the queue has done its work.
+            True if the dataset is complete now, False if a queue will complete it.
 
         Raises:
             FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.

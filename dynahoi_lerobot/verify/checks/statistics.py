@@ -24,13 +24,13 @@ class Statistics(Check):
 
     def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield statistics of the whole dataset that differ."""
-        told = json.loads((dataset.root / STATS_PATH).read_text())
+        stored = json.loads((dataset.root / STATS_PATH).read_text())
         summary = DatasetStats(dataset.features)
         for row in dataset.stats_rows:
             summary.add(row)
         found = summary.stats(dataset.root)
-        for key in sorted(found.keys() | told.keys()):
-            yield from _differences(f"{STATS_PATH}: {key}", told.get(key, {}), found.get(key, {}))
+        for key in sorted(found.keys() | stored.keys()):
+            yield from _differences(f"{STATS_PATH}: {key}", stored.get(key, {}), found.get(key, {}))
         if json.loads((dataset.root / HISTOGRAMS_PATH).read_text()) != summary.histograms(dataset.root, found):
             yield f"{HISTOGRAMS_PATH} does not count the dataset's states and actions"
 
@@ -43,12 +43,12 @@ class Statistics(Check):
             yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), stats)
 
 
-def _differences(where: str, told: dict[str, Any], found: Stats) -> Iterator[str]:
+def _differences(where: str, stored: dict[str, Any], found: Stats) -> Iterator[str]:
     for name in NAMES:
-        if name not in told or name not in found:
+        if name not in stored or name not in found:
             yield f"{where}/{name} is missing"
             return
-        one, other = np.asarray(told[name], float), np.asarray(found[name], float)
+        one, other = np.asarray(stored[name], float), np.asarray(found[name], float)
         if one.shape != other.shape or not np.allclose(one, other, ROUNDING, ROUNDING, equal_nan=False):
             yield f"{where}/{name} is {_short(one)}; the data give {_short(other)}"
             return
