@@ -32,10 +32,12 @@ FIRST_SEED = 0
 def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
     """Generate a dataset as ``dynahoi generate`` does."""
     from dynahoi_lerobot.generate.pipeline import generate
-    from dynahoi_lerobot.generate.plan import Plan
+    from dynahoi_lerobot.generate.plan import GenerationPlan
     from dynahoi_lerobot.rollout.loop import record
 
-    plan = Plan(Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=max(1, episodes // processes))
+    plan = GenerationPlan(
+        Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=max(1, episodes // processes)
+    )
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
         play = partial(record, threads=1 if processes > 1 else 0)

@@ -12,6 +12,7 @@ COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report, on a CPU in minutes"),
     "generate": ("dynahoi_lerobot.generate.command", "write a LeRobotDataset of expert episodes"),
     "verify": ("dynahoi_lerobot.verify.command", "check every promise about a dataset on disk"),
+    "filter": ("dynahoi_lerobot.verify.filter_command", "copy a dataset without the paper's outliers"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "run a policy or an expert on a split and compute every metric"),
     "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),
     "view": ("dynahoi_lerobot.cli.view", "write an episode as GIF, MP4 or web page"),

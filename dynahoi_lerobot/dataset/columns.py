@@ -42,9 +42,9 @@ def _info(feature: Feature, encoding: Encoding) -> dict[str, Any]:
     entry = {"dtype": feature.dtype, "shape": list(feature.column_shape), "names": list(feature.names)}
     if not feature.is_image:
         return entry
-    if not encoding.kind.is_video:
+    if not encoding.make_codec().is_video:
         return entry | {"dtype": "image"}
-    return entry | {"dtype": "video", "info": encoding.kind.info(feature.shape[0], CONTROL_HZ)}
+    return entry | {"dtype": "video", "info": encoding.make_codec().info(feature.shape[0], CONTROL_HZ)}
 
 
 def image_keys(features: Features) -> list[str]:

@@ -18,7 +18,7 @@ from dynahoi_lerobot.dataset.columns import (
     image_keys,
     numeric_keys,
 )
-from dynahoi_lerobot.dataset.episode_table import Row, row_histogram, row_stats
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_histogram, row_stats
 from dynahoi_lerobot.dataset.histograms import histograms
 from dynahoi_lerobot.dataset.quantiles import exact_quantiles, weighted_quantiles
 from dynahoi_lerobot.dataset.statistics import LEVELS, Moments, Stats, picture_stats
@@ -41,7 +41,7 @@ class DatasetStats:
         self._pictures = Counter[str]()
         self._histograms = {key: np.zeros((3, LEVELS), np.int64) for key in image_keys(features)}
 
-    def add(self, row: Row) -> None:
+    def add(self, row: EpisodeRow) -> None:
         """Add one episode's row, with its statistics."""
         for key, moments in self._moments.items():
             moments.add(row_stats(row, key))

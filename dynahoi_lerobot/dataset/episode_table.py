@@ -18,7 +18,7 @@ from dynahoi_lerobot.dataset.statistics import LEVELS, NAMES, Stats, table_stats
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.features import episode_features
 
-Row = dict[str, Any]
+EpisodeRow = dict[str, Any]
 
 HISTOGRAM = "stats/histogram_of:"
 """Before an image's key: column with the 3 x 256 counts of the episode's sample, from which datasets sum theirs."""
@@ -33,40 +33,40 @@ ARRAY_COLUMNS = tuple(_ARRAYS)
 """Those of them that are arrays of an Episode."""
 
 
-def own_columns(episode: Episode) -> Row:
+def own_columns(episode: Episode) -> EpisodeRow:
     """Return our columns of the episode's row."""
     arrays = {f.key: np.asarray(getattr(episode, f.name), f.dtype).tolist() for f in episode_features()}
     return asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | arrays
 
 
-def own_values(row: Row) -> dict[str, Any]:
+def own_values(row: EpisodeRow) -> dict[str, Any]:
     """Return the attributes of an Episode that its row holds: undoes ``own_columns``."""
     arrays = {f.name: np.array(row[f.key], f.dtype) for f in episode_features()}
     meta = EpisodeMeta(**{name: row[name] for name in _META})
     return {"meta": meta, "success": row["success"], "stage": row["stage"]} | arrays
 
 
-def stats_columns(stats: dict[str, Stats]) -> Row:
+def stats_columns(stats: dict[str, Stats]) -> EpisodeRow:
     """Return ``stats/<key>/<name>`` columns."""
     return {f"stats/{key}/{name}": stats[key][name].tolist() for key in stats for name in NAMES}
 
 
-def row_histogram(row: Row, key: str) -> np.ndarray:
+def row_histogram(row: EpisodeRow, key: str) -> np.ndarray:
     """Return the (3, 256) counts of the episode's sampled images."""
     return np.array(row[HISTOGRAM + key], np.int64).reshape(3, LEVELS)
 
 
-def video_columns(keys: Iterable[str], place: dict[str, Any]) -> Row:
+def video_columns(keys: Iterable[str], place: dict[str, Any]) -> EpisodeRow:
     """Return ``videos/<key>/<name>`` columns; the images of an episode lie at the same place for every key."""
     return {f"videos/{key}/{name}": value for key in keys for name, value in place.items()}
 
 
-def row_stats(row: Row, key: str) -> Stats:
+def row_stats(row: EpisodeRow, key: str) -> Stats:
     """Return the statistics of one column of the episode from its row."""
     return {name: np.array(row[f"stats/{key}/{name}"]) for name in NAMES}
 
 
-def place_row(row: Row, episode_index: int, first_index: int, task_index: int) -> Row:
+def place_row(row: EpisodeRow, episode_index: int, first_index: int, task_index: int) -> EpisodeRow:
     """Return the row with its place in the dataset, and the statistics of the columns that depend on it."""
     length = row["length"]
     arrays = bookkeeping_arrays(length, episode_index, first_index, task_index)
@@ -95,7 +95,7 @@ def row_schema(features: Features) -> pa.Schema:
     return pa.schema(list(columns.items()))
 
 
-def without_place(row: Row) -> Row:
+def without_place(row: EpisodeRow) -> EpisodeRow:
     """Return the row without what ``place_row`` adds, ready to be placed in another dataset."""
     dropped = ("episode_index", "dataset_from_index", "dataset_to_index", "meta/")
     stats = tuple(f"stats/{key}/" for key in BOOKKEEPING)

@@ -16,7 +16,7 @@ from PIL import Image
 
 from dynahoi_lerobot.dataset.columns import Features, image_keys
 from dynahoi_lerobot.dataset.episode_arrays import content_values
-from dynahoi_lerobot.dataset.episode_table import ARRAY_COLUMNS, Row, own_values
+from dynahoi_lerobot.dataset.episode_table import ARRAY_COLUMNS, EpisodeRow, own_values
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.dataset.tables import read_tasks
 from dynahoi_lerobot.dataset.video import decode
@@ -64,7 +64,7 @@ class Store:
         return read_tasks(self.root / TASKS_PATH)
 
     @cached_property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[EpisodeRow]:
         """The episode table without its statistics, one dictionary per episode."""
         tables = []
         for path in self.row_files():
@@ -86,26 +86,26 @@ class Store:
         """Return the files of the frame table, in order."""
         return sorted((self.root / "data").glob("*/*.parquet"))
 
-    def full_rows(self) -> Iterator[Row]:
+    def full_rows(self) -> Iterator[EpisodeRow]:
         """Yield the rows of the episode table with their statistics."""
         for path in self.row_files():
             yield from pq.read_table(path).to_pylist()
 
-    def data_path(self, row: Row) -> Path:
+    def data_path(self, row: EpisodeRow) -> Path:
         """Return the file that holds the episode's rows."""
         place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
         return self.root / DATA_PATH.format(**place)
 
-    def video_path(self, row: Row, key: str) -> Path:
+    def video_path(self, row: EpisodeRow, key: str) -> Path:
         """Return the file that holds the episode's images of a view."""
         place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
         return self.root / VIDEO_PATH.format(video_key=key, **place)
 
-    def frames(self, row: Row) -> pa.Table:
+    def frames(self, row: EpisodeRow) -> pa.Table:
         """Return the episode's rows of the frame table."""
         return pq.read_table(self.data_path(row), filters=[("episode_index", "=", row["episode_index"])])
 
-    def images(self, row: Row, table: pa.Table, key: str) -> np.ndarray:
+    def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         if not self.has_video:
             cells = table[key].to_pylist()

@@ -11,10 +11,10 @@ import numpy as np
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, frame_table, image_keys, info_features
 from dynahoi_lerobot.dataset.episode_arrays import check_fits, content_arrays, image_arrays
-from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, Row, own_columns, stats_columns, video_columns
+from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, EpisodeRow, own_columns, stats_columns, video_columns
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
-from dynahoi_lerobot.dataset.metadata import Catalog
-from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, Layout
+from dynahoi_lerobot.dataset.metadata import MetadataWriter
+from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, FileLimits
 from dynahoi_lerobot.dataset.statistics import (
     picture_histogram,
     picture_stats,
@@ -39,7 +39,7 @@ class DatasetWriter:
         root: Path,
         features: Sequence[Feature],
         encoding: Encoding | None = None,
-        layout: Layout | None = None,
+        limits: FileLimits | None = None,
     ) -> None:
         """Make the folder ``root``.
 
@@ -47,14 +47,14 @@ class DatasetWriter:
             root: a path that does not exist yet; its parent does.
             features: the columns that every episode fills, see ``features.frame_features``.
             encoding: how images are stored.
-            layout: file size limits.
+            limits: file size limits.
 
         Raises:
             FileExistsError: if ``root`` exists.
             ValueError: if video cannot hold images of this size.
         """
-        self.encoding, self.layout = encoding or Encoding(), layout or Layout()
-        self._codec = self.encoding.kind
+        self.encoding, self.limits = encoding or Encoding(), limits or FileLimits()
+        self._codec = self.encoding.make_codec()
         self._features = tuple(features)
         self._image_size = max((feature.shape[0] for feature in features if feature.is_image), default=0)
         if self._codec.is_video and self._image_size % 2:
@@ -64,8 +64,8 @@ class DatasetWriter:
         info = info_features(features, self.encoding)
         self._keys = image_keys(info)
         self._schema = arrow_schema(info)
-        self._catalog = Catalog(root, info, self.layout)
-        self._data = RollingParquet(root, DATA_PATH, self._schema, self.layout)
+        self._catalog = MetadataWriter(root, info, self.limits)
+        self._data = RollingParquet(root, DATA_PATH, self._schema, self.limits)
         self._videos: dict[str, VideoWriter] = {}
         """The file of each view that is being written; all of them begin and end with the same episodes."""
         self._n_videos = 0
@@ -119,8 +119,8 @@ class DatasetWriter:
         for video in self._videos.values():
             video.abandon()
 
-    def _image_columns(self, episode: Episode) -> Row:
-        sample, arrays, columns = sampled_frames(len(episode)), image_arrays(episode), Row()
+    def _image_columns(self, episode: Episode) -> EpisodeRow:
+        sample, arrays, columns = sampled_frames(len(episode)), image_arrays(episode), EpisodeRow()
         for key in self._keys:
             images = arrays[key] if len(sample) == len(episode) else arrays[key][sample]
             histogram = picture_histogram(images)
@@ -128,7 +128,7 @@ class DatasetWriter:
             columns |= stats_columns({key: picture_stats(histogram, len(sample))})
         return columns
 
-    def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> Row:
+    def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> EpisodeRow:
         place = self._catalog.next_place(episode.meta.task)
         bookkeeping = bookkeeping_arrays(len(episode), *place)
         images = {} if self._codec.is_video else image_arrays(episode)
@@ -136,7 +136,7 @@ class DatasetWriter:
         chunk, file = self._data.write(table)
         return {"data/chunk_index": chunk, "data/file_index": file}
 
-    def _write_videos(self, episode: Episode) -> Row:
+    def _write_videos(self, episode: Episode) -> EpisodeRow:
         if not all(self._fits(video, len(episode)) for video in self._videos.values()):
             self._close_videos()
         if not self._videos:
@@ -144,7 +144,7 @@ class DatasetWriter:
         start = self._videos[self._keys[0]].frames
         for key, images in image_arrays(episode).items():
             self._videos[key].write(images)
-        chunk, file = self.layout.place(self._n_videos - 1)
+        chunk, file = self.limits.place(self._n_videos - 1)
         place = {
             "chunk_index": chunk,
             "file_index": file,
@@ -155,7 +155,7 @@ class DatasetWriter:
 
     def _open_videos(self) -> None:
         for key in self._keys:
-            path = self.layout.path(self.root, VIDEO_PATH, self._n_videos, video_key=key)
+            path = self.limits.path(self.root, VIDEO_PATH, self._n_videos, video_key=key)
             self._videos[key] = VideoWriter(path, self._image_size, CONTROL_HZ, self.encoding)
         self._n_videos += 1
 
@@ -166,4 +166,4 @@ class DatasetWriter:
 
     def _fits(self, video: VideoWriter, frames: int) -> bool:
         expected_bytes = video.size_bytes * (1 + frames / video.frames)
-        return expected_bytes < self.layout.video_mb * MIB and video.frames + frames <= self.layout.video_s * CONTROL_HZ
+        return expected_bytes < self.limits.video_mb * MIB and video.frames + frames <= self.limits.video_s * CONTROL_HZ

@@ -33,7 +33,7 @@ def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobot
     for feature in features.values():
         feature.pop("info", None)
         feature["shape"] = tuple(feature["shape"])
-    codec = encoding.kind
+    codec = encoding.make_codec()
     encoder = RGBEncoderConfig(
         vcodec="h264", crf=codec.chosen_crf, preset=codec.chosen_preset, g=encoding.gop,
         fast_decode=int(encoding.fast_decode),

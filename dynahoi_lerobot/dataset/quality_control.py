@@ -1,6 +1,7 @@
-"""Rejection of corrupt trajectories (Appendix "Post-processing and quality control").
+"""Quality control: rules that reject corrupt trajectories (Appendix "Post-processing and quality control").
 
-Each check looks at one episode's columns and returns a sentence about what is wrong, or None.
+Each rule looks at one episode's columns and returns a sentence about what is wrong, or None. Generation draws a
+rejected episode again; ``dynahoi verify`` applies the same rules to what is stored.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ import numpy as np
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
 
 Columns = Mapping[str, np.ndarray]
-"""Per-frame columns by key, each (T, D)."""
+"""An episode's numeric columns by key, each (T, D)."""
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a hand can do, generously; a recipe's own limits may be tighter.
+class TrajectoryLimits:
+    """Bounds that no intact recording exceeds; wider than those of any hand, so that only corruption is rejected.
 
     Attributes:
         palm_m: largest distance of the palm from the origin along an axis [m].
@@ -39,15 +40,15 @@ class Limits:
     saturated_share: float = 0.9
 
 
-Check = Callable[[Columns, Limits], str | None]
+Rule = Callable[[Columns, TrajectoryLimits], str | None]
 
 
-def implausibilities(columns: Columns, limits: Limits | None = None) -> list[str]:
-    """Return a sentence for everything about the episode that no sound recording shows."""
+def trajectory_problems(columns: Columns, limits: TrajectoryLimits | None = None) -> list[str]:
+    """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or infinity."""
     problems = not_finite(columns)
     if problems:
         return [problems]
-    found = (check(columns, limits or Limits()) for check in (out_of_limits, jumps, saturation, phase_order))
+    found = (rule(columns, limits or TrajectoryLimits()) for rule in (out_of_limits, jumps, saturation, phase_order))
     return [problem for problem in found if problem]
 
 
@@ -60,7 +61,7 @@ def not_finite(columns: Columns) -> str | None:
     return None
 
 
-def out_of_limits(columns: Columns, limits: Limits) -> str | None:
+def out_of_limits(columns: Columns, limits: TrajectoryLimits) -> str | None:
     """Find positions and angles that the hand cannot take."""
     for key in ("observation.state", "action"):
         palm, joints = columns[key][:, :PALM_DOF], columns[key][:, PALM_DOF:]
@@ -73,7 +74,7 @@ def out_of_limits(columns: Columns, limits: Limits) -> str | None:
     return None
 
 
-def jumps(columns: Columns, limits: Limits) -> str | None:
+def jumps(columns: Columns, limits: TrajectoryLimits) -> str | None:
     """Find steps between frames that are too large for the control rate."""
     groups = (
         ("observation.state", slice(0, PALM_DOF), limits.palm_speed_m_s, "m"),
@@ -88,7 +89,7 @@ def jumps(columns: Columns, limits: Limits) -> str | None:
     return None
 
 
-def saturation(columns: Columns, limits: Limits) -> str | None:
+def saturation(columns: Columns, limits: TrajectoryLimits) -> str | None:
     """Find commands that stay at a limit of the hand through the control phase."""
     acting = columns["observation.phase"][:, 0] > 0.5
     commands = columns["action"][acting]
@@ -103,7 +104,7 @@ def saturation(columns: Columns, limits: Limits) -> str | None:
     return None
 
 
-def phase_order(columns: Columns, limits: Limits) -> str | None:
+def phase_order(columns: Columns, limits: TrajectoryLimits) -> str | None:
     """Find episodes that observe again after they began to act."""
     phase = columns["observation.phase"][:, 0]
     if not np.isin(phase, (0, 1)).all() or (np.diff(phase) < 0).any():
