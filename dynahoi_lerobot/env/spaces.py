@@ -18,7 +18,7 @@ def observation_space(features: Sequence[Feature]) -> spaces.Dict:
     Args:
         features: see ``features.frame_features``; those that policies do not see are left out.
     """
-    groups: dict[str, dict[str, spaces.Box]] = {"": {}}
+    groups: dict[str, dict[str, spaces.Space]] = {"": {}}
     for feature in features:
         if feature.observed and feature.gym_key is not None:
             group, _, key = feature.gym_key.rpartition("/")
