@@ -8,7 +8,7 @@ from dynahoi_lerobot.motions import MOTIONS
 
 
 def register_envs() -> None:
-    """Register ``dynahoi/<kind>-v0`` for every registered motion and ``dynahoi/all-v0`` for all of a split; only once."""
+    """Register ``dynahoi/<kind>-v0`` for every registered motion, and ``dynahoi/all-v0``; only once."""
     for kind in (None, *MOTIONS.names()):
         gym_id = f"dynahoi/{kind or 'all'}-v0"
         if gym_id not in gym.registry:

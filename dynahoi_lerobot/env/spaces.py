@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -18,13 +18,14 @@ def observation_space(features: Sequence[Feature]) -> spaces.Dict:
     Args:
         features: see ``features.frame_features``; those that policies do not see are left out.
     """
-    shown = spaces.Dict()
+    groups: dict[str, dict[str, spaces.Space]] = {"": {}}
     for feature in features:
         if feature.observed and feature.gym_key is not None:
             group, _, key = feature.gym_key.rpartition("/")
-            holder = cast(spaces.Dict, shown.spaces.setdefault(group, spaces.Dict())) if group else shown
-            holder[key] = spaces.Box(feature.low, feature.high, feature.shape, np.dtype(feature.dtype).type)
-    return shown
+            box = spaces.Box(feature.low, feature.high, feature.shape, np.dtype(feature.dtype).type)
+            groups.setdefault(group, {})[key] = box
+    ungrouped = groups.pop("")
+    return spaces.Dict({**{group: spaces.Dict(boxes) for group, boxes in groups.items()}, **ungrouped})
 
 
 def as_gym(observation: Observation) -> dict[str, Any]:

@@ -54,8 +54,7 @@ class DynahoiVectorEnv(VectorEnv):
         ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
         it does not apply, with its mask ``_<name>``.
     Options:
-        ``reset(options={"lerobot_new_rollout": True})`` plays one episode per world and then stands still. The options
-        of the constructor choose episodes and cameras.
+        ``reset(options={"lerobot_new_rollout": True})`` plays one episode per world and then stands still.
 
     Copies (``pickle``, ``deepcopy``) have the same constructor arguments and begin before their first reset.
     """
@@ -125,8 +124,7 @@ class DynahoiVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._episodes = RunningEpisodes(self._batch, on_episode)
-        self._ended = np.zeros(num_envs, bool)
-        self._numbers = np.zeros(num_envs, int)
+        self._ended, self._numbers = np.zeros(num_envs, bool), np.zeros(num_envs, int)
         self._one_episode = False
 
     def reset(
@@ -137,7 +135,7 @@ class DynahoiVectorEnv(VectorEnv):
         Args:
             seed: number of the episode within the split (and kind), 0 to 2^40 - 1, one for each world or a first one
                 that counts up; None draws numbers at random.
-            options: ``{"lerobot_new_rollout": True}`` plays one episode per world and then stands still.
+            options: see the class.
 
         Raises:
             ValueError: for a seed that is not such an integer, or a wrong number of them.

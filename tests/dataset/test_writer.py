@@ -103,7 +103,7 @@ def test_an_episode_with_other_columns_is_refused_by_name(tmp_path, first, secon
 
 def test_files_roll_over_at_their_limits(tmp_path):
     layout = FileLimits(data_mb=0.01, video_mb=0.003, chunk_files=2)
-    store = Store(write(tmp_path / "d", range(8), layout=layout))
+    store = Store(write(tmp_path / "d", range(8), limits=layout))
     assert len(store.data_files()) > 2
     assert {row["data/chunk_index"] for row in store.rows} > {0}
     videos = [store.video_path(row, CAMERA_KEY) for row in store.rows]
@@ -116,7 +116,7 @@ def test_files_roll_over_at_their_limits(tmp_path):
 
 
 def test_videos_stay_short_enough_to_open_quickly(tmp_path):
-    store = Store(write(tmp_path / "d", range(4), 16, layout=FileLimits(video_s=2.3)))
+    store = Store(write(tmp_path / "d", range(4), 16, limits=FileLimits(video_s=2.3)))
     ends = [row["videos/observation.images.ego/to_timestamp"] for row in store.rows]
     assert max(ends) <= 2.3
     assert len({store.video_path(row, CAMERA_KEY) for row in store.rows}) == 2
