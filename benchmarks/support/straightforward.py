@@ -16,12 +16,11 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from dynahoi_lerobot.env import observation_space
 from dynahoi_lerobot.episode import joints_reached
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import open_hand, reference_grasp
 from dynahoi_lerobot.experts.intercept import Intercept, plan_intercept
-from dynahoi_lerobot.features import ACTION, CAMERA_KEY, OBSERVATIONS, PRIVILEGED, camera_feature
+from dynahoi_lerobot.features import ACTION, CAMERA_KEY, FINGERTIPS, PHASE, PRIVILEGED, STATE, picture_feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
@@ -31,6 +30,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 SETTLE_FRAMES = 10
 PRIVILEGED_KEYS = ("target.pose", "target.velocity")
+VECTORS = {"agent_pos": STATE, "fingertips": FINGERTIPS, "phase": PHASE}
 
 
 class StraightforwardEnv(gym.Env):
@@ -43,7 +43,7 @@ class StraightforwardEnv(gym.Env):
         self.model = self._writer._batch.get_model(0)
         self.data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
-        self.observation_space = observation_space(image_size)
+        self.observation_space = _space(image_size)
         self.action_space = spaces.Box(*self._writer.command_limits(), dtype=np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
@@ -139,6 +139,13 @@ class StraightforwardEnv(gym.Env):
         data.qvel[dof : dof + 6] = [*data.qvel[scene.hand_dof[:PALM_DOF]], 0, 0, 0]
 
 
+def _space(image_size: int) -> spaces.Dict:
+    vectors = {name: spaces.Box(-np.inf, np.inf, f.shape, np.float32) for name, f in VECTORS.items()}
+    return spaces.Dict(
+        {"pixels": spaces.Dict({"ego": spaces.Box(0, 255, (image_size, image_size, 3), np.uint8)}), **vectors}
+    )
+
+
 def record(root: Path, recipe: Recipe, seeds: list[int]) -> int:
     """Record the expert's successes with LeRobot's streaming writer, coded as this project codes; return the frames."""
     from lerobot.configs.video import RGBEncoderConfig
@@ -179,14 +186,13 @@ def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec, attempt: int
 
 
 def _frame(seen: dict, executed: np.ndarray, target: tuple[np.ndarray, ...], task: str) -> dict[str, Any]:
-    values = (seen["agent_pos"], seen["fingertips"], seen["phase"])
-    frame = {feature.key: value for feature, value in zip(OBSERVATIONS, values, strict=True)}
+    frame = {feature.key: seen[name] for name, feature in VECTORS.items()}
     frame |= {key: value.astype(np.float32) for key, value in zip(PRIVILEGED_KEYS, target, strict=True)}
     return frame | {CAMERA_KEY: seen["pixels"]["ego"], ACTION.key: executed.astype(np.float32), "task": task}
 
 
 def _features(image_size: int) -> dict[str, dict[str, Any]]:
-    stored = [*OBSERVATIONS, ACTION, *(feature for feature in PRIVILEGED if feature.key in PRIVILEGED_KEYS)]
+    stored = [*VECTORS.values(), ACTION, *(feature for feature in PRIVILEGED if feature.key in PRIVILEGED_KEYS)]
     features = {f.key: {"dtype": f.dtype, "shape": f.shape, "names": list(f.names)} for f in stored}
-    camera = camera_feature(image_size)
+    camera = picture_feature(image_size)
     return features | {CAMERA_KEY: {"dtype": "video", "shape": camera.shape, "names": list(camera.names)}}
