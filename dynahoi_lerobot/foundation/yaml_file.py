@@ -12,7 +12,7 @@ MAX_DEPTH = 16
 """Lists and mappings within each other; recipes have two."""
 
 
-class _Refused(ValueError):
+class _RefusedError(ValueError):
     """What YAML allows and these files may not have."""
 
 
@@ -26,10 +26,10 @@ class _PlainLoader(yaml.SafeLoader):
         event = self.peek_event()
         line = event.start_mark.line + 1
         if getattr(event, "anchor", None):
-            raise _Refused(f"anchors and aliases are not allowed, got {event.anchor!r} in line {line}")
+            raise _RefusedError(f"anchors and aliases are not allowed, got {event.anchor!r} in line {line}")
         self.depth += 1
         if self.depth > MAX_DEPTH:
-            raise _Refused(f"values may be nested {MAX_DEPTH} deep, got more in line {line}")
+            raise _RefusedError(f"values may be nested {MAX_DEPTH} deep, got more in line {line}")
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -40,7 +40,7 @@ class _PlainLoader(yaml.SafeLoader):
         for key, _ in node.value:
             name = str(key.value)
             if name in seen:
-                raise _Refused(f"key {name!r} appears again in line {key.start_mark.line + 1}")
+                raise _RefusedError(f"key {name!r} appears again in line {key.start_mark.line + 1}")
             seen.add(name)
         return super().construct_mapping(node, deep)
 
@@ -61,7 +61,7 @@ def read_yaml(path: Path) -> Any:
         raise ValueError(f"{path} has more than the {MAX_BYTES:,} bytes that are read")
     try:
         return yaml.load(content.decode(), _PlainLoader)
-    except _Refused as error:
+    except _RefusedError as error:
         raise ValueError(f"{path}: {error}") from error
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
