@@ -74,6 +74,7 @@ def test_finished_tasks_are_skipped_and_lost_work_is_done_again(plan, alone, tmp
     assert same(alone, tmp_path / "d")
 
 
+@pytest.mark.slow
 def test_ray_tasks_give_the_same_bytes(plan, alone, tmp_path, monkeypatch):
     import ray
 

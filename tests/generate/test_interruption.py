@@ -30,6 +30,7 @@ def undisturbed(tmp_path_factory) -> dict[str, str]:
     return hash_files(root)
 
 
+@pytest.mark.slow
 def test_killed_at_twenty_random_instants(undisturbed, tmp_path):
     command = [sys.executable, "-m", "tests.generate.killer", str(tmp_path), "20"]
     output = subprocess.run(command, check=True, cwd=REPOSITORY, capture_output=True, timeout=120).stdout

@@ -118,6 +118,7 @@ def test_a_recorder_that_gives_other_seeds_is_caught(tmp_path):
         generate(plan(), tmp_path / "d", record=wrong)
 
 
+@pytest.mark.slow
 def test_a_dead_worker_is_replaced(tmp_path):
     marker = plan(name=str(tmp_path / "marker"))
     generate(marker, tmp_path / "died", record=recorder.record_and_die_once, workers=2)
