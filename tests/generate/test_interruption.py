@@ -125,7 +125,7 @@ def test_file_system_that_stops_writing(undisturbed, tmp_path, capsys, largest_b
 
 
 def test_video_cut_short_by_a_full_disk_is_noticed(tmp_path, monkeypatch):
-    from dynahoi_lerobot.generate import video
+    from dynahoi_lerobot.dataset import video
     from tests.dataset.episodes import write
 
     monkeypatch.setattr(video, "count_frames", lambda path: 7)
