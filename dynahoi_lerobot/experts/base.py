@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.agent import Expert
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M, PALM_DOF
 from dynahoi_lerobot.foundation.registry import Registry
-from dynahoi_lerobot.hands import HANDS
 
 EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
 
@@ -50,11 +48,6 @@ class Reach:
         return np.concatenate([palm_pos_w + (self.goal_pos_w - palm_pos_w) / left, joints])
 
 
-def reference_grasp(spec: EpisodeSpec) -> np.ndarray:
-    """Return (15,) the joint angles [rad] that close the hand around the episode's object."""
-    return HANDS[spec.hand]().reference_joints(spec.target.grasp_radius_m)
-
-
 def first_contact_frame(reach_path: np.ndarray, target_path: np.ndarray, start_frame: int) -> int:
     """Return the first frame at which two paths (K, 3) come within the localisation radius, or the last frame.
 
@@ -66,11 +59,6 @@ def first_contact_frame(reach_path: np.ndarray, target_path: np.ndarray, start_f
     inside = np.flatnonzero(np.linalg.norm(gap, axis=0) < LOCALIZATION_RADIUS_M + CLOSED_EARLY_M)
     steps = int(np.ceil(fine[inside[0]])) if inside.size else len(reach_path) - 1
     return start_frame + max(steps, 1)
-
-
-def open_hand() -> np.ndarray:
-    """Return (15,) zeros [rad]: the open hand."""
-    return np.zeros(FINGER_DOF)
 
 
 def _ramp(value: int, low: int, high: int) -> float:

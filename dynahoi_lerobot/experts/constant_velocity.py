@@ -6,7 +6,7 @@ import numpy as np
 
 from dynahoi_lerobot.agent import Expert, WorldState
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import CLOSING_FRAMES, EXPERTS, reference_grasp
+from dynahoi_lerobot.experts.base import CLOSING_FRAMES, EXPERTS
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, HAND_SPEED_M_S, PALM_DOF
 
 HORIZON_FRAMES = 60
@@ -36,7 +36,7 @@ def _chase(spec: EpisodeSpec, state: np.ndarray, target_pos_w: np.ndarray, targe
     distance = np.linalg.norm(predicted - palm, axis=1)
     reachable = np.flatnonzero(distance <= HAND_SPEED_M_S * CONTROL_DT * frames[:, 0])
     left = int(reachable[0]) if reachable.size else HORIZON_FRAMES - 1
-    closed = reference_grasp(spec)
+    closed = spec.reference_joints
     share = 1.0 / max(1, min(left, CLOSING_FRAMES))
     joints = state[PALM_DOF:] + (closed - state[PALM_DOF:]) * share * (left <= CLOSING_FRAMES)
     return np.concatenate([palm + (predicted[left] - palm) / (left + 1), joints])

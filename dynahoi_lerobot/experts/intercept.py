@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS, Reach, first_contact_frame, reference_grasp
+from dynahoi_lerobot.experts.base import EXPERTS, Reach, first_contact_frame
 from dynahoi_lerobot.experts.planned import PlannedExpert
 
 RETRY_DELAY_FRAMES = 3
@@ -37,4 +37,4 @@ def plan_intercept(spec: EpisodeSpec, attempt: int = 1) -> Reach:
     progress = np.linspace(0.0, 1.0, arrival - start + 1)[:, None]
     reach_path = spec.home_pos_w + progress * (goal - spec.home_pos_w)
     closed = first_contact_frame(reach_path, spec.oracle_path[start : arrival + 1], start)
-    return Reach(goal, start, arrival, closed, reference_grasp(spec))
+    return Reach(goal, start, arrival, closed, spec.reference_joints)

@@ -11,7 +11,6 @@ from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.captures import CaptureRule, Track
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import open_hand, reference_grasp
 from dynahoi_lerobot.features import FEATURES, frame_features
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
@@ -136,8 +135,8 @@ class WorldRecorder:
         control = slice(spec.window_frames, None)
         return Track(
             joints=columns["state"][control, PALM_DOF:],
-            open_joints=open_hand(),
-            reference_joints=reference_grasp(spec),
+            open_joints=spec.open_joints,
+            reference_joints=spec.reference_joints,
             localized=columns["localized"][control],
             contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
             palm_distance=columns["palm_distance"][control],

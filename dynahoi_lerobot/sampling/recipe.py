@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import draccus
-import yaml
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
@@ -140,14 +140,13 @@ def load_recipe(path: Path) -> Recipe:
     """Read a recipe from YAML.
 
     Raises:
-        ValueError: if the file does not exist or holds an unknown key or value.
+        ValueError: if the file does not exist, is refused by ``read_yaml`` or holds an unknown key or value.
     """
     if not path.is_file():
         raise ValueError(f"there is no recipe at {path}")
-    try:
-        values = yaml.safe_load(path.read_text()) or {}
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    values = read_yaml(path)
+    if values is None:  # nothing but comments
+        return Recipe()
     if not isinstance(values, dict):
         raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
     try:

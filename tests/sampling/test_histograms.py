@@ -34,6 +34,7 @@ def test_ten_thousand_timings_are_within_three_points():
     assert_reproduces([t.length_frames for t in timings], [t.travel_m for t in timings], points=3.0)
 
 
+@pytest.mark.slow
 def test_440_whole_episodes_are_within_nine_points():
     """Three standard deviations of a share of 36 % in 440 draws are 6.9 points; travels have up to 3 on top."""
     specs = sample_specs(Recipe(), range(440))

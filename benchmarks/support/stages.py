@@ -29,7 +29,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 WORLDS = 32
 STEPS = 40
-MEASURED_EPISODES = 96
+WARM_UP_EPISODES = 4
 STAGE_FUNCTIONS = {
     "sampling": [(rollout, "sample_specs")],
     "physics": [(WorldBatch, "step"), (WorldBatch, "reset")],
@@ -70,17 +70,17 @@ def _encode_rate(images: np.ndarray, process: int) -> float:
     return rate
 
 
-def stage_shares(image_size: int) -> dict[str, float]:
-    """Return the share of each stage, and of all the rest, in one process on one thread that writes a dataset."""
+def stage_shares(image_size: int, episodes: int) -> dict[str, float]:
+    """Return each stage's share, and that of all the rest, of one process on one thread that writes a dataset."""
     seconds = dict.fromkeys(STAGE_FUNCTIONS, 0.0)
     with tempfile.TemporaryDirectory() as folder, ExitStack() as patches:
-        _write(Path(folder) / "warm", image_size, range(4))
+        _write(Path(folder) / "warm", image_size, range(WARM_UP_EPISODES))
         for stage, functions in STAGE_FUNCTIONS.items():
             for owner, name in functions:
                 timed = _timed(getattr(owner, name), partial(_add, seconds, stage))
                 patches.enter_context(mock.patch.object(owner, name, timed))
         begin = time.perf_counter()
-        _write(Path(folder) / "measured", image_size, range(MEASURED_EPISODES))
+        _write(Path(folder) / "measured", image_size, range(episodes))
         total = time.perf_counter() - begin
     shares = {stage: spent / total for stage, spent in seconds.items()}
     return shares | {"bookkeeping": 1.0 - sum(shares.values())}

@@ -19,7 +19,6 @@ from gymnasium import spaces
 from dynahoi_lerobot.env.spaces import observation_space
 from dynahoi_lerobot.episode import joints_reached
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import open_hand, reference_grasp
 from dynahoi_lerobot.experts.intercept import Intercept, plan_intercept
 from dynahoi_lerobot.features import CAMERA_KEY, FEATURES, frame_features, image_feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
@@ -60,7 +59,7 @@ class StraightforwardEnv(gym.Env):
         self._writer._batch.get_data(0, self.data)
         mujoco.mj_forward(self.model, self.data)
         self._force = drive_for(spec.motion, spec.target, spec.horizon_frames).force_w
-        self.executed = np.concatenate([spec.home_pos_w, open_hand()])
+        self.executed = np.concatenate([spec.home_pos_w, spec.open_joints])
         return self._observe()
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
@@ -127,7 +126,7 @@ class StraightforwardEnv(gym.Env):
         scene, data, model = self._scene, self.data, self.model
         self.localized_frame = self.frame
         joints = data.qpos[scene.hand_qpos[PALM_DOF:]]
-        self.success = bool(joints_reached(joints, open_hand(), reference_grasp(self.spec)).all())
+        self.success = bool(joints_reached(joints, self.spec.open_joints, self.spec.reference_joints).all())
         model.geom_contype[scene.target_geoms] = 0
         position, quat = self.target_state()[0][:3], self.target_state()[0][3:]
         inverse, offset = np.zeros(4), np.zeros(3)

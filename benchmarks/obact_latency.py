@@ -1,25 +1,26 @@
 """How fast the default policy trains and acts on this machine.
 
-    python benchmarks/speed.py [--json FILE] [--threads 2] [--set n_decisions=4 --set image_size=96 ...]
+python benchmarks/obact_latency.py [--json FILE] [--threads 2] [--set n_decisions=4 --set image_size=96 ...]
 
 Synthetic batches in the layout of the catching task; the loader and the simulator are not part of it.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot_policy_obact import ObActConfig, ObActPolicy
+from support.options import benchmark_parser, write_numbers
 
 VECTORS = {"observation.state": 18, "observation.fingertips": 30, "observation.phase": 1}
 IMAGE = "observation.images.ego"
+MIN_CALLS = 5
+TINY = {"batch_size": 1, "image_px": 32, "min_seconds": 0.0, "threads": 1, "set": ["width=32", "n_decisions=1"]}
 
 
 def make_policy(image_px: int, **settings: Any) -> ObActPolicy:
@@ -38,18 +39,18 @@ def make_batch(policy: ObActPolicy, n: int, image_px: int) -> dict[str, Any]:
     return batch | {"action": torch.randn(n, n_actions, 18), "task": ["catch the ball"] * n}
 
 
-def seconds_per_call(call: Callable[[], Any], min_calls: int = 5, min_seconds: float = 5.0) -> float:
-    """Return the median time of a call [s], after one that warms up."""
+def seconds_per_call(call: Callable[[], Any], min_seconds: float) -> float:
+    """Return the median time of a call [s], after one that warms up; call for at least ``min_seconds``."""
     call()
     times: list[float] = []
-    while len(times) < min_calls or sum(times) < min_seconds:
+    while len(times) < MIN_CALLS or sum(times) < min_seconds:
         start = time.perf_counter()
         call()
         times.append(time.perf_counter() - start)
     return sorted(times)[len(times) // 2]
 
 
-def measure(batch_size: int, image_px: int, settings: dict[str, Any]) -> dict[str, float]:
+def measure(batch_size: int, image_px: int, min_seconds: float, settings: dict[str, Any]) -> dict[str, float]:
     """Return parameters [M], training steps and decisions per second, and latencies [ms].
 
     ``chunk_latency_ms`` encodes a whole window; ``step_latency_ms`` the newest frame alone, as acting does.
@@ -65,7 +66,7 @@ def measure(batch_size: int, image_px: int, settings: dict[str, Any]) -> dict[st
         optimizer.zero_grad()
         policy.update()
 
-    steps_per_s = 1 / seconds_per_call(step)
+    steps_per_s = 1 / seconds_per_call(step, min_seconds)
     window = {key: value[:1] for key, value in batch.items()}
     frame = {key: value if key == "task" else value[:, -1] for key, value in window.items()}
     for _ in range(len(policy.config.windows.lookback) * policy.config.obs_stride):
@@ -74,15 +75,15 @@ def measure(batch_size: int, image_px: int, settings: dict[str, Any]) -> dict[st
         "parameters_m": sum(p.numel() for p in policy.model.parameters()) / 1e6,
         "train_steps_per_s": steps_per_s,
         "train_decisions_per_s": steps_per_s * batch_size * policy.config.n_decisions,
-        "chunk_latency_ms": 1e3 * seconds_per_call(lambda: policy.predict_action_chunk(window)),
-        "step_latency_ms": 1e3 * seconds_per_call(lambda: policy.predict_action_chunk(frame)),
+        "chunk_latency_ms": 1e3 * seconds_per_call(lambda: policy.predict_action_chunk(window), min_seconds),
+        "step_latency_ms": 1e3 * seconds_per_call(lambda: policy.predict_action_chunk(frame), min_seconds),
     }
 
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", type=Path, help="also write the numbers to this file")
+    parser = benchmark_parser(__doc__, **TINY)
+    parser.add_argument("--min-seconds", type=float, default=5.0, help="least time of each measurement [s]")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--batch-size", type=int, default=32)
     parser.add_argument("--image-px", type=int, default=96, help="size of the images in the data")
@@ -90,11 +91,10 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(args.threads)
     settings = {name: json.loads(value) for name, value in (item.split("=", 1) for item in args.set)}
-    numbers = measure(args.batch_size, args.image_px, settings)
+    numbers = measure(args.batch_size, args.image_px, args.min_seconds, settings)
     for name, value in numbers.items():
         print(f"{name:24s} {value:8.2f}")
-    if args.json:
-        args.json.write_text(json.dumps(numbers | {"threads": args.threads, "settings": settings}, indent=2))
+    write_numbers(args, numbers=numbers)
 
 
 if __name__ == "__main__":
