@@ -49,7 +49,8 @@ def test_before_the_first_frame_there_is_padding() -> None:
     batch = {key: torch.stack([step[key]] * 3, 1) for key in policy.config.input_features} | {"task": step["task"]}
     batch["observation.state_is_pad"] = torch.tensor([[True, True, False]] * 3)
     policy.reset()
-    torch.testing.assert_close(policy.predict_action_chunk(step, noise), policy.predict_action_chunk(batch, noise))
+    alone, padded = policy.predict_action_chunk(step, noise), policy.predict_action_chunk(batch, noise)
+    torch.testing.assert_close(alone, padded, rtol=1e-3, atol=5e-5)  # other batch sizes round differently
 
 
 @pytest.mark.parametrize(("n_action_steps", "n_steps", "n_encoded"), [(1, 6, 6), (4, 5, 3)])
