@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies import make_pre_post_processors
@@ -34,6 +35,7 @@ def trained(folder: Path) -> ObActPolicy:
     return policy
 
 
+@pytest.mark.slow
 def test_an_export_acts_by_the_average_and_shows_its_results(tmp_path: Path) -> None:
     checkpoint, out = tmp_path / "checkpoint", tmp_path / "out"
     average = trained(checkpoint).ema.module.state_dict()
