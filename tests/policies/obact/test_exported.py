@@ -7,7 +7,7 @@ from pathlib import Path
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
 
-CHECKPOINT = Path(__file__).parents[3] / "docs" / "obact_cpu"
+CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "obact_cpu"
 
 
 def test_it_catches_pendulum_bobs_it_has_never_seen(tmp_path: Path) -> None:
