@@ -1,7 +1,7 @@
 """Layered drawing of a directed graph without cycles: which row and which place in it every node gets.
 
-The steps are Sugiyama's (Sugiyama, Tagawa, Toda, 1981): rows by longest path, long links cut by a bend in every row they
-pass, few crossings by sorting each row by the mean place of its neighbours, and places that keep links straight.
+The steps are those of Sugiyama, Tagawa and Toda (1981): rows by longest path, long links cut by a bend in every row they
+pass, few crossings by sorting each row by the mean place of its neighbours, places that keep links straight.
 """
 
 from __future__ import annotations
@@ -115,7 +115,9 @@ def _ordered(row: dict[str, int], near: dict[str, list[str]], chains: list[list[
 
 def _crossings(rows: list[list[str]], row: dict[str, int], chains: list[list[str]]) -> int:
     at = {node: i for nodes in rows for i, node in enumerate(nodes)}
-    spans = [[(at[a], at[b]) for chain in chains for a, b in pairwise(chain) if row[a] == level] for level in row.values()]
+    spans = [
+        [(at[a], at[b]) for chain in chains for a, b in pairwise(chain) if row[a] == level] for level in row.values()
+    ]
     return sum((a - c) * (b - d) < 0 for pairs in spans for a, b in pairs for c, d in pairs)
 
 
@@ -123,7 +125,9 @@ def _placed(
     rows: list[list[str]], near: dict[str, list[str]], links: Links, gap: Callable[[str, str], float]
 ) -> dict[str, float]:
     """Move every node towards the mean of its neighbours, as far as its row has room."""
-    place = {node: float(x) for nodes in rows for node, x in zip(nodes, _spread(nodes, [0.0] * len(nodes), gap), strict=True)}
+    place = {
+        node: float(x) for nodes in rows for node, x in zip(nodes, _spread(nodes, [0.0] * len(nodes), gap), strict=True)
+    }
     for _ in range(SWEEPS):
         for nodes in (*rows, *rows[::-1]):
             wanted = [_mean(node, place, near[node], links) for node in nodes]
