@@ -1,6 +1,6 @@
 """Layered drawing of a directed graph without cycles: which row and which place in it every node gets.
 
-The steps are those of Sugiyama, Tagawa and Toda (1981): rows by longest path, long links cut by a bend in every row they
+The steps are those of Sugiyama, Tagawa and Toda (1981): rows by longest path, long links cut by a bend in each row they
 pass, few crossings by sorting each row by the mean place of its neighbours, places that keep links straight.
 """
 
@@ -71,7 +71,7 @@ def _heads_first(links: Links) -> list[str]:
     done: list[str] = []
 
     def visit(node: str) -> None:
-        for other in links[node]:
+        for other in sorted(links[node]):
             if other not in done:
                 visit(other)
         if node not in done:
