@@ -51,6 +51,7 @@ def test_dynahoi_commands_have_the_options_shown(words: tuple[str, ...]):
     assert not set(options(words)) - _dynahoi_options(words[1])
 
 
+@pytest.mark.slow  # LeRobot and its policies take long to import
 @pytest.mark.parametrize("words", [*of("lerobot-train"), *of("lerobot-eval")], ids=lambda words: " ".join(words[:3]))
 def test_lerobot_commands_have_the_options_shown(words: tuple[str, ...]):
     chosen = dict(word[2:].split("=", 1) for word in words if word.startswith("--"))
@@ -58,6 +59,7 @@ def test_lerobot_commands_have_the_options_shown(words: tuple[str, ...]):
     assert not [name for name in options(words) if not _has(config, name[2:].split("."), chosen)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("span", SPANS)
 def test_options_named_in_the_text_exist_in_some_command(span: str):
     (option,) = options(span.split()[:1])
