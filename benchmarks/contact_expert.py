@@ -65,10 +65,9 @@ def films(recipe: Recipe, episodes: list[Episode], folder: Path, word: str) -> N
     chosen = list({e.meta.motion: e for e in sorted(episodes, key=lambda e: -e.meta.seed)}.values())[-FILMS_EACH:]
     specs = sample_specs(recipe, [e.meta.seed for e in chosen])
     for _, episode in play(make_batch(recipe, 1), EXPERTS[recipe.expert](), jobs_of(specs), images=True):
-        assert episode.images is not None
         start = max(0, episode.meta.window_frames - SHOWN_FRAMES_BEFORE)
         shown = slice(start, min(len(episode), episode.meta.intercept_frame + SHOWN_FRAMES_AFTER))
-        frames, caption = episode.images[shown], f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}"
+        frames, caption = episode.images["ego"][shown], f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}"
         path = folder / f"{word}_{episode.meta.motion}_{episode.meta.seed}.gif"
         write_gif(path, frames, caption=caption, phases=phases_of(episode)[shown], fps=SLOW_FPS)
         print(path)

@@ -49,13 +49,12 @@ def _specs(recipe: Recipe) -> list:
 
 
 def _strip(episode: Episode) -> Image.Image:
-    assert episode.images is not None
     caught = episode.first_localized or len(episode) - 1
     moments = (0, episode.meta.window_frames, min(caught + 2, len(episode) - 1))
     strip = Image.new("RGB", (TILE_PX * len(moments) + 4, TILE_PX + LABEL_PX + 4))
     ImageDraw.Draw(strip).text((2, 0), f"{episode.meta.motion} · {episode.meta.object}", fill="white")
     for column, frame in enumerate(moments):
-        strip.paste(Image.fromarray(episode.images[frame]), (column * TILE_PX, LABEL_PX))
+        strip.paste(Image.fromarray(episode.images["ego"][frame]), (column * TILE_PX, LABEL_PX))
     return strip
 
 

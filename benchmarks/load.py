@@ -90,7 +90,7 @@ def measure(name: str, encoding: Encoding, episodes: Sequence[Episode], args: ar
     try:
         root = folder / "dataset"
         frames, begin = sum(len(episode) for episode in episodes), time.process_time()
-        write_episodes(root, episodes, args.image_size, encoding)
+        write_episodes(root, episodes, encoding)
         write_s = time.process_time() - begin
         size = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
         reading = samples_per_second(root, args)
@@ -119,9 +119,9 @@ def samples_per_second(root: Path, args: argparse.Namespace) -> float:
 
 
 def psnr_db(root: Path, episodes: Sequence[Episode]) -> float:
-    """Peak signal-to-noise ratio of the first episodes' pictures [dB]; infinite if nothing is lost."""
+    """Peak signal-to-noise ratio of the first episodes' images [dB]; infinite if nothing is lost."""
     pairs = zip(episodes, read_episodes(root, range(min(8, len(episodes)))), strict=False)
-    errors = [np.mean((one.images.astype(float) - other.images) ** 2) for one, other in pairs]
+    errors = [np.mean((one.images["ego"].astype(float) - other.images["ego"]) ** 2) for one, other in pairs]
     return float(10 * np.log10(255**2 / np.mean(errors))) if any(errors) else float("inf")
 
 

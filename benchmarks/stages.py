@@ -19,6 +19,7 @@ import numpy as np
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.video import VideoWriter
 from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.rollout import loop as rollout
 from dynahoi_lerobot.rollout.loop import make_batch, record
@@ -102,7 +103,7 @@ def _add(seconds: dict[str, float], stage: str, more: float) -> None:
 
 
 def _write(root: Path, image_size: int, seeds: range) -> None:
-    writer = DatasetWriter(root, image_size)
+    writer = DatasetWriter(root, frame_features(image_size))
     for episode in record(Recipe(image_size=image_size), seeds, threads=1):
         writer.add(episode)
     writer.finish()

@@ -16,12 +16,12 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from dynahoi_lerobot.env import observation_space
+from dynahoi_lerobot.env.spaces import observation_space
 from dynahoi_lerobot.episode import joints_reached
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import open_hand, reference_grasp
 from dynahoi_lerobot.experts.intercept import Intercept, plan_intercept
-from dynahoi_lerobot.features import ACTION, CAMERA_KEY, OBSERVATIONS, PRIVILEGED, camera_feature
+from dynahoi_lerobot.features import CAMERA_KEY, FEATURES, frame_features, image_feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
@@ -30,7 +30,7 @@ from dynahoi_lerobot.scene.target_drive import drive_for
 from dynahoi_lerobot.world.batch import WorldBatch
 
 SETTLE_FRAMES = 10
-PRIVILEGED_KEYS = ("target.pose", "target.velocity")
+RECORDED = ("state", "fingertips", "phase", "action", "target_pose", "target_velocity")
 
 
 class StraightforwardEnv(gym.Env):
@@ -43,7 +43,7 @@ class StraightforwardEnv(gym.Env):
         self.model = self._writer._batch.get_model(0)
         self.data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
-        self.observation_space = observation_space(image_size)
+        self.observation_space = observation_space(frame_features(image_size))
         self.action_space = spaces.Box(*self._writer.command_limits(), dtype=np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
@@ -179,14 +179,13 @@ def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec, attempt: int
 
 
 def _frame(seen: dict, executed: np.ndarray, target: tuple[np.ndarray, ...], task: str) -> dict[str, Any]:
-    values = (seen["agent_pos"], seen["fingertips"], seen["phase"])
-    frame = {feature.key: value for feature, value in zip(OBSERVATIONS, values, strict=True)}
-    frame |= {key: value.astype(np.float32) for key, value in zip(PRIVILEGED_KEYS, target, strict=True)}
-    return frame | {CAMERA_KEY: seen["pixels"]["ego"], ACTION.key: executed.astype(np.float32), "task": task}
+    values = (seen["agent_pos"], seen["fingertips"], seen["phase"], executed, *target)
+    frame = {FEATURES[name].key: value.astype(np.float32) for name, value in zip(RECORDED, values, strict=True)}
+    return frame | {CAMERA_KEY: seen["pixels"]["ego"], "task": task}
 
 
 def _features(image_size: int) -> dict[str, dict[str, Any]]:
-    stored = [*OBSERVATIONS, ACTION, *(feature for feature in PRIVILEGED if feature.key in PRIVILEGED_KEYS)]
+    stored = [FEATURES[name] for name in RECORDED]
     features = {f.key: {"dtype": f.dtype, "shape": f.shape, "names": list(f.names)} for f in stored}
-    camera = camera_feature(image_size)
+    camera = image_feature("ego", image_size)
     return features | {CAMERA_KEY: {"dtype": "video", "shape": camera.shape, "names": list(camera.names)}}

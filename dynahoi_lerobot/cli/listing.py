@@ -10,6 +10,7 @@ from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.features import FEATURES, Feature, image_feature
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS
@@ -45,12 +46,35 @@ def _metrics() -> list[Row]:
     return [{"name": n, "unit": m.unit, "better": m.direction, "description": m.summary} for n, m in METRICS.items()]
 
 
+def _features() -> list[Row]:
+    images = image_feature("*", 0)
+    return [_feature(images, "H, W, 3"), *(_feature(feature, _shape(feature)) for feature in FEATURES.values())]
+
+
+def _feature(feature: Feature, shape: str) -> Row:
+    cases = [(feature.constant, "constant over the episode"), (feature.in_episode_table, "in the episode table")]
+    cases += [(feature.needs_contact_sensors, "only if the capture rule uses contact sensors")]
+    notes = "; ".join(words for holds, words in cases if holds)
+    return {
+        "dataset": feature.key,
+        "gymnasium": feature.gym_key or "privileged",
+        "shape": f"({shape}) {feature.dtype}",
+        "unit": "" if feature.unit == "1" else feature.unit,
+        "meaning": f"{feature.meaning} ({notes})" if notes else feature.meaning,
+    }
+
+
+def _shape(feature: Feature) -> str:
+    return ", ".join(str(size) for size in feature.column_shape) + ","
+
+
 LISTS: dict[str, Callable[[], list[Row]]] = {
     "motions": _motions,
     "objects": _objects,
     "metrics": _metrics,
     "captures": _described(CAPTURES),
     "experts": _described(EXPERTS),
+    "features": _features,
     "hands": _described(HANDS),
     "renderers": _described(RENDERERS),
 }

@@ -96,25 +96,25 @@ def _replayed(args: argparse.Namespace) -> Shown:
 
 def _shown(episode: Episode, view: str, agent: str = "") -> Shown:
     meta = episode.meta
-    return episode.pictures[view], f"{agent or meta.agent}: {meta.task} {episode.stage}", phases_of(episode)
+    return episode.images[view], f"{agent or meta.agent}: {meta.task} {episode.stage}", phases_of(episode)
 
 
 def _from_dataset(args: argparse.Namespace) -> Shown:
     """Read an episode of a dataset with LeRobot."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    from dynahoi_lerobot.features import PHASE, PICTURE_PREFIX
+    from dynahoi_lerobot.features import FEATURES, IMAGE_PREFIX
 
     dataset = LeRobotDataset(args.dataset.name, root=args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
-    if (key := PICTURE_PREFIX + args.view) not in dataset.meta.camera_keys:
+    if (key := IMAGE_PREFIX + args.view) not in dataset.meta.camera_keys:
         raise ValueError(f"{args.dataset} has no view {args.view!r}; it has {', '.join(dataset.meta.camera_keys)}")
     table: Any = dataset.meta.episodes
     first, last = (int(table[args.episode][key]) for key in ("dataset_from_index", "dataset_to_index"))
     items: list[Any] = [dataset[i] for i in range(first, last)]
     frames = np.stack([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
-    phases = [_phase(bool(item["localized"].item()), float(item[PHASE.key].item())) for item in items]
+    phases = [_phase(bool(item["localized"].item()), float(item[FEATURES["phase"].key].item())) for item in items]
     return frames, str(items[0]["task"]), phases
 
 

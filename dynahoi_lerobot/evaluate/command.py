@@ -67,7 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
     parser.add_argument("--base-url", help="of an OpenAI-compatible endpoint; the key is taken from OPENAI_API_KEY")
-    parser.add_argument("--request-timeout", type=float, default=60.0, help="of one request to it [s]")
+    parser.add_argument(
+        "--request-timeout", type=float, default=60.0, help="of one decision, all its requests included [s]"
+    )
     parser.add_argument(
         "--prices", type=float, nargs=2, default=(0.0, 0.0), help="of a million prompt and completion tokens"
     )
@@ -197,7 +199,7 @@ def _watched(episodes: Iterator[Episode], progress: tqdm, out: Path | None, gifs
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             episode_gif(out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
-        yield replace(episode, images=None)
+        yield replace(episode, images={})
     for episode in episodes:
         progress.update()
-        yield replace(episode, images=None)
+        yield replace(episode, images={})

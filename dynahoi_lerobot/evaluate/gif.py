@@ -10,7 +10,7 @@ import numpy as np
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.atomic import write_atomically
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -36,11 +36,12 @@ def episode_gif(path: Path, episode: Episode, caption: str | None = None, min_wi
     Raises:
         ValueError: if the episode has no images.
     """
-    if episode.images is None:
+    frames = episode.images.get(EGO_VIEW)
+    if frames is None:
         raise ValueError(f"the episode with seed {episode.meta.seed} holds no images; play it with a renderer")
     text = f"{episode.meta.motion} · {episode.meta.object} · {episode.stage}" if caption is None else caption
-    scale = -(-min_width // episode.images.shape[2])
-    return write_gif(path, episode.images, caption=text, phases=phases_of(episode), scale=scale)
+    scale = -(-min_width // frames.shape[2])
+    return write_gif(path, frames, caption=text, phases=phases_of(episode), scale=scale)
 
 
 def phases_of(episode: Episode) -> list[str]:

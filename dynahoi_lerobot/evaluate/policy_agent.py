@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
-from dynahoi_lerobot.env.vector_env import as_gym
-from dynahoi_lerobot.features import CAMERA_KEY, PICTURE_PREFIX
+from dynahoi_lerobot.env.spaces import as_gym
+from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX
 from dynahoi_lerobot.renderers.views import FURTHER_VIEWS
 
 REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
@@ -43,7 +43,7 @@ class PolicyAgent(Agent):
         inputs = self._policy.config.input_features
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
-        self.views = tuple(view for view in FURTHER_VIEWS if PICTURE_PREFIX + view in inputs)
+        self.views = tuple(view for view in FURTHER_VIEWS if IMAGE_PREFIX + view in inputs)
 
     def reset(self, count: int) -> None:
         """Forget queued actions and history."""

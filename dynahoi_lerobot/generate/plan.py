@@ -12,6 +12,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.paths import Layout
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.features import Feature, frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 REDRAW_STRIDE = math.lcm(*range(1, 25))
@@ -107,14 +108,10 @@ class Plan:
         return self.recipe.image_size if self.camera else None
 
     @property
-    def views(self) -> tuple[str, ...]:
-        """The recipe's pictures besides those of the hand's camera, none without a camera."""
-        return self.recipe.views if self.camera else ()
-
-    @property
-    def touch(self) -> bool:
-        """Whether the recipe's capture rule records the fingers' forces."""
-        return CAPTURES[self.recipe.capture].uses_contact_sensors
+    def features(self) -> tuple[Feature, ...]:
+        """The columns of the dataset's frame table."""
+        contact_sensors = CAPTURES[self.recipe.capture].uses_contact_sensors
+        return frame_features(self.image_size, self.recipe.views, contact_sensors=contact_sensors)
 
     @property
     def shards(self) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from av.error import FFmpegError
 
-from dynahoi_lerobot.dataset.columns import content_arrays
+from dynahoi_lerobot.dataset.episode_arrays import content_arrays
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.writer import DatasetWriter
@@ -64,9 +64,7 @@ class ShardMaker:
         shutil.rmtree(target, ignore_errors=True)
         with temporary_sibling(target) as temporary:
             plan = self.plan
-            writer = DatasetWriter(
-                temporary, plan.image_size, plan.encoding, plan.layout, views=plan.views, touch=plan.touch
-            )
+            writer = DatasetWriter(temporary, plan.features, plan.encoding, plan.layout)
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
                 writer.finish(yields=tally)

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW
 from dynahoi_lerobot.foundation.registry import Registry
 
 HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")
 
 PALM_SITE = "palm_center"
 PALM_BODY = "palm"
-EGO_CAMERA = "ego"
+EGO_CAMERA = EGO_VIEW
 HAND_GEOM_PREFIX = "hand_"
 """Names every hand gives to the things the scene looks up; fingertip sites are ``<finger>_tip``."""
 

@@ -36,8 +36,8 @@ def replay(evidence: Evidence, resimulate: Resimulate, count: int) -> Iterator[F
             frame = int(np.argmax(apart > SAME_STATE))
             message = f"episode {index} replays to other states from frame {frame} on, up to {worst:.2g} m or rad apart"
             yield Finding("replay", message)
-        for view in pictures.keys() & episode.pictures.keys():
-            levels = np.abs(pictures[view].astype(int) - episode.pictures[view]).mean(axis=(1, 2, 3))  # (T,)
+        for view in pictures.keys() & episode.images.keys():
+            levels = np.abs(pictures[view].astype(int) - episode.images[view]).mean(axis=(1, 2, 3))  # (T,)
             if (worst := float(levels.max())) > SAME_LEVELS:
                 what = f"another picture of {view} at frame {int(levels.argmax())}, {worst:.0f} levels apart"
                 yield Finding("replay", f"episode {index} replays to {what}")

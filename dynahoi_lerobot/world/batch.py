@@ -204,16 +204,14 @@ class WorldBatch:
             images: whether to render the views; without, they cost nothing.
             ids: the worlds to render (default: all); the images of the others are black.
         """
-        rendered = {view: self.cameras.render(ids, view) for view in self._views} if images else {}
         sensed = self.rule.uses_contact_sensors
         return Observation(
-            images=rendered.pop(EGO_CAMERA, None),
+            images={view: self.cameras.render(ids, view) for view in self._views} if images else {},
             state=self.state.astype(np.float32),
             fingertips=self._fingertips.poses().astype(np.float32),
             phase=self.acting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
-            views=rendered,
         )
 
     def world_state(self, observation: Observation) -> WorldState:

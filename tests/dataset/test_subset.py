@@ -26,9 +26,9 @@ def test_kept_episodes_are_copied_to_the_last_pixel(tmp_path, codec):
     copies = list(read_episodes(tmp_path / "kept"))
     for one, other in zip(originals, copies, strict=True):
         assert one.meta == other.meta
-        assert other.pictures.keys() == {"ego", "side"}
-        for view, images in one.pictures.items():
-            np.testing.assert_array_equal(images, other.pictures[view])
+        assert other.images.keys() == {"ego", "side"}
+        for view, images in one.images.items():
+            np.testing.assert_array_equal(images, other.images[view])
         np.testing.assert_array_equal(one.action, other.action)
     assert verify(tmp_path / "kept", decoded=None) == []
     assert Manifest.read(tmp_path / "kept").provenance["kept"] == [1, 2, 4]
@@ -51,7 +51,7 @@ def with_outlier(tmp_path):
     action = episodes[7].action.copy()
     action[10, 5] = 2.2
     episodes[7] = dataclasses.replace(episodes[7], action=action)
-    write_episodes(tmp_path / "d", episodes, 16)
+    write_episodes(tmp_path / "d", episodes)
     return tmp_path / "d"
 
 

@@ -75,6 +75,16 @@ def _base_module(folder: str):
 
 
 def _unset_attributes(base: type) -> set[str]:
-    """Return the attributes that a class of this project declares and leaves to its subclasses."""
+    """Return the attributes that a class of this project declares and neither it nor its ``__init__`` sets."""
     ours = [cls for cls in base.__mro__ if cls.__module__.startswith(("dynahoi_lerobot", "lerobot_policy_"))]
-    return {name for cls in ours for name in inspect.get_annotations(cls) if not hasattr(base, name)}
+    return {
+        name
+        for cls in ours
+        for name in inspect.get_annotations(cls)
+        if not hasattr(base, name) and name not in _init(cls)
+    }
+
+
+def _init(cls: type) -> str:
+    """Return the source of a class's own ``__init__``; empty if it has none."""
+    return inspect.getsource(cls.__init__) if "__init__" in vars(cls) else ""

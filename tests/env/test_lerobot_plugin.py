@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import draccus
 import pytest
@@ -108,6 +109,29 @@ def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig])
         "observation.phase": (1,),
         "action": (18,),
     }
+
+
+def test_touch_is_a_feature_where_the_capture_rule_uses_contact_sensors(config_class: type[EnvConfig]) -> None:
+    config = config_class(**SMALL, capture="contact")
+    assert config.features["touch"].shape == (5,)
+    assert config.features_map["touch"] == "observation.touch"
+    assert "touch" not in config_class(**SMALL).features
+
+
+@pytest.mark.parametrize(
+    ("option", "sentence"),
+    [
+        ({"renderer": "tilez"}, r"unknown renderer 'tilez' \(did you mean 'tiles'\?\); known: "),
+        ({"hand": "claw"}, "unknown hand 'claw'; known: "),
+        ({"capture": "magnet"}, "unknown capture rule 'magnet'"),
+        ({"views": ("top",)}, "unknown view 'top'"),
+    ],
+)
+def test_unknown_names_are_refused_by_the_config(
+    config_class: type[EnvConfig], option: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        config_class(**SMALL, **option)
 
 
 def test_further_views_reach_the_policy(config_class: type[EnvConfig], tmp_path: Path) -> None:

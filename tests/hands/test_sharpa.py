@@ -77,7 +77,7 @@ def test_its_episodes_are_the_same_in_any_batch() -> None:
     (alone,) = record(Recipe(hand="sharpa", image_size=32), [5])
     together = list(record(Recipe(hand="sharpa", image_size=32), [4, 5, 6]))
     np.testing.assert_array_equal(alone.state, together[1].state)
-    np.testing.assert_array_equal(alone.images, together[1].images)
+    np.testing.assert_array_equal(alone.images["ego"], together[1].images["ego"])
 
 
 def test_without_menagerie_one_sentence_says_what_to_do(

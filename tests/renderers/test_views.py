@@ -57,7 +57,7 @@ def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
 
 
 def test_pictures_of_depth_and_segmentation(batch: WorldBatch) -> None:
-    pictures = batch.observe(images=True).pictures
+    pictures = batch.observe(images=True).images
     metres = batch.cameras.depth()
     grey = pictures["ego_depth"][..., 0]
     near = (metres > 0) & (metres < 2.5)

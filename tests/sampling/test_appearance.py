@@ -51,7 +51,7 @@ def test_nothing_but_pictures_changes() -> None:
     for name in ("state", "action", "target_pose", "target_contacts"):
         np.testing.assert_array_equal(getattr(plain, name), getattr(varied, name))
     assert plain.meta.task == varied.meta.task
-    assert np.abs(plain.images.astype(int) - varied.images).mean() > 5
+    assert np.abs(plain.images["ego"].astype(int) - varied.images["ego"]).mean() > 5
 
 
 def test_distractors_stand_behind_the_targets_path(few: list[EpisodeSpec]) -> None:

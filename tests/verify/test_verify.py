@@ -296,7 +296,7 @@ def test_replay_compares_states_and_pictures(sound):
     def honest(meta, actions):
         episode = varied_episode(meta.seed)
         np.testing.assert_array_equal(actions, episode.action)
-        return episode.state, episode.pictures
+        return episode.state, episode.images
 
     def other_states(meta, actions):
         states, pictures = honest(meta, actions)

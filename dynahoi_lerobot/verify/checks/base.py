@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from dynahoi_lerobot.dataset.columns import numeric_keys
-from dynahoi_lerobot.dataset.dataset_stats import column_array
+from dynahoi_lerobot.dataset.columns import column_array, numeric_keys
 from dynahoi_lerobot.dataset.episode_table import Row
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store

@@ -11,7 +11,7 @@ from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, info_features
 from dynahoi_lerobot.dataset.episode_table import OWN_COLUMNS
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, ROBOT_TYPE
-from dynahoi_lerobot.features import CAMERA_KEY, PICTURE_PREFIX
+from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Evidence
 
@@ -37,15 +37,16 @@ class Schema(Check):
 
     def _views(self, evidence: Evidence) -> list[str]:
         """The views that the recipe asks for; those that are stored where the recipe is not known."""
-        stored = [key.removeprefix(PICTURE_PREFIX) for key in evidence.pictures if key != CAMERA_KEY]
+        stored = [key.removeprefix(IMAGE_PREFIX) for key in evidence.pictures if key != CAMERA_KEY]
         return evidence.manifest.provenance.get("recipe", {}).get("views", stored)
 
     def _features(self, evidence: Evidence) -> Iterator[str]:
         camera = evidence.features.get(CAMERA_KEY)
         size = None if camera is None else camera["shape"][0]
         encoding = Encoding(codec="h264" if evidence.has_video else "images")
-        touch = CAPTURES[evidence.rows[0]["capture"]].uses_contact_sensors
-        wanted = info_features(size, encoding, self._views(evidence), touch=touch)
+        contact_sensors = CAPTURES[evidence.rows[0]["capture"]].uses_contact_sensors
+        features = frame_features(size, self._views(evidence), contact_sensors=contact_sensors)
+        wanted = info_features(features, encoding)
         for key in sorted(wanted.keys() | evidence.features.keys()):
             found = {name: value for name, value in evidence.features.get(key, {}).items() if name != "info"}
             if found != {name: value for name, value in wanted.get(key, {}).items() if name != "info"}:

@@ -61,6 +61,12 @@ class TaskEnv(DynahoiVectorEnv):
         super().__init__(num_envs, on_episode=log.add, **options)
         self._log = log
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made from: the log and the arguments of ``DynahoiVectorEnv``."""
+        state = super().__getstate__()
+        options = {name: value for name, value in state["options"].items() if name != "on_episode"}
+        return state | {"options": options | {"log": self._log}}
+
     def close_extras(self, **kwargs: Any) -> None:
         """Write what has been played so far."""
         self._log.write()

@@ -68,7 +68,7 @@ def measure(batch_size: int, image_px: int, settings: dict[str, Any]) -> dict[st
     steps_per_s = 1 / seconds_per_call(step)
     window = {key: value[:1] for key, value in batch.items()}
     frame = {key: value if key == "task" else value[:, -1] for key, value in window.items()}
-    for _ in range(len(policy.history.lookback) * policy.config.obs_stride):
+    for _ in range(len(policy.config.windows.lookback) * policy.config.obs_stride):
         policy.predict_action_chunk(frame)
     return {
         "parameters_m": sum(p.numel() for p in policy.model.parameters()) / 1e6,
@@ -81,7 +81,7 @@ def measure(batch_size: int, image_px: int, settings: dict[str, Any]) -> dict[st
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--batch-size", type=int, default=32)
