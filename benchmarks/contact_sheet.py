@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
+from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -39,7 +39,7 @@ def main() -> None:
 def _specs(recipe: Recipe) -> list:
     """One episode per kind, whose objects take turns as far as the kind allows."""
     specs, unused = [], set(recipe.object_names)
-    for number, kind in enumerate(sorted(benchmark_motions(), key=lambda name: len(MOTIONS[name].objects()))):
+    for number, kind in enumerate(sorted(recipe.motion_names, key=lambda name: len(MOTIONS[name].objects()))):
         allowed = sorted(set(MOTIONS[kind].objects()) & set(recipe.object_names))
         fresh = [name for name in allowed if name in unused] or allowed
         name = fresh[number % len(fresh)]

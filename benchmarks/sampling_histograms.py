@@ -17,9 +17,9 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import UNIT_M
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.timing import DURATION_EDGES, DURATION_SHARES, TRAVEL_EDGES_M
 
 PAPER_TRAVEL_SHARES = (0.201, 0.477, 0.164, 0.058)
 BLOCK = 220
@@ -37,9 +37,10 @@ def main() -> None:
     for spec in tqdm(_specs(Recipe(split=args.split), args.episodes, args.threads), total=args.episodes, mininterval=5):
         lengths.append(spec.length_frames)
         travels.append(spec.travel_m)
+    durations, travel_edges_u = BENCHMARK.durations, np.array(BENCHMARK.travels.edges) / UNIT_M
     tables = {
-        "duration [frames]": table(np.array(lengths), DURATION_EDGES, DURATION_SHARES),
-        "travel [u]": table(np.array(travels) / UNIT_M, np.array(TRAVEL_EDGES_M) / UNIT_M, PAPER_TRAVEL_SHARES),
+        "duration [frames]": table(np.array(lengths), durations.edges, durations.shares),
+        "travel [u]": table(np.array(travels) / UNIT_M, travel_edges_u, PAPER_TRAVEL_SHARES),
     }
     for name, rows in tables.items():
         print(f"\n{name:18s} paper %   here %  difference")

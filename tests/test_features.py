@@ -17,7 +17,7 @@ from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.features import FEATURES, Feature
 from dynahoi_lerobot.hands.base import EGO_CAMERA
-from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout import recorder
 from dynahoi_lerobot.world.batch import WorldBatch
 

@@ -17,6 +17,7 @@ from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.renderers import RENDERERS
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 Row = dict[str, Any]
 
@@ -30,16 +31,23 @@ def _motions() -> list[Row]:
     for name, kind in MOTIONS.items():
         tier, periodicity = CATEGORIES[kind.category]
         row = {"name": name, "category": kind.category, "tier": tier, "periodicity": periodicity}
-        rows.append({**row, "held_out": kind.held_out, "ranges": _summary(kind), "shared": _shared(kind)})
+        rows.append({**row, "splits": _splits("motion", name), "ranges": _summary(kind), "shared": _shared(kind)})
     return sorted(rows, key=lambda row: (list(CATEGORIES).index(row["category"]), row["name"]))
 
 
 def _objects() -> list[Row]:
     rows = []
-    for name, kind in OBJECTS.items():
-        traits = [trait for trait in ("rolls", "slides", "held_out") if getattr(kind, trait)]
-        rows.append({"name": name, "traits": ", ".join(traits), "description": _summary(kind)})
+    for name, entry in OBJECTS.items():
+        traits = ", ".join(trait for trait in ("rolls", "slides") if getattr(entry, trait))
+        row = {"name": name, "traits": traits, "splits": _splits("object", name), "description": _summary(entry)}
+        rows.append(row)
     return rows
+
+
+def _splits(noun: str, name: str) -> str:
+    """Which splits of the benchmark a ``motion`` or an ``object`` is in, in a word or by name."""
+    splits = BENCHMARK.splits_with(noun, name)
+    return "in distribution" if "train" in splits else ", ".join(splits) or "by name only"
 
 
 def _metrics() -> list[Row]:

@@ -1,7 +1,7 @@
-"""``dynahoi quickstart``: the whole loop on two CPU cores in minutes, through LeRobot's own commands.
+"""``dynahoi quickstart``: dataset, training, evaluation and report on two CPU cores, in minutes.
 
-generate -> lerobot-train (ObAct) -> lerobot-eval -> baselines -> report. Each stage leaves a folder and is skipped if
-it is there, so a stopped quickstart goes on where it was.
+generate -> lerobot-train (ObAct) -> lerobot-eval -> privileged baselines -> report. Each stage writes a folder and is
+skipped if that exists, so a stopped quickstart can be resumed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         ("generate a dataset", out / "dataset", lambda: _generate(out, args.episodes)),
         ("train ObAct with lerobot-train", _checkpoint(out), lambda: _train(out, args.steps)),
         ("evaluate it with lerobot-eval", out / "results" / "obact", lambda: _evaluate(out)),
-        ("play the baselines", out / "results" / BASELINES[-1], lambda: _baselines(out)),
+        ("evaluate the privileged baselines", out / "results" / BASELINES[-1], lambda: _baselines(out)),
     ]
     try:
         for number, (what, product, stage) in enumerate(stages, 1):
@@ -116,7 +116,7 @@ def _evaluate(out: Path) -> None:
 
 
 def _baselines(out: Path) -> None:
-    """Play the same episodes with those who see the simulator's state, and keep some captures as GIFs."""
+    """Evaluate the privileged baselines on the same episodes, and record some captures as GIFs."""
     for name in BASELINES:
         gifs = GIFS if name == "intercept" else 0
         folder = str(out / "results" / name)

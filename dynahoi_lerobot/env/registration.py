@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gymnasium as gym
 
-from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
+from dynahoi_lerobot.motions import MOTIONS
 
 
 def register_envs() -> None:
-    """Register ``dynahoi/<kind>-v0`` for every kind of motion, and ``dynahoi/all-v0``; once, however often called."""
-    for kind in (None, *benchmark_motions(), *(name for name, motion in MOTIONS.items() if motion.held_out)):
+    """Register ``dynahoi/<kind>-v0`` for every registered motion, and ``dynahoi/all-v0`` for those of the split; once, however often called."""
+    for kind in (None, *MOTIONS.names()):
         gym_id = f"dynahoi/{kind or 'all'}-v0"
         if gym_id not in gym.registry:
             gym.register(

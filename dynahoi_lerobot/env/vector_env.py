@@ -93,7 +93,7 @@ class DynahoiVectorEnv(VectorEnv):
             split: ``train``, ``val``, ``test``, ``test_small`` or ``ood_*``.
             image_size: side of the images [px].
             images: whether observations contain images; without them nothing is rendered.
-            views: views besides ``ego``, such as ``side``; see `renderers/views.py`.
+            views: views besides ``ego``, such as ``side``; see `renderers/camera_views.py`.
             appearance, protocol, capture, hand, renderer, instructions: see ``Recipe``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.

@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--appearance", type=names, help="comma-separated: materials, lights, specular, transparency, distractors"
     )
     parser.add_argument("--motions", type=names, help="comma-separated kinds of motion")
+    parser.add_argument("--objects", type=names, help="comma-separated objects")
     parser.add_argument("--capture", help="capture rule, with its own hand and expert")
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
@@ -92,7 +93,8 @@ def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
     changes: dict[str, Any] = {}
     if args.image_size:
         changes["image_size"] = args.image_size
-    changes |= {name: getattr(args, name) for name in ("views", "appearance", "motions") if getattr(args, name)}
+    lists = ("views", "appearance", "motions", "objects")
+    changes |= {name: getattr(args, name) for name in lists if getattr(args, name)}
     if args.capture:
         changes |= {"capture": args.capture, "hand": "", "expert": ""}
     return Plan(

@@ -1,13 +1,15 @@
 """The one compiled model: hand, target, fixtures, surroundings. Every episode is a row of numbers over it.
 
-The target body carries as many primitives of each shape as the hungriest object needs; a world fills the slots its
-object uses and hides the rest. So any mix of motions and objects shares a batch, and nothing is ever recompiled.
+The target body carries ``TARGET_SLOTS``, geoms enough for every object of the benchmark, and more of them if an object
+registered by somebody else has more primitives of a shape. A world fills the slots its object uses and hides the rest.
+So any mix of motions and objects shares a batch, and nothing is ever recompiled.
 """
 
 from __future__ import annotations
 
 import functools
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -17,7 +19,7 @@ from dynahoi_lerobot.appearance import PATTERNS, texture_pixels
 from dynahoi_lerobot.foundation.conventions import FINGERS, PHYSICS_DT
 from dynahoi_lerobot.hands import HANDS, Hand
 from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE, camera_quat
-from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.objects import OBJECTS, ObjectType, TargetObject
 from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
 from dynahoi_lerobot.scene.contact_sensors import add_contact_sensors
 
@@ -28,6 +30,11 @@ SHAPES = {
     "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
     "box": mujoco.mjtGeom.mjGEOM_BOX,
 }
+TARGET_SLOTS = {"box": 1, "capsule": 8, "cylinder": 6, "ellipsoid": 1, "sphere": 2}
+"""Geoms of each shape that the target body always carries: what the benchmark's objects need, held-out ones included.
+
+Fixed rather than counted, so that geom ids, and with them contact order and bytes, do not depend on what is registered.
+"""
 ENVIRONMENT, HAND_BIT = 1, 2
 """Collision bits: surfaces and striker answer to the first, the hand to the second; the target asks for either."""
 
@@ -122,10 +129,50 @@ class Scene:
         """Geom ids of all slots of the target."""
         return np.array(sorted(g for ids in self.slots.values() for g in ids))
 
+    def slots_of(self, target: TargetObject) -> list[int]:
+        """Return the geom id for each of the target's primitives, in their order.
+
+        Raises:
+            ValueError: if the target has more primitives of a shape than there are slots; naming it, what it needs and
+                what there is.
+        """
+        needed = Counter(primitive.shape for primitive in target.primitives)
+        if not needed <= Counter({shape: len(ids) for shape, ids in self.slots.items()}):
+            raise ValueError(
+                f"object {target.name!r} needs {_listed(needed)}, but the compiled scene has slots for "
+                f"{_listed({shape: len(ids) for shape, ids in self.slots.items()})}; register it before the batch is "
+                "made, and let no draw of it have more primitives than the one from seed 0"
+            )
+        free = {shape: iter(ids) for shape, ids in self.slots.items()}
+        return [next(free[primitive.shape]) for primitive in target.primitives]
+
+
+def compile_scene(hand: str = "capsule") -> Scene:
+    """Return the scene with the named hand.
+
+    Compiled once for each hand, and once more after an object was registered that needs more slots.
+    """
+    return _compile(hand, tuple(sorted(extra_slots().items())))
+
+
+def extra_slots() -> Counter[str]:
+    """Return how many slots of each shape the registered objects need beyond ``TARGET_SLOTS``.
+
+    An object is drawn once to count its primitives, from seed 0.
+    """
+    most: Counter[str] = Counter()
+    for name, object_type in OBJECTS.items():
+        most |= _primitive_counts(name, object_type)
+    return most - Counter(TARGET_SLOTS)
+
 
 @functools.cache
-def compile_scene(hand: str = "capsule") -> Scene:
-    """Compile the scene with the named hand; cached, as it never changes."""
+def _primitive_counts(name: str, object_type: type[ObjectType]) -> Counter[str]:
+    return Counter(primitive.shape for primitive in object_type.sample(name, np.random.default_rng(0)).primitives)
+
+
+@functools.cache
+def _compile(hand: str, extra: tuple[tuple[str, int], ...]) -> Scene:
     embodiment = HANDS[hand]()
     spec = mujoco.MjSpec()
     _set_options(spec)
@@ -134,19 +181,10 @@ def compile_scene(hand: str = "capsule") -> Scene:
     _add_distractors(spec)
     embodiment.add_to(spec)
     _set_hand_collisions(spec)
-    _add_target(spec)
+    _add_target(spec, dict(extra))
     _add_fixtures(spec)
     add_contact_sensors(spec)
     return _index(spec.compile(), embodiment)
-
-
-def slot_counts() -> Counter[str]:
-    """Return how many primitives of each shape the hungriest registered object needs."""
-    most: Counter[str] = Counter()
-    for name, kind in OBJECTS.items():
-        shapes = Counter(p.shape for p in kind.sample(name, np.random.default_rng(0)).primitives)
-        most |= shapes
-    return most
 
 
 def _set_options(spec: mujoco.MjSpec) -> None:
@@ -208,21 +246,27 @@ def _set_hand_collisions(spec: mujoco.MjSpec) -> None:
             geom.priority, geom.solmix, geom.solref = 1, PAD_SOLMIX, (1 / CONTACT_RATE_RAD_S, 1.0)
 
 
-def _add_target(spec: mujoco.MjSpec) -> None:
+def _add_target(spec: mujoco.MjSpec, extra: dict[str, int]) -> None:
     body = spec.worldbody.add_body(name="target", pos=(0, 0, 1.5))
     body.explicitinertial, body.mass, body.inertia, body.ipos = True, 0.1, (4e-5, 5e-5, 6e-5), (0.0, 0.0, 0.0)
     body.add_freejoint(name="target")
-    for shape, count in sorted(slot_counts().items()):
-        for index in range(count):
-            body.add_geom(
-                name=f"target_{shape}_{index}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, mass=0.0,
-                contype=ENVIRONMENT | HAND_BIT, conaffinity=0, condim=6, friction=SURFACE_FRICTION, priority=1,
-                material="plain_fine", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
-            )  # fmt: skip
+    for shape, count in TARGET_SLOTS.items():
+        _add_slots(body, shape, range(count))
     body.add_geom(
         name="tether", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(0.003, 0.5, 0), mass=0.0, contype=0, conaffinity=0,
         rgba=(0.25, 0.25, 0.25, 1), pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
     )  # fmt: skip
+    for shape, count in extra.items():
+        _add_slots(body, shape, range(TARGET_SLOTS[shape], TARGET_SLOTS[shape] + count))
+
+
+def _add_slots(body: mujoco.MjsBody, shape: str, numbers: range) -> None:
+    for number in numbers:
+        body.add_geom(
+            name=f"target_{shape}_{number}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, mass=0.0,
+            contype=ENVIRONMENT | HAND_BIT, conaffinity=0, condim=6, friction=SURFACE_FRICTION, priority=1,
+            material="plain_fine", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
+        )  # fmt: skip
 
 
 def _add_distractors(spec: mujoco.MjSpec) -> None:
@@ -269,8 +313,7 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
 def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
     geoms = {model.geom(i).name: i for i in range(model.ngeom)}
     slots = {
-        shape: tuple(geoms[f"target_{shape}_{i}"] for i in range(count))
-        for shape, count in sorted(slot_counts().items())
+        shape: tuple(i for name, i in geoms.items() if name.startswith(f"target_{shape}_")) for shape in TARGET_SLOTS
     }
     joints = model.actuator_trnid[:, 0]
     target, striker = model.joint("target"), model.joint("striker")
@@ -307,3 +350,7 @@ def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
         hand_geoms=np.array([i for name, i in geoms.items() if name.startswith(HAND_GEOM_PREFIX)], dtype=int),
         finger_geoms=np.array(fingers),
     )
+
+
+def _listed(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {shape}" for shape, count in sorted(counts.items()))

@@ -67,7 +67,7 @@ class WorldBatch:
             capture: the capture rule.
             hand: the hand.
             image_size: side of the images [px].
-            views: what is rendered besides the hand's camera, see ``renderers.views``.
+            views: what is rendered besides the hand's camera, see `renderers/camera_views.py`.
             renderer: one of the renderers.
             threads: for physics, 0 for all cores; without influence on the result.
             disturbance_m: spread of the disturbance injection [m].

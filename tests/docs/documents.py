@@ -16,6 +16,8 @@ LINK = re.compile(r"\[([^\[\]]*)\]\(([^()\s]+)\)")
 CREATED = re.compile(r"Create `([^`]+)`")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 PROGRAMS = ("dynahoi", "lerobot-train", "lerobot-eval", "lerobot-edit-dataset", "python", "pytest", "bash")
+HUB_FILE = "env.py"
+"""The file that an environment on the Hub consists of; not one of this project."""
 CODE_SUFFIXES = (".py", ".yaml", ".md", ".toml")
 
 
@@ -71,7 +73,7 @@ class Page:
         """What looks like the path of a file of this project, seen from the project's root."""
         words = {span for span in self.spans if " " not in span}
         words |= {part for command in self.commands for word in command for part in word.split("=")}
-        return {word for word in words - set(CREATED.findall(self.text)) if _is_path(word)}
+        return {word for word in words - {HUB_FILE, *CREATED.findall(self.text)} if _is_path(word)}
 
 
 def pages() -> list[Page]:

@@ -15,6 +15,7 @@ from dynahoi_lerobot.experts.intercept import plan_intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
 from dynahoi_lerobot.sampling.splits import kind_seed
@@ -24,7 +25,7 @@ SMALL = {"image_size": 16}
 
 def made(kind: str, **options) -> gym.Env:
     register_envs()
-    split = "ood_motion" if kind in MOTIONS and MOTIONS[kind].held_out else "test"
+    split = "ood_motion" if kind in BENCHMARK.splits["ood_motion"].motions else "test"
     return gym.make(f"dynahoi/{kind}-v0", split=split, **SMALL, **options)
 
 

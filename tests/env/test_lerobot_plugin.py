@@ -19,7 +19,8 @@ from lerobot_env_dynahoi.configuration_dynahoi import kinds_of
 from lerobot_env_dynahoi.task_env import policy_name
 
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.motions import CATEGORIES, benchmark_motions
+from dynahoi_lerobot.motions import CATEGORIES
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 SMALL = {"image_size": 32, "split": "test_small"}
 
@@ -83,7 +84,7 @@ def test_one_suite_per_category_one_task_per_kind(config_class: type[EnvConfig])
     suites = config_class(**SMALL).create_envs(1)
     assert set(suites) == set(CATEGORIES)
     tasks = [env.task for suite in suites.values() for env in suite.values()]
-    assert sorted(tasks) == benchmark_motions()
+    assert sorted(tasks) == list(BENCHMARK.splits["test"].motions)
     assert all(sorted(suite) == list(range(len(suite))) for suite in suites.values())
 
 
@@ -159,7 +160,7 @@ def test_config_comes_from_the_command_line(config_class: type[EnvConfig]) -> No
 
 
 def test_tasks_are_kinds_or_categories() -> None:
-    known = benchmark_motions()
+    known = list(BENCHMARK.splits["test"].motions)
     assert kinds_of("pendulum", known) == ["conical", "damped", "planar"]
     assert kinds_of("ramp, lob", known) == ["lob", "ramp"]
     with pytest.raises(ValueError, match="unknown task 'loop'; known kinds and categories: accelerating"):

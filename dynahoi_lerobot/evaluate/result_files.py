@@ -1,4 +1,4 @@
-"""The bytes of a result folder: writing its three files at once, reading them with errors that teach."""
+"""Reading and writing the three files of a result folder; whatever is damaged is one ``ResultsError``."""
 
 from __future__ import annotations
 
@@ -10,15 +10,24 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.evaluate.atomic import write_atomically
-from dynahoi_lerobot.evaluate.rows import IDENTITY, Row, row_schema
+from dynahoi_lerobot.evaluate.episode_row import Row, checked_rows, row_schema
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"
 ACTIONS_FILE = "actions.npz"
 
-HEAD_KEYS = ("n", "split", "policy", "capture", "metrics", "per_kind", "fingerprint", "command")
-"""Keys that ``metrics.json`` must have; ``extra`` may stand beside them."""
+HEAD_TYPES: dict[str, type] = {
+    "n": int,
+    "split": str,
+    "policy": str,
+    "capture": str,
+    "metrics": dict,
+    "per_kind": dict,
+    "fingerprint": str,
+    "command": str,
+}
+"""Keys that ``metrics.json`` must have, with the types of their values; ``extra``, a dict, may stand beside them."""
 
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 
@@ -57,7 +66,7 @@ def read(folder: Path) -> tuple[dict[str, Any], list[Row], list[np.ndarray]]:
     head = _load(folder / METRICS_FILE, _read_head)
     rows = _load(folder / EPISODES_FILE, _read_rows)
     actions = _load(folder / ACTIONS_FILE, _read_actions)
-    if not head["n"] == len(rows) == len(actions):
+    if not head["n"] == len(rows) == len(actions) > 0:
         counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
         raise ResultsError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
     return head, rows, actions
@@ -73,11 +82,22 @@ def _load(path: Path, reader: Callable[[Path], Any]) -> Any:
 
 
 def _read_head(path: Path) -> dict[str, Any]:
-    head = json.loads(path.read_text(encoding="utf-8"))
-    missing = [key for key in HEAD_KEYS if key not in head]
-    if missing:
+    head = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    if not isinstance(head, dict):
+        raise TypeError(f"it must hold an object, not {type(head).__name__}")
+    if missing := [key for key in HEAD_TYPES if key not in head]:
         raise KeyError(f"it lacks {', '.join(missing)}")
+    for key, wanted in (HEAD_TYPES | {"extra": dict}).items():
+        if not isinstance(value := head.get(key) or wanted(), wanted):
+            raise TypeError(f"{key} must be of type {wanted.__name__}, got {type(value).__name__}")
+    delay = (head.get("extra") or {}).get("delay_ms") or 0.0
+    if not isinstance(delay, int | float) or not 0 <= delay < float("inf"):
+        raise ValueError(f"delay_ms must be a number of milliseconds, got {delay!r}")
     return head
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -93,10 +113,7 @@ def _read_rows(path: Path) -> list[Row]:
     # opened here, because a path that ends in ``=value`` would be read as a partition
     with path.open("rb") as file:
         table = pq.ParquetFile(file).read()
-    missing = [name for name in (*IDENTITY, "stage") if name not in table.column_names]
-    if missing:
-        raise KeyError(f"it lacks the columns {', '.join(missing)}")
-    return table.to_pylist()
+    return checked_rows(table)
 
 
 def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
@@ -112,5 +129,14 @@ def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray
 
 
 def _read_actions(path: Path) -> list[np.ndarray]:
-    with np.load(path) as archive:
-        return np.split(archive["action"], archive["offsets"][1:-1])
+    with np.load(path, allow_pickle=False) as archive:
+        actions, offsets = archive["action"], archive["offsets"]
+    if actions.ndim != 2 or actions.shape[1] != HAND_DOF or actions.dtype != np.float32:
+        raise ValueError(f"actions must be (K, {HAND_DOF}) float32, not {actions.shape} {actions.dtype}")
+    if not np.isfinite(actions).all():
+        raise ValueError("an action is not a finite number")
+    if offsets.ndim != 1 or offsets.dtype.kind != "i" or len(offsets) < 2:
+        raise ValueError(f"offsets must be (N + 1,) integers, not {offsets.shape} {offsets.dtype}")
+    if offsets[0] != 0 or offsets[-1] != len(actions) or (np.diff(offsets) < 1).any():
+        raise ValueError(f"offsets must rise from 0 to {len(actions)}")
+    return np.split(actions, offsets[1:-1])
