@@ -18,6 +18,7 @@ from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed, seed_stream
@@ -69,6 +70,8 @@ def _played(args: argparse.Namespace) -> Clip:
     size = image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE)
     views = {*actor.views, args.view} - {"ego"}
     recipe = Recipe(split=seed_stream(args.split), image_size=size, views=tuple(sorted(views)), capture=args.capture)
+    if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it
+        recipe = replace(recipe, motions=(args.motion,))
     spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]
     episode = next(evaluate(make_batch(recipe, 1), actor, [spec], images=True))
     return _clip(episode, args.view, episode.meta.agent)

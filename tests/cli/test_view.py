@@ -14,7 +14,7 @@ from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.clip import Clip, write_clip
 from dynahoi_lerobot.evaluate.gif import BORDERS
 
-CHECKPOINT = Path(__file__).parents[2] / "docs" / "obact_cpu"
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_cpu"
 
 
 def view(*words: object) -> int:
@@ -109,7 +109,7 @@ def test_results_without_a_readable_recipe_are_refused(tmp_path: Path, capsys: p
     [
         ([], "say what to watch"),
         (["--motion", "lob", "--results", "r"], "say what to watch, one of"),
-        (["--motion", "lop"], "has no episodes of motion 'lop'"),
+        (["--motion", "lop"], "unknown motion 'lop' (did you mean 'lob'?)"),
         (["--motion", "lob", "--image-size", "0"], "image_size must be 16 to 1024 pixels, got 0"),
         (["--results", "nowhere"], "there is no result folder nowhere"),
     ],
