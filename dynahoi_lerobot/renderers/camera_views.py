@@ -12,7 +12,8 @@ import numpy as np
 
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import Renderer
-from dynahoi_lerobot.scene.scene import SIDE_CAMERA, Scene
+from dynahoi_lerobot.scene.model import SIDE_CAMERA
+from dynahoi_lerobot.scene.scene import Scene
 
 CAMERAS = (EGO_CAMERA, SIDE_CAMERA)
 DEPTH_LEVEL_M = 0.01

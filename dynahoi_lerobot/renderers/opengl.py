@@ -13,7 +13,8 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
-from dynahoi_lerobot.scene.scene import SHOWN_GROUP, Scene
+from dynahoi_lerobot.scene.model import SHOWN_GROUP
+from dynahoi_lerobot.scene.scene import Scene
 
 FLAG = mujoco.mjtRndFlag
 OFF = [f.value for f in (FLAG.mjRND_SHADOW, FLAG.mjRND_REFLECTION, FLAG.mjRND_HAZE, FLAG.mjRND_FOG, FLAG.mjRND_SKYBOX)]

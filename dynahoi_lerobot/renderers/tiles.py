@@ -22,7 +22,8 @@ from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_field
 from dynahoi_lerobot.renderers.raycast.render import SharedLights, render_color, render_ids_and_depth  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.shapes import GEOM_TYPES  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.tiling import TILE, CameraIntrinsics, Shape, place_shapes, sort_into_tiles  # noqa: E402
-from dynahoi_lerobot.scene.scene import SHOWN_GROUP, Scene  # noqa: E402
+from dynahoi_lerobot.scene.model import SHOWN_GROUP  # noqa: E402
+from dynahoi_lerobot.scene.scene import Scene  # noqa: E402
 
 APPEARANCE_FIELDS = {
     "geom_size": wp.vec3,

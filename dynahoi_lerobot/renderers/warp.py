@@ -15,7 +15,8 @@ import mujoco_warp as mjw  # noqa: E402
 from dynahoi_lerobot.hands.base import EGO_CAMERA  # noqa: E402
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
 from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields  # noqa: E402
-from dynahoi_lerobot.scene.scene import SHOWN_GROUP, Scene  # noqa: E402
+from dynahoi_lerobot.scene.model import SHOWN_GROUP  # noqa: E402
+from dynahoi_lerobot.scene.scene import Scene  # noqa: E402
 
 APPEARANCE_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
 """Model fields that differ between worlds and that the ray caster reads."""

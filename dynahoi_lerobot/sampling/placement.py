@@ -7,7 +7,7 @@ import numpy as np
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES, Timing
 from dynahoi_lerobot.sampling.visibility import visible
-from dynahoi_lerobot.scene.scene import ARENA_HALF_M
+from dynahoi_lerobot.scene.model import ARENA_HALF_M
 
 DIRECTIONS = 192
 """Homes that are tried for one motion."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from dynahoi_lerobot.appearance import Appearance, Distractor, hsv
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.scene.scene import DISTRACTORS
+from dynahoi_lerobot.scene.model import DISTRACTORS
 
 BEHIND_M = 0.35
 """Distractors stand at least this far behind the farthest point of the target's path, so that they hide nothing."""

@@ -11,7 +11,8 @@ from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.motions.geometry import yaw_quat
 from dynahoi_lerobot.motions.launch import Box, Launch, Striker, Tether
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.scene.scene import CONTACT_RATE_RAD_S, HIDDEN_POS, Scene
+from dynahoi_lerobot.scene.model import CONTACT_RATE_RAD_S, HIDDEN_POS
+from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.target_drive import TargetDrive
 
 HIDDEN_SIZE = (1e-4, 1e-4, 1e-4)

@@ -13,7 +13,7 @@ from dynahoi_lerobot.motions import CATEGORIES, MOTIONS, PrescribedMotion
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.scene.scene import ARENA_HALF_M
+from dynahoi_lerobot.scene.model import ARENA_HALF_M
 from tests.drawing import draw_motion
 
 KINDS = MOTIONS.names()

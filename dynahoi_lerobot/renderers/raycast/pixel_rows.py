@@ -34,7 +34,7 @@ from dynahoi_lerobot.renderers.raycast.shapes import (
     uv_sphere,
 )
 from dynahoi_lerobot.renderers.raycast.tiling import TILE, Shape
-from dynahoi_lerobot.scene.scene import SHININESS
+from dynahoi_lerobot.scene.model import SHININESS
 
 Row = wp.types.vector(TILE, wp.float32)
 HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
