@@ -7,6 +7,9 @@ import importlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
+
+from dynahoi_lerobot.foundation.output import check_output
 
 COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report, on a CPU in minutes"),
@@ -24,31 +27,44 @@ BAD_INPUT = 2
 STOPPED = 130
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with an argument in one sentence, without the whole usage before it."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a ValueError, which ``main`` prints."""
+        raise ValueError(f"{message.removeprefix('argument ')}; see `{self.prog} --help`")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 done, 1 failed, 2 bad input, 130 stopped."""
     words = list(sys.argv[1:] if argv is None else argv)
-    parser = argparse.ArgumentParser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
+    parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
     commands = parser.add_subparsers(dest="command", required=True)
     for name, (module, text) in COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text)
         if words[:1] == [name]:
             importlib.import_module(module).add_arguments(command)
-    args = parser.parse_args(words)
+    spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
     try:
-        _check_summary_file(getattr(args, "json", None))
+        args = parser.parse_args(words)
+        _check_outputs(args)
         return importlib.import_module(COMMANDS[args.command][0]).run(args)
     except (ValueError, OSError) as error:
-        print(f"dynahoi {args.command}: {error}", file=sys.stderr)
+        print(f"{spoken}: {error}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print(f"dynahoi {args.command}: stopped", file=sys.stderr)
+        print(f"{spoken}: stopped", file=sys.stderr)
         return STOPPED
 
 
-def _check_summary_file(path: object) -> None:
-    """Refuse, before any work, a ``--json FILE`` that could not be written after it."""
+def _check_outputs(args: argparse.Namespace) -> None:
+    """Refuse, before any work, an ``--out PLACE`` or a ``--json FILE`` that could not be written after it."""
+    path, out = getattr(args, "json", None), getattr(args, "out", None)
     if isinstance(path, Path) and (path.is_dir() or not path.parent.is_dir()):
         raise ValueError(f"--json must name a file in an existing folder, got {path}")
+    for place in (path, out):
+        if isinstance(place, Path):
+            check_output(place)
 
 
 def entry() -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.splits import SMALL_TEST
 
@@ -35,11 +36,14 @@ class StageError(RuntimeError):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi quickstart``."""
-    parser.add_argument("--out", type=Path, default=Path("outputs/quickstart"), help="folder for everything")
-    parser.add_argument("--episodes", type=int, default=TRAINING_EPISODES, help="training episodes to generate")
-    parser.add_argument("--steps", type=int, default=TRAINING_STEPS, help="training steps")
+    parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="folder for everything")
+    parser.add_argument("--episodes", type=whole(1, 10**6), default=TRAINING_EPISODES, help="training episodes to generate")
+    parser.add_argument("--steps", type=whole(1, 10**9), default=TRAINING_STEPS, help="training steps")
     parser.add_argument(
-        "--evaluation-episodes", type=int, default=EPISODES_PER_KIND, help="episodes to evaluate on, of each kind"
+        "--evaluation-episodes",
+        type=whole(1, 1000),
+        default=EPISODES_PER_KIND,
+        help="episodes to evaluate on, of each kind",
     )
 
 

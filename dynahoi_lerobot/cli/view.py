@@ -15,13 +15,15 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.actors import add_trust_argument, image_size_for, make_actor
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.foundation.arguments import path, whole
+from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
 from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import kind_seed, seed_stream
+from dynahoi_lerobot.sampling.splits import kind_seeds, seed_stream
 
 DEFAULT_IMAGE_SIZE = 256
 """Side of newly rendered images [px]."""
@@ -30,11 +32,14 @@ DEFAULT_IMAGE_SIZE = 256
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi view``."""
     parser.add_argument("--motion", help="play a new episode of this motion")
-    parser.add_argument("--dataset", type=Path, help="show an episode of this LeRobot dataset")
-    parser.add_argument("--results", type=Path, help="replay an evaluated episode of this result folder")
+    parser.add_argument("--dataset", type=path, help="show an episode of this LeRobot dataset")
+    parser.add_argument("--results", type=path, help="replay an evaluated episode of this result folder")
     parser.add_argument("--episode", type=int, default=0, help="with --dataset: index of the episode")
     parser.add_argument(
-        "--seed", type=int, default=0, help="with --motion: number within split and motion; with --results: its seed"
+        "--seed",
+        type=whole(0, SEED_LIMIT - 1),
+        default=0,
+        help="with --motion: number within split and motion; with --results: its seed",
     )
     parser.add_argument("--split", default="test", help="with --motion: train, val, test or one of the ood_ splits")
     parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint, or the name of an expert")
@@ -42,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_trust_argument(parser)
     parser.add_argument("--image-size", type=int, help="side of newly rendered images [px]")
     parser.add_argument("--view", default="ego", choices=VIEWS, help="camera, and what is shown of its image")
-    parser.add_argument("--out", type=Path, default=Path("episode.gif"), help="a .gif, .mp4 or .html file")
+    parser.add_argument("--out", type=path, default=Path("episode.gif"), help="a .gif, .mp4 or .html file")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -72,7 +77,13 @@ def _played(args: argparse.Namespace) -> Clip:
     recipe = Recipe(split=seed_stream(args.split), image_size=size, views=tuple(sorted(views)), capture=args.capture)
     if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it
         recipe = replace(recipe, motions=(args.motion,))
-    spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]
+    known = kind_seeds(recipe, args.split, args.motion)
+    if args.seed >= len(known):
+        raise ValueError(
+            f"split {args.split!r} has {len(known)} episodes of motion {args.motion!r}, so --seed must be 0 to "
+            f"{len(known) - 1}, got {args.seed}"
+        )
+    spec = sample_specs(recipe, [known[args.seed]])[0]
     episode = next(evaluate(make_batch(recipe, 1), actor, [spec], images=True))
     return _clip(episode, args.view, episode.meta.agent)
 

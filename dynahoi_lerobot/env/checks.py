@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from gymnasium.error import ClosedEnvironmentError
 
+from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
+
 RENDER_MODES = ("rgb_array",)
-SEED_LIMIT = 2**40
-"""Seeds are below this."""
 RANDOM_SEED_LIMIT = 2**31
 """Seeds that the environment draws itself are below this."""
 
@@ -61,7 +61,7 @@ def episode_numbers(seed: int | Sequence[int | None] | None, count: int, rng: np
     if seed is None:
         return rng.integers(0, RANDOM_SEED_LIMIT, count)
     if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
-        return check_seed(seed) + np.arange(count)
+        return np.array([check_seed(check_seed(seed) + i) for i in range(count)], np.int64)
     if len(seed) != count:
         raise ValueError(f"reset needs one seed for each of {count} worlds, got {len(seed)}")
     return np.array([rng.integers(0, RANDOM_SEED_LIMIT) if one is None else check_seed(one) for one in seed], np.int64)

@@ -16,7 +16,7 @@ from dynahoi_lerobot.env.checks import RENDER_MODES, check_open, check_render_mo
 from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisodes
 from dynahoi_lerobot.env.spaces import as_gym, observation_space
 from dynahoi_lerobot.features import frame_features
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW, SEED_LIMIT
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -134,7 +134,7 @@ class DynahoiVectorEnv(VectorEnv):
 
         Args:
             seed: number of the episode within the split (and kind), 0 to 2^40 - 1, one for each world or a first one
-                that counts up; None draws numbers at random.
+                that counts up; None draws numbers at random. Later episodes count on, from the last number to 0.
             options: see the class.
 
         Raises:
@@ -167,7 +167,7 @@ class DynahoiVectorEnv(VectorEnv):
         infos = self._episodes.infos(ended.worlds)
         reward = (infos["is_success"] & (terminated | truncated)).astype(np.float64)
         if restarting.size and not self._one_episode:
-            self._numbers[restarting] += self.num_envs
+            self._numbers[restarting] = (self._numbers[restarting] + self.num_envs) % SEED_LIMIT
             self._begin(restarting)
             self._ended[restarting] = False
         self._ended |= terminated | truncated

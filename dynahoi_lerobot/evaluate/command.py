@@ -19,7 +19,7 @@ from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.arguments import names
+from dynahoi_lerobot.foundation.arguments import names, path, whole
 from dynahoi_lerobot.rollout.delayed_agent import DelayedAgent
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"checkpoint folder, Hub repository, vlm, or privileged baseline: expert, {', '.join(EXPERTS.names())}",
     )
     parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val or one of the ood_ splits")
-    parser.add_argument("--out", type=Path, help="result folder; resumes where an earlier run stopped")
+    parser.add_argument("--out", type=path, help="result folder; resumes where an earlier run stopped")
     parser.add_argument("--episodes", type=int, help="number of episodes, from the first of the split; all by default")
     parser.add_argument(
         "--motions", type=names, default=(), help="comma-separated motions; all of the split by default"
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument(
-        "--batch-size", type=int, default=32, help="worlds simulated together; no influence on the result"
+        "--batch-size", type=whole(1, 4096), default=32, help="worlds simulated together; no influence on the result"
     )
     parser.add_argument("--device", help="torch device of the policy")
     add_trust_argument(parser)
@@ -94,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("PROMPT", "COMPLETION"),
         help="with --policy vlm: prices of a million tokens",
     )
-    parser.add_argument("--gifs", type=int, default=0, help="number of episodes to record as GIFs in --out")
+    parser.add_argument("--gifs", type=whole(0, 10**6), default=0, help="number of episodes to record as GIFs in --out")
     parser.add_argument("--per-kind", action="store_true", help="also print a row for each motion")
 
 

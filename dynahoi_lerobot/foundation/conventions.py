@@ -47,6 +47,9 @@ JOINT_NAMES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("bas
 HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)
 """Degrees of freedom by name, in the order of actions, states and actuators."""
 
+SEED_LIMIT = 2**40
+"""Episodes are numbered, within a split and a kind of motion, by whole numbers below this."""
+
 HAND_SPEED_M_S = 0.3
 """The hand speed for which the intercept is the earliest reachable one [m/s]."""
 

@@ -7,6 +7,8 @@ import importlib
 import pkgutil
 from collections.abc import Callable, Iterator
 
+from dynahoi_lerobot.foundation.plugins import load_plugins
+
 
 class UnknownNameError(ValueError):
     """A name that no file registers; the message lists the registered ones."""
@@ -16,7 +18,8 @@ class Registry[T]:
     """Names to things, filled by decorators in the sibling modules of one package.
 
     The package is imported on first look-up, so a new kind is one new file and no other line. Code outside the
-    package may register too: importing the module that holds the decorator is enough.
+    package may register too: importing the module that holds the decorator is enough, and the modules that other
+    distributions name as ``plugins`` are imported on first look-up as well.
     """
 
     def __init__(self, noun: str, package: str) -> None:
@@ -78,3 +81,4 @@ class Registry[T]:
         for module in pkgutil.iter_modules(package.__path__):
             if module.name != "base":
                 importlib.import_module(f"{self._package}.{module.name}")
+        load_plugins()

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.foundation.arguments import names
+from dynahoi_lerobot.foundation.arguments import names, path
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
@@ -24,8 +24,8 @@ BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi generate``."""
-    parser.add_argument("--root", type=Path, required=True, help="the dataset's folder; must not exist")
-    parser.add_argument("--recipe", type=Path, help="YAML file; the options below override it")
+    parser.add_argument("--root", type=path, required=True, help="the dataset's folder; must not exist")
+    parser.add_argument("--recipe", type=path, help="YAML file; the options below override it")
     parser.add_argument("--episodes", type=int, required=True, help="number of successful episodes")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
     parser.add_argument("--image-size", type=int, help="side of the square frames [pixels]; 0 for no camera")
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--time", default=ClusterResources.time, help="Slurm time limit per task")
     parser.add_argument("--cpus-per-task", type=int, default=ClusterResources.cpus_per_task)
     parser.add_argument("--gpus-per-task", type=int, default=ClusterResources.gpus_per_task)
-    parser.add_argument("--json", type=Path, help="write the summary there as well")
+    parser.add_argument("--json", type=path, help="write the summary there as well")
 
 
 def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None) -> int:

@@ -6,11 +6,13 @@ import itertools
 from pathlib import Path
 
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
+from dynahoi_lerobot.foundation.output import check_output
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Progress, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.generate.workers import make_in_processes
 from dynahoi_lerobot.generate.workspace import differences, open_workspace, remove_workspace
 
+MAX_WORKERS = 4096
 CHECKS = 3
 """How often shards that are found damaged are made again before the disk is called unreliable."""
 
@@ -34,10 +36,11 @@ def generate(
         FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
         GenerationError: if the expert cannot make the episodes, processes keep dying, another process is making this
             dataset, or the files of a finished one have changed.
-        ValueError: if ``workers`` is not positive.
+        ValueError: if ``workers`` is out of its range, or no folder can be made at ``root``.
     """
-    if workers < 1:
-        raise ValueError(f"the number of workers is {workers}; it must be 1 or more")
+    if not 1 <= workers <= MAX_WORKERS:
+        raise ValueError(f"the number of workers is {workers}; it must be 1 to {MAX_WORKERS}")
+    check_output(root)
     if (manifest := finished(plan, root)) is None:
         with open_workspace(plan, root) as workspace:
             # Another process may have finished while this one waited for the lock.

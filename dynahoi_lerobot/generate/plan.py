@@ -54,6 +54,10 @@ LARGEST_SHARD = 256
 """Episodes: large enough that starting a shard costs nothing, small enough to redo."""
 
 
+MAX_SHARD = 65_536
+"""Episodes: the seeds of one shard are held in memory."""
+
+
 def shard_size(episodes: int) -> int:
     """Return how many episodes a shard holds where nothing is said: small datasets, too, keep eight workers busy."""
     return max(1, min(LARGEST_SHARD, -(-episodes // 8)))
@@ -92,12 +96,14 @@ class GenerationPlan:
         Raises:
             ValueError: if a number is out of its range.
         """
-        if self.episodes < 1:
-            raise ValueError(f"the number of episodes is {self.episodes}; it must be 1 or more")
-        if self.shard_episodes < 1:
-            raise ValueError(f"the number of episodes per shard is {self.shard_episodes}; it must be 1 or more")
+        if not 1 <= self.episodes <= REDRAW_STRIDE:
+            raise ValueError(f"the number of episodes is {self.episodes}; it must be 1 to {REDRAW_STRIDE}")
+        if not 1 <= self.shard_episodes <= MAX_SHARD:
+            raise ValueError(f"the number of episodes per shard is {self.shard_episodes}; it must be 1 to {MAX_SHARD}")
         if not 0 <= self.seed <= REDRAW_STRIDE - self.episodes:
-            raise ValueError(f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes}")
+            raise ValueError(
+                f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for {self.episodes} episodes"
+            )
         size = self.image_size
         if size is not None and (size < 16 or (size % 2 and self.encoding.make_codec().is_video)):
             raise ValueError(f"the image size is {size} pixels; it must be an even number from 16")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import shutil
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,9 @@ from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, GenerationPlan, Record
 
 logger = logging.getLogger(__name__)
+
+SHARD = "shard-"
+"""Shards' folders have this name and a number of six digits or more."""
 
 Tick = Callable[[], object]
 """Called after each stored episode."""
@@ -41,16 +44,25 @@ class ShardMaker:
 
     def path(self, shard: int) -> Path:
         """Return where a finished shard lies."""
-        return self.folder / f"shard-{shard:06d}"
+        return self.folder / f"{SHARD}{shard:06d}"
 
-    def missing(self) -> list[int]:
-        """Return the shards that are still to be made."""
-        return [shard for shard in range(self.plan.shards) if not is_whole(self.path(shard))]
+    def present(self) -> list[int]:
+        """Return the shards that have a folder; a plan may have millions, so the disk is asked, not the plan."""
+        numbers = {_shard_number(path.name) for path in self.folder.glob(f"{SHARD}*") if path.is_dir()}
+        return sorted(number for number in numbers if number in range(self.plan.shards))
+
+    def finished(self) -> set[int]:
+        """Return the shards whose files are all there."""
+        return {shard for shard in self.present() if is_whole(self.path(shard))}
+
+    def missing(self) -> Iterator[int]:
+        """Yield the shards that were not there when this was called."""
+        finished = self.finished()
+        return (shard for shard in range(self.plan.shards) if shard not in finished)
 
     def done_episodes(self) -> int:
         """Return the number of episodes in finished shards."""
-        missing = sum(len(self.plan.slots(shard)) for shard in self.missing())
-        return self.plan.episodes - missing
+        return sum(len(self.plan.slots(shard)) for shard in self.finished())
 
     def make(self, shard: int, tick: Tick = lambda: None) -> Path:
         """Make one shard, or do nothing if it is already there.
@@ -99,8 +111,7 @@ class ShardMaker:
         Returns:
             The shards that were removed.
         """
-        there = [shard for shard in range(self.plan.shards) if self.path(shard).is_dir()]
-        problems = {shard: problem for shard in there if (problem := self.problem(shard))}
+        problems = {shard: problem for shard in self.present() if (problem := self.problem(shard))}
         for shard, problem in problems.items():
             logger.warning("%s is made again: %s", self.path(shard), problem)
             shutil.rmtree(self.path(shard))
@@ -110,6 +121,12 @@ class ShardMaker:
         """Merge the shards, in the order of the plan, into the dataset ``root``."""
         sources = [self.path(shard) for shard in range(self.plan.shards)]
         return merge(sources, root, limits=self.plan.limits, provenance=self.plan.identity())
+
+
+def _shard_number(name: str) -> int:
+    """Return the number in the name of a shard's folder, -1 if it is not such a name."""
+    digits = name.removeprefix(SHARD)
+    return int(digits) if digits.isdecimal() else -1
 
 
 def _make_way(target: Path) -> None:

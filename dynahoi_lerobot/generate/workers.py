@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
 from multiprocessing.sharedctypes import Synchronized
 
 from dynahoi_lerobot.generate.parent_watch import exit_with_parent
@@ -28,7 +30,7 @@ def make_in_processes(maker: ShardMaker, workers: int, progress: Progress) -> No
         try:
             return _run_pool(maker, workers, progress)
         except BrokenProcessPool:
-            missing = len(maker.missing())
+            missing = maker.plan.shards - len(maker.finished())
     raise GenerationError(
         f"worker processes died {STARTS} times with {missing} shards to go; fewer workers need less memory"
     )
@@ -37,26 +39,26 @@ def make_in_processes(maker: ShardMaker, workers: int, progress: Progress) -> No
 def _run_pool(maker: ShardMaker, workers: int, progress: Progress) -> None:
     # Forked copies of a process that holds threads or a GPU hang; new ones do not.
     context = multiprocessing.get_context("spawn")
-    shards = maker.missing()
     counter = context.Value("q", maker.done_episodes())
-    count = max(1, min(workers, len(shards)))
+    count = max(1, min(workers, maker.plan.shards - len(maker.finished())))
     with ProcessPoolExecutor(count, context, initializer=_enter, initargs=(counter, os.getpid())) as pool:
-        futures = [pool.submit(_make, maker, shard) for shard in shards]
+        futures = (pool.submit(_make, maker, shard) for shard in maker.missing())
         try:
-            _watch(futures, counter, progress)
+            _watch(futures, 2 * count, lambda: progress(counter.value))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _watch(futures: list[Future[None]], counter: Synchronized[int], progress: Progress) -> None:
-    """Report progress until all are done; raise what the first failure raised."""
-    pending = set(futures)
+def _watch(futures: Iterator[Future[None]], ahead: int, show: Callable[[], object]) -> None:
+    """Keep ``ahead`` shards submitted and report progress until all are done; raise what the first failure raised."""
+    pending = set(islice(futures, ahead))
     while pending:
-        done, pending = wait(pending, POLL_S, FIRST_EXCEPTION)
-        progress(counter.value)
+        done, pending = wait(pending, POLL_S, FIRST_COMPLETED)
+        show()
         for future in done:
             future.result()
+        pending |= set(islice(futures, len(done)))
 
 
 _counter: Synchronized[int] | None = None

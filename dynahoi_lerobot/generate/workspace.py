@@ -13,8 +13,9 @@ from typing import Any
 from dynahoi_lerobot.dataset.files import remove_stale, replace_text
 from dynahoi_lerobot.generate.lock import exclusive
 from dynahoi_lerobot.generate.plan import GenerationPlan
+from dynahoi_lerobot.generate.shard import SHARD
 
-PLAN, LOCK, LOGS, SHARD = "plan.json", "lock", "logs", "shard-"
+PLAN, LOCK, LOGS = "plan.json", "lock", "logs"
 
 logger = logging.getLogger(__name__)
 

@@ -7,13 +7,14 @@ from pathlib import Path
 
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.report.page import render_report
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi report``."""
-    parser.add_argument("folders", type=Path, nargs="+", help="result folders, as `dynahoi evaluate` writes them")
-    parser.add_argument("--out", type=Path, default=Path("report.html"), help="the page to write")
+    parser.add_argument("folders", type=path, nargs="+", help="result folders, as `dynahoi evaluate` writes them")
+    parser.add_argument("--out", type=path, default=Path("report.html"), help="the page to write")
 
 
 def run(args: argparse.Namespace) -> int:

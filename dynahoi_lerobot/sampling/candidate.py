@@ -22,6 +22,8 @@ from dynahoi_lerobot.sampling.timing import Timing, draw_timing
 MIN_OBSERVED_S = 0.25
 """A target that is released must be seen moving for this long before control starts."""
 MAX_SPIN_RAD_S = 2.0
+MAX_SEED = 2**63 - 1
+"""Datasets and results store seeds as int64."""
 
 
 @dataclass(eq=False)
@@ -49,10 +51,10 @@ class Candidate:
         """Return the candidate of a seed, with its first timing.
 
         Raises:
-            ValueError: if the seed is negative.
+            ValueError: if the seed is negative, or too large to be stored.
         """
-        if seed < 0:
-            raise ValueError(f"seeds must not be negative, got {seed}")
+        if not 0 <= seed <= MAX_SEED:
+            raise ValueError(f"a seed must be 0 to {MAX_SEED}, got {seed}")
         names = recipe.motion_names
         rng = np.random.default_rng([zlib.crc32(recipe.split.encode()), seed])
         candidate = cls(recipe, seed, MOTIONS[names[seed % len(names)]], rng)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -39,13 +40,24 @@ def kind_seed(recipe: Recipe, split: str, kind: str | None, number: int) -> int:
     the split has that many of the kind.
 
     Raises:
+        ValueError: if the recipe has no episodes of ``kind``, for an unknown split, or for a number that is negative or
+            not below ``SEED_LIMIT``.
+    """
+    if not 0 <= number < SEED_LIMIT:
+        raise ValueError(f"episodes are numbered 0 to {SEED_LIMIT - 1}, got {number}")
+    seeds = kind_seeds(recipe, split, kind)
+    return seeds[number % len(seeds)]
+
+
+def kind_seeds(recipe: Recipe, split: str, kind: str | None) -> range:
+    """Return the seeds of all episodes of ``kind`` in a split, in order, or of any kind if None.
+
+    Raises:
         ValueError: if the recipe has no episodes of ``kind``, or for an unknown split.
     """
     names = recipe.motion_names
     if kind is not None and kind not in names:
         raise ValueError(f"split {split!r} has no episodes of motion {kind!r}; it has: {', '.join(names)}")
     first, step = (0, 1) if kind is None else (names.index(kind), len(names))
-    if split == "train":
-        return first + step * number
-    seeds = split_seeds(split)[first::step]
-    return seeds[number % len(seeds)]
+    last = first + step * SEED_LIMIT if split == "train" else split_seeds(split).stop
+    return range(first, last, step)

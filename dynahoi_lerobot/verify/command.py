@@ -14,6 +14,7 @@ from tqdm import tqdm
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.features import CAMERA_KEY
+from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.verify.runner import DECODED, verify
 
@@ -25,10 +26,10 @@ PASSED, FAILED, BAD_INPUT = 0, 1, 2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi verify``."""
-    parser.add_argument("root", type=Path, help="the dataset's folder")
+    parser.add_argument("root", type=path, help="the dataset's folder")
     parser.add_argument("--decode", default=str(DECODED), help="episodes whose pictures are decoded, or 'all'")
-    parser.add_argument("--replay", type=int, default=0, help="episodes to simulate again from their actions")
-    parser.add_argument("--json", type=Path, help="write the findings there as well")
+    parser.add_argument("--replay", type=whole(0, 10**9), default=0, help="episodes to simulate again from their actions")
+    parser.add_argument("--json", type=path, help="write the findings there as well")
 
 
 def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> int:

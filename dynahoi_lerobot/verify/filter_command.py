@@ -11,6 +11,7 @@ from typing import Any
 
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset
+from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.verify.outliers import MARGIN, Outlier, find_outliers
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
@@ -18,14 +19,14 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi filter``."""
-    parser.add_argument("root", type=Path, help="the dataset's folder; it is left as it is")
-    parser.add_argument("--out", type=Path, help="folder of the new dataset; must not exist")
+    parser.add_argument("root", type=path, help="the dataset's folder; it is left as it is")
+    parser.add_argument("--out", type=path, help="folder of the new dataset; must not exist")
     parser.add_argument(
         "--margin", type=float, default=MARGIN, help="allowed beyond [q01, q99] on either side, in widths of it"
     )
     parser.add_argument("--column", default="action", help="the column that is looked at")
     parser.add_argument("--dry-run", action="store_true", help="only print what would be left out")
-    parser.add_argument("--json", type=Path, help="write the summary there as well")
+    parser.add_argument("--json", type=path, help="write the summary there as well")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,8 +1,12 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
+import signal
+import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -72,18 +76,83 @@ def test_finished_tasks_are_skipped_and_lost_work_is_done_again(plan, alone, tmp
     assert same(alone, tmp_path / "d")
 
 
-@pytest.mark.slow
-def test_ray_tasks_give_the_same_bytes(plan, alone, tmp_path, monkeypatch):
-    import ray
+BELOW_UV = "import subprocess, sys; sys.exit(subprocess.call(sys.argv[1:]))"
+"""What ``uv run`` does: start Python as a child. Ray looks for such a parent."""
 
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
-    ray.init(num_cpus=2, _memory=4 << 30, include_dashboard=False, log_to_driver=False)
-    try:
-        executor = EXECUTORS["ray"](plan, tmp_path / "d", recorder.record, ClusterResources(tasks=2, mem_per_cpu_gb=1))
-        assert executor.run() is True
-    finally:
-        ray.shutdown()
+RAY = """
+import sys
+from pathlib import Path
+from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources
+from dynahoi_lerobot.generate.plan import GenerationPlan
+from tests.generate import recorder
+
+plan = GenerationPlan(recorder.FakeRecipe(), 7, shard_episodes=2)
+resources = ClusterResources(tasks=2, mem_per_cpu_gb=1)
+assert EXECUTORS["ray"](plan, Path(sys.argv[1]), recorder.record, resources).run() is True
+"""
+
+
+def run_with_deadline(command: list[str], folder: Path, seconds: float, **options: str) -> str:
+    """Run a process and all that it starts, for so long at most; return its errors, or fail with them."""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])} | options
+    with (folder / "errors.txt").open("w+") as errors:
+        process = subprocess.Popen(
+            command, executable=sys.executable, cwd=folder, env=environment, stdout=errors, stderr=errors,
+            start_new_session=True,
+        )  # fmt: skip
+        try:
+            code = process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            code = None
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+        errors.seek(0)
+        told = errors.read()
+    assert code == 0, f"ended with {code} (None: after {seconds:.0f} s): {told[-2000:]}"
+    return told
+
+
+@pytest.mark.slow
+def test_ray_tasks_give_the_same_bytes_below_uv_run(alone, tmp_path):
+    (tmp_path / "run").write_text(BELOW_UV)
+    (tmp_path / "script.py").write_text(RAY)
+    command = ["uv", "run", sys.executable, str(tmp_path / "script.py"), str(tmp_path / "d")]
+    run_with_deadline(command, tmp_path, 150)
     assert same(alone, tmp_path / "d")
+
+
+BROKEN_RAY = """
+import sys
+from pathlib import Path
+import ray
+from dynahoi_lerobot.generate.executors import ray as executor
+from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
+from tests.generate import recorder
+
+def refused(start_s, **resources):
+    executor.START_S = start_s
+    plan = GenerationPlan(recorder.FakeRecipe(), 7, shard_episodes=2)
+    try:
+        EXECUTORS["ray"](plan, Path(sys.argv[1]), recorder.record, ClusterResources(tasks=2, **resources)).run()
+    except GenerationError as error:
+        print(error)
+
+ray.init(num_cpus=2, include_dashboard=False, runtime_env={"py_executable": "false"})
+refused(4.0, mem_per_cpu_gb=1)
+refused(60.0, cpus_per_task=3, mem_per_cpu_gb=1)
+"""
+
+
+@pytest.mark.slow
+def test_ray_that_cannot_work_says_so(tmp_path):
+    (tmp_path / "script.py").write_text(BROKEN_RAY)
+    command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path / "d")]
+    told = run_with_deadline(command, tmp_path, 120, RAY_ENABLE_UV_RUN_RUNTIME_ENV="0")
+    assert "Ray ran no task within 4 s (GetTimeoutError); the logs of its session_" in told
+    assert "a task needs 3 CPUs, 0 GPUs and 3 GB, and no machine of the Ray cluster has them: 2 CPUs, 0 GPUs" in told
+    assert not (tmp_path / "d").exists()
 
 
 def test_slurm_scripts_can_be_seen(tmp_path, capsys):

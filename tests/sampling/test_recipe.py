@@ -69,7 +69,7 @@ def test_a_batch_needs_a_world(size: int):
 
 
 def test_a_negative_seed_is_refused():
-    with pytest.raises(ValueError, match="seeds must not be negative, got -1"):
+    with pytest.raises(ValueError, match="a seed must be 0 to 9223372036854775807, got -1"):
         sample_specs(Recipe(), [0, -1])
 
 

@@ -11,6 +11,12 @@ from dynahoi_lerobot.foundation.registry import Registry
 CODECS: Registry[type[Codec]] = Registry("codec", "dynahoi_lerobot.dataset.codecs")
 
 
+MAX_GOP = 10_000
+X26X_PRESETS = (
+    "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
+)  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Encoding:
     """How a dataset stores its camera.
@@ -36,13 +42,16 @@ class Encoding:
 
         Raises:
             UnknownNameError: if no such codec is registered.
-            ValueError: if ``gop`` is not positive or ``crf`` is negative.
+            ValueError: if ``gop`` or ``crf`` is out of range, or the codec has no such preset.
         """
-        CODECS[self.codec]
-        if self.gop < 1:
-            raise ValueError(f"gop is {self.gop}; it must be 1 frame or more")
-        if self.crf is not None and self.crf < 0:
-            raise ValueError(f"crf is {self.crf}; it must be 0 or more")
+        codec = CODECS[self.codec]
+        if not 1 <= self.gop <= MAX_GOP:
+            raise ValueError(f"gop is {self.gop}; it must be 1 to {MAX_GOP} frames")
+        if self.crf is not None and not 0 <= self.crf <= codec.max_crf:
+            raise ValueError(f"crf is {self.crf}; for {self.codec} it must be 0 to {codec.max_crf}")
+        if self.preset is not None and self.preset not in codec.presets:
+            known = ", ".join(codec.presets) or "none"
+            raise ValueError(f"preset is {self.preset!r}; {self.codec} has {known}")
 
     def make_codec(self) -> Codec:
         """Return the codec of that name with these settings."""
@@ -57,14 +66,18 @@ class Codec(ABC):
         encoder: the encoder library's name in FFmpeg.
         canonical: the stream's codec name, as a reader sees it.
         crf: default rate factor.
+        max_crf: largest rate factor of the encoder.
         preset: default speed setting.
+        presets: all speed settings of the encoder.
     """
 
     is_video: ClassVar[bool] = True
     encoder: ClassVar[str]
     canonical: ClassVar[str]
     crf: ClassVar[int | None] = None
+    max_crf: ClassVar[int] = 0
     preset: ClassVar[str | None] = None
+    presets: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, encoding: Encoding) -> None:
         """Keep the user's settings."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynahoi_lerobot.dataset.codecs.base import CODECS, Codec
+from dynahoi_lerobot.dataset.codecs.base import CODECS, X26X_PRESETS, Codec
 
 
 @CODECS.register("h264")
@@ -12,7 +12,9 @@ class H264(Codec):
     encoder = "libx264"
     canonical = "h264"
     crf = 20
+    max_crf = 51
     preset = "superfast"
+    presets = X26X_PRESETS
 
     def options(self) -> dict[str, str]:
         """Return the options; ``forced-idr`` makes each episode's first frame a place to seek to."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dynahoi_lerobot.dataset.codecs.base import CODECS, Codec
+from dynahoi_lerobot.dataset.codecs.base import CODECS, X26X_PRESETS, Codec
 
 
 @CODECS.register("hevc")
@@ -12,7 +12,9 @@ class Hevc(Codec):
     encoder = "libx265"
     canonical = "hevc"
     crf = 24
+    max_crf = 51
     preset = "superfast"
+    presets = X26X_PRESETS
 
     def options(self) -> dict[str, str]:
         """Return the options; ``pools=none:frame-threads=1`` keeps x265 on one thread."""

@@ -17,7 +17,9 @@ class SvtAv1(Codec):
     encoder = "libsvtav1"
     canonical = "av1"
     crf = 30
+    max_crf = 63
     preset = "12"
+    presets = tuple(str(number) for number in range(14))
 
     def options(self) -> dict[str, str]:
         """Return the options."""

@@ -6,11 +6,17 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
 
+from dynahoi_lerobot.foundation.output import check_output
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.generate.pipeline import finished
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.generate.workspace import open_workspace, workspace_path
+
+DEFAULT_TASKS = 1000
+"""Tasks unless told otherwise: as many as Slurm takes in one array, if the plan has so many shards."""
+RANGES = {"tasks": (1, 100_000), "cpus_per_task": (1, 4096), "mem_per_cpu_gb": (1, 65_536), "gpus_per_task": (0, 64)}
+"""Least and greatest values of ``ClusterResources``: what no cluster has is a mistake."""
 
 EXECUTORS: Registry[type[Executor]] = Registry("executor", "dynahoi_lerobot.generate.executors")
 
@@ -20,7 +26,7 @@ class ClusterResources:
     """The resources that generation asks a cluster for.
 
     Attributes:
-        tasks: number of tasks; each makes every tasks-th shard. None for one shard per task.
+        tasks: number of tasks; each makes every tasks-th shard. None for one shard per task, up to ``DEFAULT_TASKS``.
         workers: how many tasks run at once; -1 for no limit.
         cpus_per_task: processor cores per task.
         mem_per_cpu_gb: memory per core [GB].
@@ -43,21 +49,28 @@ class ClusterResources:
         """Refuse requests that no cluster can grant.
 
         Raises:
-            ValueError: if a number is not positive.
+            ValueError: if a number is out of its range.
         """
-        for name in ("tasks", "cpus_per_task", "mem_per_cpu_gb"):
-            if (value := getattr(self, name)) is not None and value < 1:
-                raise ValueError(f"{name} is {value}; it must be 1 or more")
+        for name, (low, high) in RANGES.items():
+            if (value := getattr(self, name)) is not None and not low <= value <= high:
+                raise ValueError(f"{name} is {value}; it must be {low} to {high}")
+        if self.workers < 1 and self.workers != -1:
+            raise ValueError(f"the number of workers is {self.workers}; it must be 1 or more, or -1 for no limit")
 
 
 class Executor(ABC):
     """Runs the two steps of a plan. datatrove marks finished tasks below the workspace and skips them."""
 
     def __init__(self, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources) -> None:
-        """Prepare to make ``plan`` at ``root``; nothing is written yet."""
+        """Prepare to make ``plan`` at ``root``; nothing is written yet.
+
+        Raises:
+            ValueError: if no folder can be made at ``root``.
+        """
+        check_output(root)
         self.plan, self.root, self.resources = plan, root.absolute(), resources
         self.maker = ShardMaker(plan, workspace_path(self.root), record)
-        self.tasks = min(resources.tasks or plan.shards, plan.shards)
+        self.tasks = min(resources.tasks or DEFAULT_TASKS, plan.shards)
         self.logs = self.maker.folder / "logs"
 
     def run(self) -> bool:
@@ -91,13 +104,13 @@ class Executor(ABC):
         Raises:
             GenerationError: if a shard is missing.
         """
-        if missing := self.maker.missing():
+        if missing := self.plan.shards - len(self.maker.finished()):
             raise GenerationError(
-                f"{len(missing)} of {self.plan.shards} shards failed; see {self.logs / 'shards/logs'}"
+                f"{missing} of {self.plan.shards} shards failed; see {self.logs / 'shards/logs'}"
             )
 
     def _forget_lost_work(self) -> None:
         """Remove the completion marks of tasks whose shards are gone."""
-        for shard in self.maker.missing():
-            (self.logs / f"shards/completions/{shard % self.tasks:05d}").unlink(missing_ok=True)
+        for task in {shard % self.tasks for shard in self.maker.missing()}:
+            (self.logs / f"shards/completions/{task:05d}").unlink(missing_ok=True)
         (self.logs / "merge/completions/00000").unlink(missing_ok=True)

@@ -1,0 +1,87 @@
+"""Modules that installed distributions name as entry points register by themselves."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+MOTION = '''
+"""A motion of somebody else."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from dynahoi_lerobot.motions import MOTIONS
+
+assert "lob" in MOTIONS  # a plugin may look names up while it is imported
+
+
+@MOTIONS.register("{name}")
+@dataclass(frozen=True)
+class Borrowed(MOTIONS["constant"]):
+    """x = a: a straight line under another name."""
+
+    name: ClassVar[str] = "{name}"
+'''
+
+OBJECT = '''
+from dynahoi_lerobot.objects import OBJECTS
+
+
+@OBJECTS.register("marble")
+class Marble(OBJECTS["ball"]):
+    """A ball under another name."""
+'''
+
+
+def install(site: Path, distribution: str, modules: dict[str, str]) -> None:
+    """Lay out an installed distribution with one entry point for each module."""
+    info = site / f"{distribution}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
+    lines = [f"{name} = {name}" for name in modules]
+    (info / "entry_points.txt").write_text("\n".join(["[dynahoi_lerobot.plugins]", *lines, ""]))
+    for name, source in modules.items():
+        (site / f"{name}.py").write_text(source)
+
+
+def dynahoi(site: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(site)}
+    command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *words]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+
+
+def names(listed: subprocess.CompletedProcess[str]) -> list[str]:
+    assert listed.returncode == 0, listed.stderr
+    return [row["name"] for row in json.loads(listed.stdout)]
+
+
+def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
+    install(tmp_path, "sound", {"sound_motion": MOTION.format(name="glide"), "sound_object": OBJECT})
+    install(tmp_path, "broken", {"broken_motion": "1 / 0", "greedy_motion": MOTION.format(name="lob")})
+    motions = dynahoi(tmp_path, "list", "motions", "--json")
+    assert "glide" in names(motions)
+    assert names(motions).count("lob") == 1
+    assert "the plugin 'broken_motion' of broken (broken_motion) is left out: ZeroDivisionError" in motions.stderr
+    assert "the plugin 'greedy_motion' of broken" in motions.stderr
+    assert "the motion name 'lob' is taken" in motions.stderr
+    assert "marble" in names(dynahoi(tmp_path, "list", "objects", "--json"))
+
+
+@pytest.mark.slow
+def test_the_lerobot_plugin_plays_a_motion_of_a_plugin(tmp_path: Path) -> None:
+    install(tmp_path, "sound", {"sound_motion": MOTION.format(name="glide")})
+    clip = tmp_path / "glide.gif"
+    played = dynahoi(tmp_path, "view", "--motion", "glide", "--image-size", "16", "--out", str(clip))
+    assert played.returncode == 0, played.stderr
+    assert clip.stat().st_size > 1000
+    script = "from lerobot_env_dynahoi import DynahoiEnvConfig; from dynahoi_lerobot.motions import MOTIONS; "
+    script += "DynahoiEnvConfig(); print('glide' in MOTIONS)"
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    told = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "True"
