@@ -25,6 +25,8 @@ COMMANDS = {
 
 BAD_INPUT = 2
 STOPPED = 130
+LONGEST = 800
+"""Characters of a message; the longest that names no value of the user's lists 24 motions."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -50,11 +52,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         _check_outputs(args)
         return importlib.import_module(COMMANDS[args.command][0]).run(args)
     except (ValueError, OSError) as error:
-        print(f"{spoken}: {error}", file=sys.stderr)
+        print(f"{spoken}: {_shortened(str(error))}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print(f"{spoken}: stopped", file=sys.stderr)
         return STOPPED
+
+
+def _shortened(sentence: str) -> str:
+    """Leave out the middle of a sentence that names a value of thousands of characters."""
+    return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
 
 
 def _check_outputs(args: argparse.Namespace) -> None:

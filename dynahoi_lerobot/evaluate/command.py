@@ -19,7 +19,7 @@ from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.arguments import names, path, whole
+from dynahoi_lerobot.foundation.arguments import names, number, path, whole
 from dynahoi_lerobot.rollout.delayed_agent import DelayedAgent
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -73,7 +73,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="override a field of the policy's config, such as n_action_steps=2; may be repeated",
     )
     parser.add_argument(
-        "--delay-ms", type=float, default=0.0, help="simulated inference latency [ms]; the world moves on meanwhile"
+        "--delay-ms",
+        type=number(0.0, 60_000.0),
+        default=0.0,
+        help="simulated inference latency [ms]; the world moves on meanwhile",
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
     parser.add_argument(
@@ -82,13 +85,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--request-timeout",
-        type=float,
+        type=number(0.001, 86_400.0),
         default=60.0,
         help="with --policy vlm: time for a decision with all its requests [s]",
     )
     parser.add_argument(
         "--prices",
-        type=float,
+        type=number(0.0, 1e6),
         nargs=2,
         default=(0.0, 0.0),
         metavar=("PROMPT", "COMPLETION"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from argparse import ArgumentTypeError
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -27,18 +28,20 @@ def path(text: str) -> Path:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """Return what reads a whole number from ``low`` to ``high``.
+    """Return what reads a whole number from ``low`` to ``high`` and raises ArgumentTypeError for anything else."""
+    return _reader(int, "a whole number", low, high)
 
-    It raises ArgumentTypeError, which names both, for anything else.
-    """
 
-    def read(text: str) -> int:
-        try:
-            number = int(text)
-        except ValueError:
-            number = low - 1
-        if not low <= number <= high:
-            raise ArgumentTypeError(f"must be a whole number from {low} to {high}, got {text}")
-        return number
+def number(low: float, high: float) -> Callable[[str], float]:
+    """Return what reads a finite number from ``low`` to ``high`` and raises ArgumentTypeError for anything else."""
+    return _reader(float, "a number", low, high)
+
+
+def _reader[N: (int, float)](convert: Callable[[str], N], noun: str, low: N, high: N) -> Callable[[str], N]:
+    def read(text: str) -> N:
+        with suppress(ValueError):
+            if low <= (value := convert(text)) <= high:
+                return value
+        raise ArgumentTypeError(f"must be {noun} from {low} to {high}, got {text or 'nothing'}")
 
     return read

@@ -15,6 +15,7 @@ from tqdm import tqdm
 from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.foundation.arguments import names, path
+from dynahoi_lerobot.foundation.output import check_output
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
@@ -66,6 +67,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
         The exit code: 0 done, 1 failed (run it again to go on), 2 bad input, 130 stopped by the user.
     """
     try:
+        check_output(args.root)
         complete = args.root.exists()
         plan = _plan(args, recipe if recipe is not None else _load_recipe(args.recipe))
         if args.executor is not None:

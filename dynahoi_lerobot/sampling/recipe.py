@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -142,7 +143,7 @@ def load_recipe(path: Path) -> Recipe:
     Raises:
         ValueError: if the file does not exist, is refused by ``read_yaml`` or holds an unknown key or value.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file, False for names that no file can have
         raise ValueError(f"there is no recipe at {path}")
     values = read_yaml(path)
     if values is None:  # nothing but comments

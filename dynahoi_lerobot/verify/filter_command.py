@@ -11,7 +11,7 @@ from typing import Any
 
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset
-from dynahoi_lerobot.foundation.arguments import path
+from dynahoi_lerobot.foundation.arguments import number, path
 from dynahoi_lerobot.verify.outliers import MARGIN, Outlier, find_outliers
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
@@ -22,7 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("root", type=path, help="the dataset's folder; it is left as it is")
     parser.add_argument("--out", type=path, help="folder of the new dataset; must not exist")
     parser.add_argument(
-        "--margin", type=float, default=MARGIN, help="allowed beyond [q01, q99] on either side, in widths of it"
+        "--margin",
+        type=number(0.0, 1e6),
+        default=MARGIN,
+        help="allowed beyond [q01, q99] on either side, in widths of it",
     )
     parser.add_argument("--column", default="action", help="the column that is looked at")
     parser.add_argument("--dry-run", action="store_true", help="only print what would be left out")
