@@ -58,6 +58,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--episodes", type=int, default=12)
     parser.add_argument("--image-size", type=int, default=0, help="0 for no pictures")
+    parser.add_argument("--seed", type=int, default=0, help="of the instants")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         lines = measure(args, Path(folder))
@@ -69,7 +70,7 @@ def main() -> None:
 
 def measure(args: argparse.Namespace, folder: Path) -> list[Line]:
     """Kill one run after another; return the lines of the ways that took part."""
-    rng, lines, lasting = random.Random(0), {}, {}
+    rng, lines, lasting = random.Random(args.seed), {}, {}
     expected = None
     for number, (way, ending) in enumerate(islice(cycle(product(WAYS, SIGNALS)), args.kills)):
         if way not in lasting:
@@ -96,7 +97,16 @@ def undisturbed(args: argparse.Namespace, way: str, root: Path) -> tuple[float, 
 def start(args: argparse.Namespace, way: str, root: Path) -> subprocess.Popen[bytes]:
     """Start ``dynahoi generate``; all its processes carry the mark."""
     words = ["--root", str(root), "--episodes", str(args.episodes), "--image-size", str(args.image_size)]
-    command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "generate", *words, "--shard-episodes", "2", *WAYS[way]]
+    command = [
+        sys.executable,
+        "-m",
+        "dynahoi_lerobot.cli.main",
+        "generate",
+        *words,
+        "--shard-episodes",
+        "2",
+        *WAYS[way],
+    ]
     environment = os.environ | {MARK: str(root)}
     return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
@@ -144,7 +154,9 @@ def _environment(process: Path) -> bytes:
 
 
 def show(lines: list[Line]) -> None:
-    print(f"\n{'way':16} {'signal':8} {'kills':>5} {'recovered':>9} {'orphans':>7} {'too late':>8} {'finished in s':>14}")
+    print(
+        f"\n{'way':16} {'signal':8} {'kills':>5} {'recovered':>9} {'orphans':>7} {'too late':>8} {'finished in s':>14}"
+    )
     for line in lines:
         mean_s = sum(line.finished_in_s) / len(line.finished_in_s)
         counts = f"{line.kills:5} {line.recovered:9} {line.orphans:7} {line.ended_before:8}"

@@ -118,9 +118,8 @@ def _refuse(env: Any, name: str, action: Any, refused: Counter[str], unexpected:
 
 def soak_vlm(args: argparse.Namespace) -> dict[str, Any]:
     """Ask a server that behaves badly in every way in turn."""
-    from tests.vlm.hostile import KEY, STATE
-
     from dynahoi_lerobot.vlm.client import VlmClient
+    from tests.vlm.hostile import KEY, STATE
 
     os.environ["OPENAI_API_KEY"] = KEY
     memory, unexpected, begin = Memory(), Counter[str](), time.monotonic()

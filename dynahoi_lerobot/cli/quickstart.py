@@ -37,7 +37,9 @@ class StageError(RuntimeError):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi quickstart``."""
     parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="folder for everything")
-    parser.add_argument("--episodes", type=whole(1, 10**6), default=TRAINING_EPISODES, help="training episodes to generate")
+    parser.add_argument(
+        "--episodes", type=whole(1, 10**6), default=TRAINING_EPISODES, help="training episodes to generate"
+    )
     parser.add_argument("--steps", type=whole(1, 10**9), default=TRAINING_STEPS, help="training steps")
     parser.add_argument(
         "--evaluation-episodes",

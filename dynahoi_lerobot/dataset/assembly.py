@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns, without_place
+from dynahoi_lerobot.dataset.files import reading
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.metadata import MetadataWriter
 from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, FileLimits
@@ -79,6 +80,7 @@ def stored_episodes(store: Store) -> Iterator[tuple[EpisodeRow, pa.Table]]:
     path, table, used = Path(), pa.table({}), 0
     for row in store.full_rows():
         if (holder := store.data_path(row)) != path:
-            path, table, used = holder, pq.read_table(holder), 0
+            with reading(holder):
+                path, table, used = holder, pq.read_table(holder), 0
         yield without_place(row), table.slice(used, row["length"]).combine_chunks()
         used += row["length"]

@@ -83,6 +83,20 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Name the file in whatever it makes its reader raise because it is damaged.
+
+    Raises:
+        ValueError: in one sentence.
+    """
+    try:
+        yield
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())
+        raise ValueError(f"{path} cannot be read ({type(error).__name__}: {reason})") from error
+
+
 def replace_text(path: Path, text: str) -> None:
     """Write a small file atomically: readers see the old text or the new one."""
     temporary = temporary_name(path)

@@ -17,6 +17,7 @@ from PIL import Image
 from dynahoi_lerobot.dataset.columns import Features, image_keys
 from dynahoi_lerobot.dataset.episode_arrays import content_values
 from dynahoi_lerobot.dataset.episode_table import ARRAY_COLUMNS, EpisodeRow, own_values
+from dynahoi_lerobot.dataset.files import reading
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.dataset.tables import read_tasks
 from dynahoi_lerobot.dataset.video import decode
@@ -40,8 +41,16 @@ class Store:
 
     @cached_property
     def info(self) -> dict[str, Any]:
-        """The content of ``info.json``."""
-        return json.loads((self.root / INFO_PATH).read_text())
+        """The content of ``info.json``.
+
+        Raises:
+            ValueError: if it is damaged.
+        """
+        with reading(path := self.root / INFO_PATH):
+            info = json.loads(path.read_text())
+            if not isinstance(info["features"], dict):
+                raise TypeError("its features are no table")
+            return info
 
     @property
     def features(self) -> Features:
@@ -65,13 +74,14 @@ class Store:
 
     @cached_property
     def rows(self) -> list[EpisodeRow]:
-        """The episode table without its statistics, one dictionary per episode."""
-        tables = []
-        for path in self.row_files():
-            names = pq.read_schema(path).names
-            columns = [name for name in names if name in ARRAY_COLUMNS or not name.startswith(EPISODE_TABLE_PREFIX)]
-            tables.append(pq.read_table(path, columns=columns))
-        return pa.concat_tables(tables).to_pylist()
+        """The episode table without its statistics, one dictionary per episode.
+
+        Raises:
+            ValueError: if a file of it is damaged, or there is none.
+        """
+        if not (paths := self.row_files()):
+            raise ValueError(f"{self.root} holds no episode table: there is no file in meta/episodes")
+        return pa.concat_tables([_rows(path) for path in paths]).to_pylist()
 
     @property
     def episodes(self) -> int:
@@ -102,8 +112,13 @@ class Store:
         return self.root / VIDEO_PATH.format(video_key=key, **place)
 
     def frames(self, row: EpisodeRow) -> pa.Table:
-        """Return the episode's rows of the frame table."""
-        return pq.read_table(self.data_path(row), filters=[("episode_index", "=", row["episode_index"])])
+        """Return the episode's rows of the frame table.
+
+        Raises:
+            ValueError: if their file is missing or damaged.
+        """
+        with reading(path := self.data_path(row)):
+            return pq.read_table(path, filters=[("episode_index", "=", row["episode_index"])])
 
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
@@ -126,3 +141,11 @@ class Store:
         keys = self.pictures if images else []
         views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
         return Episode(images=views, **own_values(row), **content_values(table))
+
+
+def _rows(path: Path) -> pa.Table:
+    """Return a file of the episode table without the statistics."""
+    with reading(path):
+        names = pq.read_schema(path).names
+        columns = [name for name in names if name in ARRAY_COLUMNS or not name.startswith(EPISODE_TABLE_PREFIX)]
+        return pq.read_table(path, columns=columns)

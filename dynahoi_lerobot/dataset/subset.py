@@ -16,7 +16,7 @@ from av.video.stream import VideoStream
 
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns
-from dynahoi_lerobot.dataset.files import temporary_sibling
+from dynahoi_lerobot.dataset.files import reading, temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
@@ -41,6 +41,8 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         raise FileExistsError(f"{output} exists; choose a new folder")
     if not (root / MANIFEST_PATH).is_file():
         raise FileNotFoundError(f"{root} was not written by this project: {MANIFEST_PATH} is missing")
+    with reading(root / MANIFEST_PATH):
+        manifest = Manifest.read(root)
     if not kept:
         raise ValueError("no episode is kept; a dataset holds one or more")
     if unknown := sorted(kept - set(range(store.episodes))):
@@ -53,7 +55,7 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
                 place = cutter.cut(row) if store.has_video else {}
                 assembly.add(row | place, table)
         cutter.close()
-        provenance = Manifest.read(root).provenance
+        provenance = manifest.provenance
         return assembly.finish(provenance | {"kept": sorted(kept)}, {})
 
 

@@ -102,6 +102,8 @@ class ResultsRecorder:
         Raises:
             ResultsError: if there are results and they are damaged, or of another evaluation than ``info``'s.
         """
+        if Path(folder).is_file():
+            raise ResultsError(f"{folder} is a file; name a folder for the results")
         if not (Path(folder) / result_files.METRICS_FILE).exists():
             return cls()
         earlier = read_results(folder)

@@ -20,7 +20,9 @@ def check_output(path: Path) -> None:
         raise ValueError(f"a path cannot hold a null character, got {str(path)!r}")
     for name in path.parts:
         if (size := len(os.fsencode(name))) > MAX_NAME_BYTES:
-            raise ValueError(f"a name in the output path has {size} bytes; it may have {MAX_NAME_BYTES}: {name[:20]}...")
+            raise ValueError(
+                f"a name in the output path has {size} bytes; it may have {MAX_NAME_BYTES}: {name[:20]}..."
+            )
     for place in (path, *path.parents):
         if place.is_symlink() and not place.exists():
             raise ValueError(f"{place} is a link to {os.readlink(place)}, which does not exist; choose another place")

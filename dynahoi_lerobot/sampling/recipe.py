@@ -150,6 +150,9 @@ def load_recipe(path: Path) -> Recipe:
         return Recipe()
     if not isinstance(values, dict):
         raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
+    for name in ("motions", "objects", "appearance", "views"):
+        if isinstance(text := values.get(name), str):  # whose letters draccus would take for names
+            raise ValueError(f"{path}: {name} must be a list, got {text!r}; write [{text}]")
     try:
         return draccus.decode(Recipe, values)
     except draccus.utils.DraccusException as error:

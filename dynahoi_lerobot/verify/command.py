@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi verify``."""
     parser.add_argument("root", type=path, help="the dataset's folder")
     parser.add_argument("--decode", default=str(DECODED), help="episodes whose pictures are decoded, or 'all'")
-    parser.add_argument("--replay", type=whole(0, 10**9), default=0, help="episodes to simulate again from their actions")
+    parser.add_argument(
+        "--replay", type=whole(0, 10**9), default=0, help="episodes to simulate again from their actions"
+    )
     parser.add_argument("--json", type=path, help="write the findings there as well")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.dataset.columns import content_keys
+from dynahoi_lerobot.dataset.files import reading
 from dynahoi_lerobot.dataset.paths import STATS_PATH
 from dynahoi_lerobot.verify.checks.base import CheckedDataset
 
@@ -74,8 +75,9 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
 
 def _allowed_range(root: Path, margin: float, column: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the (D,) least and greatest values allowed."""
-    stats = json.loads((root / STATS_PATH).read_text())[column]
-    q01, q99 = np.array(stats["q01"]), np.array(stats["q99"])
+    with reading(path := root / STATS_PATH):
+        stats = json.loads(path.read_text())[column]
+        q01, q99 = np.array(stats["q01"], float), np.array(stats["q99"], float)
     if not np.isfinite([q01, q99]).all():
         raise ValueError(f"{column} is often not finite, so it has no robust range; see `dynahoi verify {root}`")
     return q01 - margin * (q99 - q01), q99 + margin * (q99 - q01)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,11 +50,13 @@ class ClusterResources:
         """Refuse requests that no cluster can grant.
 
         Raises:
-            ValueError: if a number is out of its range.
+            ValueError: if a number is out of its range, or Slurm would not understand the time limit.
         """
         for name, (low, high) in RANGES.items():
             if (value := getattr(self, name)) is not None and not low <= value <= high:
                 raise ValueError(f"{name} is {value}; it must be {low} to {high}")
+        if not re.fullmatch(r"(\d+-)?\d+(:\d\d){0,2}", self.time):
+            raise ValueError(f"the time limit is {self.time!r}; it must be like 24:00:00 or 2-00:00:00")
         if self.workers < 1 and self.workers != -1:
             raise ValueError(f"the number of workers is {self.workers}; it must be 1 or more, or -1 for no limit")
 
@@ -105,9 +108,7 @@ class Executor(ABC):
             GenerationError: if a shard is missing.
         """
         if missing := self.plan.shards - len(self.maker.finished()):
-            raise GenerationError(
-                f"{missing} of {self.plan.shards} shards failed; see {self.logs / 'shards/logs'}"
-            )
+            raise GenerationError(f"{missing} of {self.plan.shards} shards failed; see {self.logs / 'shards/logs'}")
 
     def _forget_lost_work(self) -> None:
         """Remove the completion marks of tasks whose shards are gone."""

@@ -71,7 +71,8 @@ class CheckedDataset(Store):
         keys = numeric_keys(self.features)
         rows = {row["episode_index"]: row for row in self.stats_rows}
         for path in self.data_files():
-            table = pq.read_table(path, columns=keys)
+            with reading(path):
+                table = pq.read_table(path, columns=keys)
             columns = {key: column_array(table, key) for key in keys}
             index = columns["episode_index"][:, 0]
             starts = np.flatnonzero(np.diff(index, prepend=index[0] - 1))
