@@ -1,13 +1,15 @@
 """How often the expert of the contact track holds the target at its first attempt, per kind and object, with films.
 
-python benchmarks/contact_expert.py --episodes 1000 --gifs docs/contact
+python benchmarks/contact_expert.py [--episodes 1000] [--gifs docs/contact] [--json FILE]
 """
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
+
+from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.gif import phases_of, write_gif
@@ -25,18 +27,21 @@ SLOW_FPS = 5  # a quarter of the true speed
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = benchmark_parser(__doc__, episodes=2, image_size=32, gifs=Path("films"))
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--gifs", type=Path, help="folder for films of catches and failures")
+    parser.add_argument("--image-size", type=int, default=128, help="of the films [px]")
     args = parser.parse_args()
-    recipe = Recipe(split="test", capture="contact", image_size=128)
+    recipe = Recipe(split="test", capture="contact", image_size=args.image_size)
     specs = sample_specs(recipe, range(args.episodes), threads=0)
     episodes = [e for _, e in play(make_batch(recipe, 32), EXPERTS[recipe.expert](), jobs_of(specs))]
-    for noun in ("motion", "object", "stage"):
+    tables = {noun: table(grouped(episodes, noun)) for noun in ("motion", "object", "stage")}
+    tables["all"] = table({"all": [e.success for e in episodes]})
+    for noun, rows in tables.items():
         print(f"\n{noun:20s} {'S_hold %':>22s} {'n':>5s}")
-        for name, outcomes in sorted(grouped(episodes, noun).items()):
-            print(row(name, outcomes))
-    print("\n" + row("all", [e.success for e in episodes]))
+        for name, line in rows.items():
+            print(f"{name:20s} {line['value']:6.1f} [{line['low']:5.1f}, {line['high']:5.1f}] {line['n']:5d}")
+    write_numbers(args, S_hold_percent=tables)
     if args.gifs:
         films(recipe, [e for e in episodes if e.success], args.gifs, "held")
         films(recipe, [e for e in episodes if not e.success], args.gifs, "failed")
@@ -53,10 +58,14 @@ def grouped(episodes: list[Episode], noun: str) -> dict[str, list[bool]]:
     return groups
 
 
-def row(name: str, outcomes: list[bool]) -> str:
-    low, high = wilson(sum(outcomes), len(outcomes))
-    share = 100 * sum(outcomes) / len(outcomes)
-    return f"{name:20s} {share:6.1f} [{100 * low:5.1f}, {100 * high:5.1f}] {len(outcomes):5d}"
+def table(groups: dict[str, list[bool]]) -> dict[str, dict[str, Any]]:
+    """Return the share of successes [%], its 95 % interval and the number of episodes of each group, by name."""
+    rows = {}
+    for name, outcomes in sorted(groups.items()):
+        low, high = wilson(sum(outcomes), len(outcomes))
+        share = sum(outcomes) / len(outcomes)
+        rows[name] = {"value": 100 * share, "low": 100 * low, "high": 100 * high, "n": len(outcomes)}
+    return rows
 
 
 def films(recipe: Recipe, episodes: list[Episode], folder: Path, word: str) -> None:
@@ -65,10 +74,9 @@ def films(recipe: Recipe, episodes: list[Episode], folder: Path, word: str) -> N
     chosen = list({e.meta.motion: e for e in sorted(episodes, key=lambda e: -e.meta.seed)}.values())[-FILMS_EACH:]
     specs = sample_specs(recipe, [e.meta.seed for e in chosen])
     for _, episode in play(make_batch(recipe, 1), EXPERTS[recipe.expert](), jobs_of(specs), images=True):
-        assert episode.images is not None
         start = max(0, episode.meta.window_frames - SHOWN_FRAMES_BEFORE)
         shown = slice(start, min(len(episode), episode.meta.intercept_frame + SHOWN_FRAMES_AFTER))
-        frames, caption = episode.images[shown], f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}"
+        frames, caption = episode.images["ego"][shown], f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}"
         path = folder / f"{word}_{episode.meta.motion}_{episode.meta.seed}.gif"
         write_gif(path, frames, caption=caption, phases=phases_of(episode)[shown], fps=SLOW_FPS)
         print(path)

@@ -1,45 +1,55 @@
 """Draw docs/contact_sheet.png: every kind of motion and every object, at the start, at control start and when caught.
 
-python benchmarks/contact_sheet.py [--out docs/contact_sheet.png]
+python benchmarks/contact_sheet.py [--out docs/contact_sheet.png] [--json FILE]
 """
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
+from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
+from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
-TILE_PX, LABEL_PX, COLUMNS = 96, 12, 4
+LABEL_PX, COLUMNS = 12, 4
+TINY = {"out": Path("contact_sheet.png"), "tile_px": 32, "motions": ["constant", "lob"]}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = benchmark_parser(__doc__, **TINY)
     parser.add_argument("--out", type=Path, default=Path("docs/contact_sheet.png"))
-    out = parser.parse_args().out
-    recipe = Recipe(split="test", image_size=TILE_PX)
-    episodes = list(evaluate(make_batch(recipe, 11), EXPERTS["intercept"](), _specs(recipe), images=True))
+    parser.add_argument(
+        "--motions", nargs="+", default=Recipe(split="test").motion_names, help="kinds to draw; all if left out"
+    )
+    parser.add_argument("--tile-px", type=int, default=96, help="side of a picture [px]")
+    args = parser.parse_args()
+    recipe = Recipe(split="test", image_size=args.tile_px)
+    specs = _specs(recipe, args.motions)
+    episodes = list(evaluate(make_batch(recipe, min(11, len(specs))), EXPERTS["intercept"](), specs, images=True))
     episodes.sort(key=lambda episode: (episode.meta.category, episode.meta.motion))
     strips = [_strip(episode) for episode in episodes]
     strips += [Image.new("RGB", strips[0].size)] * (-len(strips) % COLUMNS)
     rows = [np.hstack([np.asarray(s) for s in strips[i : i + COLUMNS]]) for i in range(0, len(strips), COLUMNS)]
-    Image.fromarray(np.vstack(rows)).save(out, optimize=True)
-    print(f"{out}: {len(episodes)} kinds, {len({e.meta.object for e in episodes})} objects")
+    Image.fromarray(np.vstack(rows)).save(args.out, optimize=True)
+    kinds, objects = [e.meta.motion for e in episodes], sorted({e.meta.object for e in episodes})
+    print(f"{args.out}: {len(kinds)} kinds, {len(objects)} objects")
+    write_numbers(args, kinds=kinds, objects=objects)
 
 
-def _specs(recipe: Recipe) -> list:
+def _specs(recipe: Recipe, motions: Sequence[str]) -> list[EpisodeSpec]:
     """One episode per kind, whose objects take turns as far as the kind allows."""
     specs, unused = [], set(recipe.object_names)
-    for number, kind in enumerate(sorted(benchmark_motions(), key=lambda name: len(MOTIONS[name].objects()))):
+    for number, kind in enumerate(sorted(motions, key=lambda name: len(MOTIONS[name].objects()))):
         allowed = sorted(set(MOTIONS[kind].objects()) & set(recipe.object_names))
         fresh = [name for name in allowed if name in unused] or allowed
         name = fresh[number % len(fresh)]
@@ -49,13 +59,13 @@ def _specs(recipe: Recipe) -> list:
 
 
 def _strip(episode: Episode) -> Image.Image:
-    assert episode.images is not None
     caught = episode.first_localized or len(episode) - 1
     moments = (0, episode.meta.window_frames, min(caught + 2, len(episode) - 1))
-    strip = Image.new("RGB", (TILE_PX * len(moments) + 4, TILE_PX + LABEL_PX + 4))
+    size = episode.images["ego"].shape[1]
+    strip = Image.new("RGB", (size * len(moments) + 4, size + LABEL_PX + 4))
     ImageDraw.Draw(strip).text((2, 0), f"{episode.meta.motion} · {episode.meta.object}", fill="white")
     for column, frame in enumerate(moments):
-        strip.paste(Image.fromarray(episode.images[frame]), (column * TILE_PX, LABEL_PX))
+        strip.paste(Image.fromarray(episode.images["ego"][frame]), (column * size, LABEL_PX))
     return strip
 
 

@@ -1,6 +1,6 @@
 """Environment steps per second with images: the native vector env against gymnasium's over one plain env per world.
 
-python benchmarks/env.py [--num-envs 1 8 64] [--image-size 128] [--rounds 2] [--steps 80] [--json FILE]
+python benchmarks/env.py [--num-envs 1 8 64] [--image-size 128] [--rounds 2] [--steps 80] [--json FILE] [--tiny]
 
 Every number comes from a process of its own; rounds take turns (A B C, A B C), so that a busy machine slows all alike.
 Episodes begin, end and begin again as in evaluation; actions wander about the measured state.
@@ -9,19 +9,17 @@ Episodes begin, end and begin again as in evaluation; actions wander about the m
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import time
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
-from isolated import measure_apart
+from support.isolated import measure_apart
+from support.options import benchmark_parser, write_numbers
 
 WARM_UP_STEPS = 5
-STEPS_AT_LEAST = 640
-"""Environment steps in a measurement, so that few worlds also see episodes end."""
+TINY = {"num_envs": [2], "image_size": 32, "rounds": 1, "steps": 2, "env_steps": 4}
 WANDER = 0.01
 """Standard deviation of an action around the state [m, rad]."""
 
@@ -33,13 +31,13 @@ def native(num_envs: int, image_size: int) -> VectorEnv:
 
 
 def one_by_one(num_envs: int, image_size: int) -> VectorEnv:
-    from straightforward import StraightforwardEnv
+    from support.straightforward import StraightforwardEnv
 
     return SyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
 
 
 def one_process_each(num_envs: int, image_size: int) -> VectorEnv:
-    from straightforward import StraightforwardEnv
+    from support.straightforward import StraightforwardEnv
 
     return AsyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
 
@@ -48,12 +46,12 @@ SYSTEMS = {"DynahoiVectorEnv": native, "SyncVectorEnv": one_by_one, "AsyncVector
 
 
 def steps_per_second(system: str, num_envs: int, image_size: int, steps: int) -> dict[str, float]:
-    """Step one vector env and time it."""
+    """Time ``steps`` steps of one vector env."""
     env = SYSTEMS[system](num_envs, image_size)
     rng = np.random.default_rng(0)
     seen, _ = env.reset(seed=list(range(num_envs)))
     begin = time.perf_counter()
-    for step in range(-WARM_UP_STEPS, max(steps, STEPS_AT_LEAST // num_envs)):
+    for step in range(-WARM_UP_STEPS, steps):
         if step == 0:
             begin = time.perf_counter()
         state = seen["agent_pos"]
@@ -62,26 +60,26 @@ def steps_per_second(system: str, num_envs: int, image_size: int, steps: int) ->
         assert seen["pixels"]["ego"].any()
     seconds = time.perf_counter() - begin
     env.close()
-    return {"steps_s": max(steps, STEPS_AT_LEAST // num_envs) * num_envs / seconds}
+    return {"steps_s": steps * num_envs / seconds}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_parser(__doc__, **TINY)
     parser.add_argument("--num-envs", type=int, nargs="+", default=[1, 8, 64])
     parser.add_argument("--image-size", type=int, default=128)
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--steps", type=int, default=80, help="least number of vector steps in a measurement")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--env-steps", type=int, default=640, help="least number of steps of all envs together")
     args = parser.parse_args()
     lines = [line for count in args.num_envs for line in compare(count, args)]
-    if args.json:
-        args.json.write_text(json.dumps({"settings": vars(args), "lines": lines}, indent=2, default=str))
+    write_numbers(args, lines=lines)
 
 
 def compare(num_envs: int, args: argparse.Namespace) -> list[dict[str, object]]:
     """Measure the systems in turns, print and return one line each."""
+    steps = max(args.steps, args.env_steps // num_envs)  # few worlds take longer to see episodes end
     rounds = [
-        {name: measure_apart(steps_per_second, name, num_envs, args.image_size, args.steps) for name in SYSTEMS}
+        {name: measure_apart(steps_per_second, name, num_envs, args.image_size, steps) for name in SYSTEMS}
         for _ in range(args.rounds)
     ]
     lines = []

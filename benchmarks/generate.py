@@ -11,7 +11,6 @@ With ``--device cuda`` pictures are drawn there (one process, all cores for phys
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import statistics
 import tempfile
@@ -21,21 +20,25 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from isolated import measure_apart
-from stages import stage_shares, stages_alone
+from support.isolated import measure_apart
+from support.options import benchmark_parser, write_numbers
+from support.stages import stage_shares, stages_alone
 
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 FIRST_SEED = 0
+TINY = {"episodes": 2, "plain_episodes": 1, "processes": 1, "rounds": 1, "image_size": 32, "stage_episodes": 1}
 
 
 def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
     """Generate a dataset as ``dynahoi generate`` does."""
     from dynahoi_lerobot.generate.pipeline import generate
-    from dynahoi_lerobot.generate.plan import Plan
+    from dynahoi_lerobot.generate.plan import GenerationPlan
     from dynahoi_lerobot.rollout.loop import record
 
-    plan = Plan(Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=max(1, episodes // processes))
+    plan = GenerationPlan(
+        Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=max(1, episodes // processes)
+    )
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
         play = partial(record, threads=1 if processes > 1 else 0)
@@ -58,32 +61,30 @@ def _record_plainly(root: Path, recipe: Recipe, seeds: list[int]) -> tuple[int, 
     """Return frames and seconds; imports do not count, as fewer episodes have to carry them than in ours."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # the encoder reports on every episode
     from lerobot.datasets import lerobot_dataset  # noqa: F401
-    from straightforward import record
+    from support.straightforward import record
 
     begin = time.perf_counter()
     return record(root, recipe, seeds), time.perf_counter() - begin
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_parser(__doc__, **TINY)
     parser.add_argument("--episodes", type=int, default=256)
     parser.add_argument("--image-size", type=int, default=128)
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--processes", type=int, default=os.cpu_count(), help="of either system on the CPU")
     parser.add_argument("--plain-episodes", type=int, default=48, help="episodes of the plain loop")
+    parser.add_argument("--stage-episodes", type=int, default=96, help="episodes in which stages are measured")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     if args.device == "cpu":
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
     else:
         args.processes = 1
-    table = {"settings": vars(args), "rounds": compare(args)}
-    table["alone"] = stages_alone(args.image_size)
-    table["shares"] = stage_shares(args.image_size)
-    _print_stages(table)
-    if args.json:
-        args.json.write_text(json.dumps(table, indent=2, default=str))
+    rounds = compare(args)
+    alone, shares = stages_alone(args.image_size), stage_shares(args.image_size, args.stage_episodes)
+    _print_stages(alone, shares)
+    write_numbers(args, rounds=rounds, alone=alone, shares=shares)
 
 
 def compare(args: argparse.Namespace) -> list[dict[str, float]]:
@@ -100,10 +101,10 @@ def compare(args: argparse.Namespace) -> list[dict[str, float]]:
     return rounds
 
 
-def _print_stages(table: dict) -> None:
-    for name, share in table["shares"].items():
-        alone = table["alone"].get(name)
-        print(f"{name:12} {share:6.1%} of one process" + (f", alone {alone:7.0f} frames/s" if alone else ""))
+def _print_stages(alone: dict[str, float], shares: dict[str, float]) -> None:
+    for name, share in shares.items():
+        rate = f", alone {alone[name]:7.0f} frames/s" if name in alone else ""
+        print(f"{name:12} {share:6.1%} of one process{rate}")
 
 
 if __name__ == "__main__":

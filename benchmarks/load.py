@@ -9,7 +9,6 @@ of processor time of one process, so that a busy machine does not blur them; ``-
 from __future__ import annotations
 
 import argparse
-import json
 import logging
 import shutil
 import tempfile
@@ -19,6 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.dataset import open_dataset, read_episodes, write_episodes
 from dynahoi_lerobot.dataset.codecs.base import Encoding
@@ -28,6 +28,7 @@ from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 STRIDE, PAST, HORIZON = 2, 5, 16
+TINY = {"episodes": 2, "image_size": 32, "samples": 20, "only": "superfast g10 crf20 fast"}
 
 ENCODINGS = {
     "h264 ultrafast g10 crf20 fast": Encoding("h264", 20, "ultrafast", 10),
@@ -56,14 +57,13 @@ class Line:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_parser(__doc__, **TINY)
     parser.add_argument("--episodes", type=int, default=64)
     parser.add_argument("--image-size", type=int, default=128)
     parser.add_argument("--samples", type=int, default=300)
     parser.add_argument("--workers", type=int, default=0, help="dataloader processes")
     parser.add_argument("--backend", default="pyav", choices=("pyav", "torchcodec"))
     parser.add_argument("--only", default="", help="measure encodings whose name contains this")
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     logging.disable(logging.WARNING)
     recipe = Recipe(image_size=args.image_size)
@@ -75,9 +75,7 @@ def main() -> None:
         if args.only in name:
             lines.append(measure(name, encoding, episodes, args))
             print("{:34} {:14.0f} {:10.2f} {:8.1f} {:14.1f}".format(*asdict(lines[-1]).values()), flush=True)
-    if args.json:
-        settings = {name: str(value) for name, value in vars(args).items()}
-        args.json.write_text(json.dumps({"settings": settings, "lines": [asdict(line) for line in lines]}, indent=2))
+    write_numbers(args, lines=[asdict(line) for line in lines])
 
 
 def warm_up(episodes: Sequence[Episode], args: argparse.Namespace) -> None:
@@ -90,7 +88,7 @@ def measure(name: str, encoding: Encoding, episodes: Sequence[Episode], args: ar
     try:
         root = folder / "dataset"
         frames, begin = sum(len(episode) for episode in episodes), time.process_time()
-        write_episodes(root, episodes, args.image_size, encoding)
+        write_episodes(root, episodes, encoding)
         write_s = time.process_time() - begin
         size = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
         reading = samples_per_second(root, args)
@@ -119,9 +117,9 @@ def samples_per_second(root: Path, args: argparse.Namespace) -> float:
 
 
 def psnr_db(root: Path, episodes: Sequence[Episode]) -> float:
-    """Peak signal-to-noise ratio of the first episodes' pictures [dB]; infinite if nothing is lost."""
+    """Peak signal-to-noise ratio of the first episodes' images [dB]; infinite if nothing is lost."""
     pairs = zip(episodes, read_episodes(root, range(min(8, len(episodes)))), strict=False)
-    errors = [np.mean((one.images.astype(float) - other.images) ** 2) for one, other in pairs]
+    errors = [np.mean((one.images["ego"].astype(float) - other.images["ego"]) ** 2) for one, other in pairs]
     return float(10 * np.log10(255**2 / np.mean(errors))) if any(errors) else float("inf")
 
 

@@ -1,15 +1,15 @@
 """Where the time of ObAct's training goes: reading a sample, and each part of an update, on one thread.
 
-python benchmarks/obact_training.py --root data/train_lean [--config recipes/train/obact_cpu.yaml] [--updates 30]
+python benchmarks/obact_training.py [--root data/train_lean] [--config recipes/train/obact_cpu.yaml] [--updates 30]
 
 Medians of processor time, so that a busy machine blurs them little. Run it on datasets with and without the columns
-that training does not use, in turns, to see what those cost.
+that training does not use, in turns, to see what those cost; without ``--root`` it generates a small one with all.
 """
 
 from __future__ import annotations
 
-import argparse
 import statistics
+import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Iterator
@@ -22,21 +22,43 @@ import torch
 from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets.factory import make_dataset
 from lerobot.policies.factory import make_policy, make_pre_post_processors
+from support.options import benchmark_parser, write_numbers
 from torch.utils.data import default_collate
+
+from dynahoi_lerobot.dataset import write_episodes
+from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.sampling.recipe import load_recipe
+
+RECIPES = Path(__file__).parents[1] / "recipes"
+TINY = {"updates": 2, "episodes": 1, "batch_size": 2}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--root", type=Path, required=True, help="dataset folder")
-    parser.add_argument("--config", default="recipes/train/obact_cpu.yaml")
+    parser = benchmark_parser(__doc__, **TINY)
+    parser.add_argument("--root", type=Path, help="dataset folder")
+    parser.add_argument("--episodes", type=int, default=16, help="episodes to generate where no folder is given")
+    parser.add_argument("--config", type=Path, default=RECIPES / "train" / "obact_cpu.yaml")
+    parser.add_argument("--batch-size", type=int, default=32)
     parser.add_argument("--updates", type=int, default=30)
     args = parser.parse_args()
     torch.set_num_threads(1)
-    config = draccus.parse(TrainPipelineConfig, args.config, args=[f"--dataset.root={args.root}"])
     watch = Watch()
-    print(f"{len(read_and_update(config, args.updates, watch))} columns a sample")
-    for part, seconds in watch.parts.items():
-        print(f"{part:16} {1e3 * statistics.median(seconds):7.1f} ms")
+    with tempfile.TemporaryDirectory() as folder:
+        root = args.root or generated(Path(folder) / "dataset", args.episodes)
+        words = [f"--dataset.root={root}", f"--batch_size={args.batch_size}", "--policy.device=cpu"]
+        columns = len(read_and_update(draccus.parse(TrainPipelineConfig, args.config, args=words), args.updates, watch))
+    print(f"{columns} columns a sample")
+    milliseconds = {part: 1e3 * statistics.median(seconds) for part, seconds in watch.parts.items()}
+    for part, median in milliseconds.items():
+        print(f"{part:16} {median:7.1f} ms")
+    write_numbers(args, columns=columns, milliseconds=milliseconds)
+
+
+def generated(root: Path, episodes: int) -> Path:
+    """Write a few episodes of the recipe that ObAct trains on, with every column; return the folder."""
+    recipe = load_recipe(RECIPES / "generate" / "train_small.yaml")
+    write_episodes(root, record(recipe, range(episodes)), recipe.image_size)
+    return root
 
 
 class Watch:

@@ -7,19 +7,17 @@ Prints the share of full episode specs in each bin beside the paper's; the paper
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
+from support.options import benchmark_parser, write_numbers
 from tqdm import tqdm
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import UNIT_M
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.timing import DURATION_EDGES, DURATION_SHARES, TRAVEL_EDGES_M
 
 PAPER_TRAVEL_SHARES = (0.201, 0.477, 0.164, 0.058)
 BLOCK = 220
@@ -27,26 +25,25 @@ Table = list[dict[str, float | str]]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_parser(__doc__, episodes=22)
     parser.add_argument("--episodes", type=int, default=10_000)
     parser.add_argument("--split", default="train")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     lengths, travels = [], []
     for spec in tqdm(_specs(Recipe(split=args.split), args.episodes, args.threads), total=args.episodes, mininterval=5):
         lengths.append(spec.length_frames)
         travels.append(spec.travel_m)
+    durations, travel_edges_u = BENCHMARK.durations, np.array(BENCHMARK.travels.edges) / UNIT_M
     tables = {
-        "duration [frames]": table(np.array(lengths), DURATION_EDGES, DURATION_SHARES),
-        "travel [u]": table(np.array(travels) / UNIT_M, np.array(TRAVEL_EDGES_M) / UNIT_M, PAPER_TRAVEL_SHARES),
+        "duration [frames]": table(np.array(lengths), durations.edges, durations.shares),
+        "travel [u]": table(np.array(travels) / UNIT_M, travel_edges_u, PAPER_TRAVEL_SHARES),
     }
     for name, rows in tables.items():
         print(f"\n{name:18s} paper %   here %  difference")
         for row in rows:
             print(f"{row['bin']:18s} {row['paper']:7.1f} {row['here']:8.1f} {row['here'] - row['paper']:+11.1f}")
-    if args.json:
-        args.json.write_text(json.dumps({"episodes": args.episodes, "split": args.split, **tables}, indent=2) + "\n")
+    write_numbers(args, **tables)
 
 
 def table(values: np.ndarray, edges: np.ndarray | tuple[float, ...], paper: tuple[float, ...]) -> Table:

@@ -8,13 +8,11 @@ second frame is rendered. Prints, for each kind, that share, the share of frames
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections import defaultdict
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from support.options import benchmark_parser, write_numbers
 from tqdm import tqdm
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
@@ -47,11 +45,10 @@ class Watched:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = benchmark_parser(__doc__, episodes=2, image_size=32)
     parser.add_argument("--episodes", type=int, default=110)
     parser.add_argument("--split", default="test")
     parser.add_argument("--image-size", type=int, default=64)
-    parser.add_argument("--json", type=Path)
     args = parser.parse_args()
     recipe = Recipe(split=args.split, image_size=args.image_size)
     batch = make_batch(recipe, min(WORLDS, args.episodes), threads=1)
@@ -63,8 +60,7 @@ def main() -> None:
     print(f"{'kind':20s} seen %  frames %  median pixels")
     for kind, row in table.items():
         print(f"{kind:20s} {100 * row['seen']:6.1f} {100 * row['frames']:9.1f} {row['pixels']:14.0f}")
-    if args.json:
-        args.json.write_text(json.dumps({**vars(args), "json": str(args.json), "kinds": table}, indent=2) + "\n")
+    write_numbers(args, kinds=table)
 
 
 def watch(batch: WorldBatch, specs: list[EpisodeSpec]) -> list[Watched]:

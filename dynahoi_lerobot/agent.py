@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-
-from dynahoi_lerobot.camera_images import Pictured
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.control_class import ControlClass
@@ -17,26 +15,24 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Observation(Pictured):
+class Observation:
     """What a policy may see of N worlds at one frame.
 
     Attributes:
-        images: (N, H, W, 3) uint8 RGB of the hand's camera, or None if the agent asked for none.
+        images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
         state: (N, 18) float32, palm centre position [m] world and joint angles [rad].
         fingertips: (N, 30) float32, 5 x (position [m], rotation vector [rad]), world.
         phase: (N, 1) float32, 0 observing, 1 acting.
         tasks: N instructions.
-        touch: (N, 5) float32 force on each finger [N], None unless the capture rule uses_contact_sensors.
-        views: further pictures by name, (N, H, W, 3) uint8 each; see `views.py`.
+        touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
     """
 
-    images: np.ndarray | None
+    images: dict[str, np.ndarray]
     state: np.ndarray
     fingertips: np.ndarray
     phase: np.ndarray
     tasks: tuple[str, ...]
     touch: np.ndarray | None = None
-    views: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +73,7 @@ class Actor(ABC):
         has_memory: what it does depends on earlier frames, so that all worlds must begin their episodes together.
         sees_images: turns rendering on.
         image_size: side of the images it was trained on [px], None if it does not say.
-        views: the images it needs besides those of the hand's camera.
+        views: the views it needs besides ``ego``.
         retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
     """
 

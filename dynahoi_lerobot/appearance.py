@@ -1,4 +1,4 @@
-"""Appearance: procedural textures compiled into the scene, and one seeded choice of them per episode."""
+"""Appearance: procedural textures in the scene, and the choice of textures, colours and light of an episode."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ PATTERNS: dict[str, Pattern] = {
     "rings": lambda u, v: _wave(4 * np.hypot(u - 0.5, v - 0.5)),
     "weave": lambda u, v: 0.5 * _wave(8 * u) + 0.5 * _wave(8 * v),
 }
-"""Brightness patterns over the unit square; the episode's tint colours them."""
+"""Brightness, 0 to 1, over the unit square (u, v), (H, W) each; multiplied by a colour of the episode."""
 
 CONTRAST = 0.45
-"""How far a pattern darkens its tint."""
+"""Share of the colour that the dark parts of a pattern take away."""
 
 
 def texture_pixels(pattern: str) -> np.ndarray:
@@ -49,7 +49,14 @@ def texture_pixels(pattern: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Distractor:
-    """A thing that is only there to be seen: shape, half-sizes [m], position [m] in the world, colour 0 to 1."""
+    """A solid that is shown and collides with nothing.
+
+    Attributes:
+        shape: one of ``scene.DISTRACTORS``.
+        half_size: (3,) MuJoCo half-sizes [m].
+        pos_w: (3,) centre [m], world.
+        rgb: (3,) colour, 0 to 1.
+    """
 
     shape: str
     half_size: tuple[float, ...]
@@ -59,7 +66,7 @@ class Distractor:
 
 @dataclass(frozen=True)
 class Appearance:
-    """What one episode looks like.
+    """Textures, colours and light of one episode.
 
     Attributes:
         target_pattern, floor_pattern, wall_pattern, box_pattern: names in ``PATTERNS``.
@@ -69,7 +76,7 @@ class Appearance:
         light_rgb: its colour, 0 to 1.
         gloss: intensity of the highlights, 0 to 1.
         target_alpha: opacity of the target, 0 to 1.
-        distractors: further things in view, each of another shape.
+        distractors: further solids in view, each of another shape.
     """
 
     target_pattern: str
@@ -90,7 +97,7 @@ class Appearance:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> Appearance:
-        """Draw patterns, tints and light: saturated targets in front of paler surroundings."""
+        """Draw patterns, colours and light: a saturated target in front of paler surroundings."""
         patterns = rng.choice(list(PATTERNS), size=4)
         hue = rng.random()
         slant = rng.uniform(-0.6, 0.6, 2)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.camera_images import Pictured
 from dynahoi_lerobot.foundation.conventions import GRASP_FRACTION, PALM_DOF
 
 
@@ -57,15 +56,16 @@ class EpisodeMeta:
 
 
 @dataclass(frozen=True, eq=False)
-class Episode(Pictured):
+class Episode:
     """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
 
-    World frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``action[t]`` is the command executed from
-    then until frame t + 1. The window is frames ``[0, window_frames)``; control starts at frame ``window_frames``.
+    World frame, SI units; `features.py` has shapes, units and names of all arrays. ``state[t]`` is measured at time
+    t * 0.05 s, ``action[t]`` is the command executed from then until frame t + 1. The window is frames
+    ``[0, window_frames)``; control starts at frame ``window_frames``.
 
     Attributes:
         meta: one value per episode.
-        images: (T, H, W, 3) uint8 RGB of the hand's camera, or None when nothing asked for it.
+        images: (T, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
         state: (T, 18) float32, palm centre position [m] and 15 joint angles [rad].
         fingertips: (T, 30) float32, 5 x (position [m], rotation vector [rad]).
         phase: (T, 1) float32, 0 observing, 1 acting.
@@ -86,12 +86,11 @@ class Episode(Pictured):
         stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or ``missed``, ``touched``,
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
         touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
-            None where the capture rule does not feel.
-        views: further pictures by name, (T, H, W, 3) uint8 each; see `views.py`.
+            None unless the capture rule ``uses_contact_sensors``.
     """
 
     meta: EpisodeMeta
-    images: np.ndarray | None = field(repr=False)
+    images: dict[str, np.ndarray] = field(repr=False)
     state: np.ndarray = field(repr=False)
     fingertips: np.ndarray = field(repr=False)
     phase: np.ndarray = field(repr=False)
@@ -110,7 +109,6 @@ class Episode(Pictured):
     success: bool
     stage: str
     touch: np.ndarray | None = field(default=None, repr=False)
-    views: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         """Return T, the number of frames."""

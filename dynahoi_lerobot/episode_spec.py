@@ -1,4 +1,4 @@
-"""EpisodeSpec: one episode as one frozen row of parameters, a pure function of (recipe, seed)."""
+"""EpisodeSpec: the parameters of one episode, a function of recipe and seed alone."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.appearance import Appearance
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
 
@@ -19,23 +20,23 @@ class EpisodeSpec:
     World frame, SI units; frames are 0.05 s apart and counted from the start of the episode.
 
     Attributes:
-        seed: the seed that all of this is a function of.
-        split: its seed stream.
+        seed: of the episode's random numbers, together with ``split``.
+        split: name of the seed stream.
         motion: the target's motion with its parameters.
-        target: the object.
-        appearance: textures, colours, light.
+        target: the object to catch.
+        appearance: textures, colours and light.
         task: the instruction.
         protocol: ``observe_before_act`` or ``direct_act``.
-        hand: the embodiment.
-        window_frames: length of the observation window.
+        hand: registered name of the hand.
+        window_frames: length of the observation window, 0 without one.
         length_frames: L, length of the expert's recording; a policy gets L control steps.
         home_pos_w: (3,) palm centre at the start [m].
-        intercept_frame: the earliest frame at which a hand of fixed speed can meet the target.
-        intercept_pos_w: (3,) where that is [m].
-        yaw_rad: initial turn of a prescribed target about the vertical.
-        spin_rad_s: its constant angular speed about its own axis.
+        intercept_frame: the earliest frame at which a hand of fixed speed can reach the untouched target.
+        intercept_pos_w: (3,) position of the target at that frame [m].
+        yaw_rad: initial turn about the vertical of a target on a prescribed path.
+        spin_rad_s: constant angular velocity of such a target about its own z axis.
         oracle_path: (F, 3) position of the untouched target at every frame [m], F = window + L + 1.
-        fingerprint: of recipe and code.
+        fingerprint: identifies recipe and code.
     """
 
     seed: int
@@ -63,10 +64,20 @@ class EpisodeSpec:
 
     @property
     def travel_m(self) -> float:
-        """Straight distance from home to the intercept."""
+        """Straight distance from home to the intercept [m]."""
         return float(np.linalg.norm(self.intercept_pos_w - self.home_pos_w))
 
     @property
     def horizon_frames(self) -> int:
         """F, the number of frames for which the target's motion is known."""
         return len(self.oracle_path)
+
+    @property
+    def open_joints(self) -> np.ndarray:
+        """(15,) joint angles of the open hand [rad], in which it waits."""
+        return HANDS[self.hand]().open_joints()
+
+    @property
+    def reference_joints(self) -> np.ndarray:
+        """(15,) joint angles of the reference grasp [rad], which closes the hand around the target."""
+        return HANDS[self.hand]().reference_joints(self.target.grasp_radius_m)

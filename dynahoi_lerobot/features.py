@@ -1,80 +1,188 @@
-"""The one feature table: gymnasium spaces, LeRobot env features and dataset features are read from it."""
+"""The one feature table: every array of an episode, and what it is called in each interface.
+
+From ``FEATURES`` are derived the Gymnasium spaces (`env/spaces.py`), the features of ``--env.type=dynahoi``, what a
+rollout records (`rollout/recorder.py`), the dataset's columns and reader (`dataset/columns.py`) and the documentation
+(``dynahoi list features``). A new feature is one entry here, an attribute of that name in ``Episode`` (and in
+``Observation`` where policies may see it), and what computes it.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dynahoi_lerobot.foundation.conventions import FINGERS, HAND_DOF, HAND_NAMES
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW, FINGER_DOF, FINGERS, HAND_DOF, HAND_NAMES, JOINT_NAMES
 
 FINGERTIP_NAMES = tuple(
     f"{finger}_{part}" for finger in FINGERS for part in ("x", "y", "z", "rotvec_x", "rotvec_y", "rotvec_z")
 )
-POSE_NAMES = ("x", "y", "z", "qw", "qx", "qy", "qz")
+POSITION_NAMES = ("x", "y", "z")
+POSE_NAMES = (*POSITION_NAMES, "qw", "qx", "qy", "qz")
 TWIST_NAMES = ("vx", "vy", "vz", "wx", "wy", "wz")
+
+OBSERVATION_PREFIX = "observation."
+"""LeRobot gives policies the columns of this prefix, and no others."""
+IMAGE_PREFIX = OBSERVATION_PREFIX + "images."
+CAMERA_KEY = IMAGE_PREFIX + EGO_VIEW
+PIXELS = "pixels"
+"""Key of the dictionary of images in a Gymnasium observation, as LeRobot expects it."""
+EPISODE_TABLE_PREFIX = "stats/"
+"""Columns of the episode table: LeRobot reads an episode's whole row for every sample, but for this prefix."""
 
 
 @dataclass(frozen=True)
 class Feature:
-    """One column: its key, shape, element type, the names of its elements and its unit."""
+    """One array of an episode.
 
+    Attributes:
+        name: attribute of ``Episode``, and of ``Observation`` if policies may see it.
+        key: column of the dataset: of the frame table, or of the episode table if it begins with ``stats/``.
+        shape: of one frame, () for a number, which the dataset stores as (1,); (1,) or more where policies see it.
+        names: of the elements, in order.
+        unit: of the elements.
+        meaning: what it is, with its frame of reference.
+        dtype: element type in ``Episode`` and in the dataset.
+        gym_key: key in the Gymnasium observation (``group/key`` if nested); None for privileged features.
+        low: least value in the Gymnasium space, in ``unit``; values beyond are clipped.
+        high: greatest value, likewise.
+        needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
+        constant: whether it has one value per episode; a frame table repeats that value in every row.
+    """
+
+    name: str
     key: str
     shape: tuple[int, ...]
-    dtype: str
     names: tuple[str, ...]
     unit: str
-    privileged: bool = False
+    meaning: str
+    dtype: str = "float32"
+    gym_key: str | None = None
+    low: float = -math.inf
+    high: float = math.inf
+    needs_contact_sensors: bool = False
+    constant: bool = False
+
+    @property
+    def column_shape(self) -> tuple[int, ...]:
+        """Shape of one row of the column."""
+        return self.shape or (1,)
+
+    @property
+    def observed(self) -> bool:
+        """Whether policies see it."""
+        return self.key.startswith(OBSERVATION_PREFIX)
+
+    @property
+    def privileged(self) -> bool:
+        """Whether it is for experts, metrics and auxiliary losses only."""
+        return self.gym_key is None
+
+    @property
+    def is_image(self) -> bool:
+        """Whether it is the images of a view."""
+        return self.key.startswith(IMAGE_PREFIX)
+
+    @property
+    def in_episode_table(self) -> bool:
+        """Whether the dataset stores it in the episode table instead of the frame table."""
+        return self.key.startswith(EPISODE_TABLE_PREFIX)
+
+    def array_shape(self, frames: int) -> tuple[int, ...]:
+        """Return the shape of the attribute in an ``Episode`` of ``frames`` frames."""
+        return self.shape if self.constant else (frames, *self.shape)
 
 
-STATE = Feature("observation.state", (HAND_DOF,), "float32", HAND_NAMES, "m, rad")
-FINGERTIPS = Feature("observation.fingertips", (6 * len(FINGERS),), "float32", FINGERTIP_NAMES, "m, rad")
-TOUCH = Feature("observation.touch", (len(FINGERS),), "float32", FINGERS, "N")
-"""Only where the capture rule uses_contact_sensors."""
-PHASE = Feature("observation.phase", (1,), "float32", ("phase",), "0 observing, 1 acting")
-ACTION = Feature("action", (HAND_DOF,), "float32", HAND_NAMES, "m, rad")
-PICTURE_PREFIX = "observation.images."
-CAMERA_KEY = PICTURE_PREFIX + "ego"
+_TABLE = (
+    Feature(
+        "state", "observation.state", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "palm centre position, world; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
+    ),
+    Feature(
+        "fingertips", "observation.fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
+        "position and rotation vector of each fingertip, world", gym_key="fingertips", low=-10.0, high=10.0,
+    ),
+    Feature(
+        "phase", "observation.phase", (1,), ("phase",), "1",
+        "0 in the observation window, 1 in the control phase", gym_key="phase", low=0.0, high=1.0,
+    ),
+    Feature(
+        "touch", "observation.touch", (len(FINGERS),), FINGERS, "N",
+        "force of each finger on the target, mean of the last control step",
+        gym_key="touch", low=0.0, high=1000.0, needs_contact_sensors=True,
+    ),
+    Feature(
+        "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "target for the next frame, after clipping: palm centre position, world; joint angles", gym_key="action",
+    ),
+    Feature("target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position and quaternion wxyz, world"),
+    Feature(
+        "target_velocity", "target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
+        "target linear and angular velocity, world",
+    ),
+    Feature("target_contacts", "target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
+    Feature(
+        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, world", constant=True
+    ),
+    Feature(
+        "intercept_time", "intercept.time", (), ("time",), "s", "time of the oracle intercept in the episode",
+        constant=True,
+    ),
+    Feature("localized", "localized", (), ("localized",), "1", "the target is, or has been, localised", dtype="bool"),
+    Feature("captured", "captured", (), ("captured",), "1", "the capture rule regards it as captured", dtype="bool"),
+    Feature(
+        "palm_distance", "stats/palm_distance", (), ("distance",), "m",
+        "palm centre to target centre, least of the last control step",
+    ),
+    Feature(
+        "fingertip_distance", "stats/fingertip_distance", (), ("distance",), "m",
+        "least distance of a fingertip to the target's surface, 0 inside",
+    ),
+    Feature(
+        "open_joints", "stats/open_joints", (FINGER_DOF,), JOINT_NAMES, "rad", "joint angles of the open hand",
+        constant=True,
+    ),
+    Feature(
+        "reference_joints", "stats/reference_joints", (FINGER_DOF,), JOINT_NAMES, "rad",
+        "joint angles of the object's reference grasp", constant=True,
+    ),
+)  # fmt: skip
 
-PRIVILEGED = (
-    Feature("target.pose", (7,), "float32", POSE_NAMES, "m, quaternion wxyz", True),
-    Feature("target.velocity", (6,), "float32", TWIST_NAMES, "m/s, rad/s", True),
-    Feature("target.contacts", (len(FINGERS),), "float32", FINGERS, "1 touching", True),
-    Feature("intercept.position", (3,), "float32", ("x", "y", "z"), "m", True),
-    Feature("intercept.time", (1,), "float32", ("time",), "s", True),
-    Feature("localized", (1,), "bool", ("localized",), "flag", True),
-    Feature("captured", (1,), "bool", ("captured",), "flag", True),
-)
-"""Never named ``observation.*``, so that no policy can see them."""
-
-OBSERVATIONS = (STATE, FINGERTIPS, PHASE)
-
-__all__ = [
-    "ACTION",
-    "CAMERA_KEY",
-    "FINGERTIPS",
-    "OBSERVATIONS",
-    "PHASE",
-    "PICTURE_PREFIX",
-    "PRIVILEGED",
-    "STATE",
-    "TOUCH",
-    "Feature",
-]
+FEATURES = {feature.name: feature for feature in _TABLE}
+"""By attribute name, in the dataset's order. Images depend on resolution and views: see ``image_feature``."""
 
 
-def picture_feature(image_size: int, view: str = "ego") -> Feature:
-    """Return a view's column for square images of ``image_size`` pixels, HWC RGB."""
-    names = ("height", "width", "channels")
-    return Feature(PICTURE_PREFIX + view, (image_size, image_size, 3), "uint8", names, "RGB 0-255")
+def image_feature(view: str, image_size: int) -> Feature:
+    """Return the feature of a view's images: square RGB, height x width x channel, 0-255."""
+    return Feature(
+        name="images",
+        key=IMAGE_PREFIX + view,
+        shape=(image_size, image_size, 3),
+        names=("height", "width", "channels"),
+        unit="1",
+        meaning=f"RGB image of view {view}",
+        dtype="uint8",
+        gym_key=f"{PIXELS}/{view}",
+        low=0,
+        high=255,
+    )
 
 
-def columns(image_size: int | None, views: Sequence[str] = (), *, touch: bool = False) -> tuple[Feature, ...]:
-    """Return every per-frame column in the dataset's order.
+def frame_features(
+    image_size: int | None, views: Sequence[str] = (), *, contact_sensors: bool = False
+) -> tuple[Feature, ...]:
+    """Return the columns of the frame table, in the dataset's order.
 
     Args:
-        image_size: side of the pictures [pixels]; None leaves all of them out.
-        views: pictures besides the hand's camera.
-        touch: whether the capture rule uses_contact_sensors.
+        image_size: side of the images [px]; None leaves all of them out.
+        views: the views besides ``ego``.
+        contact_sensors: whether the capture rule ``uses_contact_sensors``.
     """
-    pictures = () if image_size is None else tuple(picture_feature(image_size, view) for view in ("ego", *views))
-    return (*pictures, *OBSERVATIONS, *((TOUCH,) if touch else ()), ACTION, *PRIVILEGED)
+    images = () if image_size is None else tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views))
+    held = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
+    return (*images, *(feature for feature in held if not feature.in_episode_table))
+
+
+def episode_features() -> tuple[Feature, ...]:
+    """Return the features that are columns of the episode table: metrics need them, policies do not."""
+    return tuple(feature for feature in FEATURES.values() if feature.in_episode_table)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from tests.dataset.episodes import write
 from tests.menagerie import write_menagerie
 
 av.logging.set_level(av.logging.ERROR)
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # each worker has a core; more threads of torch fight over them
 
 TEST = Recipe(split="test", image_size=32)
 

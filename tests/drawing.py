@@ -9,6 +9,7 @@ import numpy as np
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.timing import draw_timing
 
 
@@ -22,11 +23,11 @@ class Drawn:
     horizon_s: float
 
 
-def draw_motion(kind: str, seed: int, object_name: str | None = None, tempo: float = 1.0) -> Drawn:
+def draw_motion(kind: str, seed: int, object_name: str | None = None, speed_scale: float = 1.0) -> Drawn:
     """Draw a motion of ``kind`` with the timing of a sampled episode."""
     rng = np.random.default_rng([seed, 7])
     timing = draw_timing(kind, "observe_before_act", rng)
-    allowed = [name for name in MOTIONS[kind].objects() if not OBJECTS[name].held_out]
+    allowed = [name for name in BENCHMARK.splits["train"].objects if name in MOTIONS[kind].objects()]
     name = object_name or str(rng.choice(allowed))
     target = OBJECTS[name].sample(name, rng)
     window_s = timing.window_frames * CONTROL_DT
@@ -36,6 +37,6 @@ def draw_motion(kind: str, seed: int, object_name: str | None = None, tempo: flo
         window_s=window_s,
         intercept_s=window_s + timing.approach_frames * CONTROL_DT,
         horizon_s=(timing.window_frames + timing.length_frames) * CONTROL_DT,
-        tempo=tempo,
+        speed_scale=speed_scale,
     )
     return Drawn(MOTIONS[kind].sample(draw), target, draw.intercept_s, draw.horizon_s)

@@ -2,6 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import dynahoi_lerobot
+
+PACKAGE = Path(dynahoi_lerobot.__file__).parent
+
 ROOMS = (
     "foundation",
     "objects",
@@ -26,10 +34,43 @@ ROOMS = (
     "report",
     "cli",
 )
-"""``nouns`` are the modules beside the folders: episode, episode_spec, agent, appearance, features, camera_images."""
+"""``nouns`` are the modules beside the folders: episode, episode_spec, agent, appearance, features."""
 
 
 def room_of(module: str) -> str:
     """Return the room of a dotted module of ``dynahoi_lerobot``."""
     first = module.split(".")[1]
     return first if first in ROOMS else "nouns"
+
+
+def imports() -> Iterator[tuple[str, str]]:
+    """Yield (importing, imported) module of every import within the core.
+
+    Imports inside functions count, and so do modules that are imported by name, as the commands are.
+    """
+    for path in sorted(PACKAGE.rglob("*.py")):
+        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                yield module, node.module
+            elif isinstance(node, ast.Import):
+                yield from ((module, alias.name) for alias in node.names)
+            elif isinstance(node, ast.Constant) and _is_module(node.value):
+                yield module, str(node.value)
+
+
+def room_imports() -> dict[str, set[str]]:
+    """Return, in the order of ``ROOMS``, the other rooms that each room imports."""
+    found: dict[str, set[str]] = {room: set() for room in ROOMS}
+    for module, imported in imports():
+        if module != PACKAGE.name and imported.startswith(f"{PACKAGE.name}."):
+            found[room_of(module)].add(room_of(imported))
+    return {room: others - {room} for room, others in found.items()}
+
+
+def _is_module(value: object) -> bool:
+    """Tell whether a constant is the dotted name of a module of the core."""
+    if not isinstance(value, str) or not value.startswith(f"{PACKAGE.name}."):
+        return False
+    path = PACKAGE.parent.joinpath(*value.split("."))
+    return path.is_dir() or path.with_suffix(".py").is_file()

@@ -28,11 +28,11 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     localized = np.maximum.accumulate(distance < LOCALIZATION_RADIUS_M)
     state = np.hstack([palm, joints]).astype(np.float32)
     command = np.vstack([state[1:], state[-1:]])
-    images = None
+    images = {}
     if image_size is not None:
         ramp = np.linspace(0, 200, image_size, dtype=np.uint8)
-        images = np.broadcast_to(ramp[None, :, None, None], (frames, image_size, image_size, 3)).copy()
-        images += (np.arange(frames, dtype=np.uint8) % 50)[:, None, None, None]
+        ego = np.broadcast_to(ramp[None, :, None, None], (frames, image_size, image_size, 3)).copy()
+        images["ego"] = ego + (np.arange(frames, dtype=np.uint8) % 50)[:, None, None, None]
     pose = np.hstack([target, np.tile([1.0, 0, 0, 0], (frames, 1))])
     meta = EpisodeMeta(
         seed=seed, split="train", motion="constant", category="straight_line", object="ball",

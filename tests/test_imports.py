@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
-import dynahoi_lerobot
-from tests.rooms import ROOMS, room_of
+from tests.rooms import PACKAGE, ROOMS, imports, room_of
 
-PACKAGE = Path(dynahoi_lerobot.__file__).parent
 PROGRAM = """
 import importlib, pkgutil, sys
 import dynahoi_lerobot
@@ -24,17 +19,6 @@ for name in names:
         sys.exit(f"{name} imports {', '.join(heavy)}")
 print(len(names))
 """
-
-
-def imports() -> Iterator[tuple[str, str]]:
-    """Yield (importing, imported) module of every import within the core, also those inside functions."""
-    for path in sorted(PACKAGE.rglob("*.py")):
-        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                yield module, node.module
-            elif isinstance(node, ast.Import):
-                yield from ((module, alias.name) for alias in node.names)
 
 
 def test_rooms_import_only_rooms_before_them():

@@ -25,13 +25,13 @@ from dynahoi_lerobot.sampling.splits import seed_stream
 
 
 class DynahoiBenchmark(StepBenchmark):
-    """One task per kind of motion; results carry every metric of the benchmark."""
+    """One task per motion; results carry every metric of the benchmark."""
 
     render_backends: ClassVar[frozenset[str]] = frozenset({"cpu", "gpu"})
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:
-        """Need nothing: the renderer uses no OpenGL."""
+        """Return no environment variables: the renderer needs no OpenGL."""
         del mode
         return {}
 
@@ -45,12 +45,12 @@ class DynahoiBenchmark(StepBenchmark):
         protocol: str = "observe_before_act",
         send_state: bool = True,
     ) -> None:
-        """Take what to play.
+        """Configure the benchmark.
 
         Args:
             split: ``test``, ``test_small``, ``val`` or ``ood_*``.
             image_size: side of the images [px].
-            kinds: of motion; all of the split if None.
+            kinds: names of the motions; all of the split if None.
             capture, protocol: see ``Recipe``.
             send_state: whether observations contain the hand's state.
         """
@@ -66,12 +66,12 @@ class DynahoiBenchmark(StepBenchmark):
         self._episode: Episode | None = None
 
     def get_tasks(self) -> list[Task]:
-        """Return one task per kind."""
+        """Return one task per motion, in suites by category."""
         kinds = self._kinds or Recipe(split=seed_stream(self._split)).motion_names
         return [{"name": kind, "suite": MOTIONS[kind].category} for kind in kinds]
 
     def reset(self, task: Task) -> dict[str, Any]:
-        """Begin the task's episode number ``episode_idx``; return what the hand sees."""
+        """Start episode ``episode_idx`` of the task; return the first observation."""
         if self._env is None or self._env.kind != task["name"]:
             self.cleanup()
             self._env = DynahoiVectorEnv(1, kind=task["name"], on_episode=self._keep, **self._options)
@@ -87,7 +87,7 @@ class DynahoiBenchmark(StepBenchmark):
         return StepResult(observation, float(reward[0]), bool(terminated[0] or truncated[0]), info)
 
     def make_obs(self, raw_obs: dict[str, Any], task: Task) -> Observation:
-        """Return the image, the instruction and the state in the harness's convention."""
+        """Return image, instruction and, if asked for, the (18,) state in the harness's convention."""
         assert self._env is not None
         observation: Observation = {
             "images": {"ego": raw_obs["pixels"]["ego"][0]},
@@ -107,15 +107,15 @@ class DynahoiBenchmark(StepBenchmark):
         return dict.fromkeys(("success", *METRICS.names()), "mean")
 
     def get_metadata(self) -> dict[str, Any]:
-        """Return the longest episode, window included."""
+        """Return the length of the longest episode [frames], window included, and the size of an action."""
         return {"max_steps": 256, "action_dim": HAND_DOF}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
-        """Return what an action is: absolute palm position [m] and joint angles [rad]."""
+        """Return the action space: absolute palm position [m] and joint angles [rad]."""
         return {"position": DimSpec("position", 3, "absolute_xyz"), "joints": DimSpec("joints", 15, "absolute_rad")}
 
     def get_observation_spec(self) -> dict[str, DimSpec]:
-        """Return what an observation holds."""
+        """Return the observation space."""
         spec = {"image": DimSpec("image", 0, "rgb_hwc_uint8"), "language": DimSpec("language", 0, "language")}
         return spec | ({"state": DimSpec("state", HAND_DOF, "palm_xyz_joint_rad")} if self._send_state else {})
 
@@ -130,7 +130,7 @@ class DynahoiBenchmark(StepBenchmark):
             self._env = None
 
     def render(self) -> np.ndarray | None:
-        """Return what the hand sees now, (H, W, 3) uint8."""
+        """Return the current image of the hand's camera, (H, W, 3) uint8 RGB."""
         frames = None if self._env is None else self._env.render()
         return None if frames is None else np.asarray(frames[0])
 

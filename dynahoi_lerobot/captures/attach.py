@@ -12,7 +12,7 @@ from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Subst
 from dynahoi_lerobot.episode import joints_reached
 from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
-from dynahoi_lerobot.scene.scene import ENVIRONMENT
+from dynahoi_lerobot.scene.model import ENVIRONMENT
 
 
 @CAPTURES.register("attach")

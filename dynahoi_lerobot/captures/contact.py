@@ -12,7 +12,7 @@ from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Relea
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGERS
 from dynahoi_lerobot.hands.gantry import GANTRY_SPEED_M_S
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
-from dynahoi_lerobot.scene.scene import ENVIRONMENT, HAND_BIT
+from dynahoi_lerobot.scene.model import ENVIRONMENT, HAND_BIT
 
 HELD_FRAMES = CONTROL_HZ // 2
 """A grip counts once it has lasted half a second."""

@@ -10,12 +10,14 @@ from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.features import FEATURES, Feature, image_feature
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.renderers import RENDERERS
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 Row = dict[str, Any]
 
@@ -29,20 +31,49 @@ def _motions() -> list[Row]:
     for name, kind in MOTIONS.items():
         tier, periodicity = CATEGORIES[kind.category]
         row = {"name": name, "category": kind.category, "tier": tier, "periodicity": periodicity}
-        rows.append({**row, "held_out": kind.held_out, "ranges": _summary(kind), "shared": _shared(kind)})
+        rows.append({**row, "splits": _splits("motion", name), "ranges": _summary(kind), "shared": _shared(kind)})
     return sorted(rows, key=lambda row: (list(CATEGORIES).index(row["category"]), row["name"]))
 
 
 def _objects() -> list[Row]:
     rows = []
-    for name, kind in OBJECTS.items():
-        traits = [trait for trait in ("rolls", "slides", "held_out") if getattr(kind, trait)]
-        rows.append({"name": name, "traits": ", ".join(traits), "description": _summary(kind)})
+    for name, entry in OBJECTS.items():
+        traits = ", ".join(trait for trait in ("rolls", "slides") if getattr(entry, trait))
+        row = {"name": name, "traits": traits, "splits": _splits("object", name), "description": _summary(entry)}
+        rows.append(row)
     return rows
+
+
+def _splits(noun: str, name: str) -> str:
+    """Which splits of the benchmark a ``motion`` or an ``object`` is in, in a word or by name."""
+    splits = BENCHMARK.splits_with(noun, name)
+    return "in distribution" if "train" in splits else ", ".join(splits) or "by name only"
 
 
 def _metrics() -> list[Row]:
     return [{"name": n, "unit": m.unit, "better": m.direction, "description": m.summary} for n, m in METRICS.items()]
+
+
+def _features() -> list[Row]:
+    images = image_feature("*", 0)
+    return [_feature(images, "H, W, 3"), *(_feature(feature, _shape(feature)) for feature in FEATURES.values())]
+
+
+def _feature(feature: Feature, shape: str) -> Row:
+    cases = [(feature.constant, "constant over the episode"), (feature.in_episode_table, "in the episode table")]
+    cases += [(feature.needs_contact_sensors, "only if the capture rule uses contact sensors")]
+    notes = "; ".join(words for holds, words in cases if holds)
+    return {
+        "dataset": feature.key,
+        "gymnasium": feature.gym_key or "privileged",
+        "shape": f"({shape}) {feature.dtype}",
+        "unit": "" if feature.unit == "1" else feature.unit,
+        "meaning": f"{feature.meaning} ({notes})" if notes else feature.meaning,
+    }
+
+
+def _shape(feature: Feature) -> str:
+    return ", ".join(str(size) for size in feature.column_shape) + ","
 
 
 LISTS: dict[str, Callable[[], list[Row]]] = {
@@ -51,6 +82,7 @@ LISTS: dict[str, Callable[[], list[Row]]] = {
     "metrics": _metrics,
     "captures": _described(CAPTURES),
     "experts": _described(EXPERTS),
+    "features": _features,
     "hands": _described(HANDS),
     "renderers": _described(RENDERERS),
 }

@@ -1,7 +1,7 @@
-"""``dynahoi quickstart``: the whole loop on two CPU cores in minutes, through LeRobot's own commands.
+"""``dynahoi quickstart``: dataset, training, evaluation and report on two CPU cores, in minutes.
 
-generate -> lerobot-train (ObAct) -> lerobot-eval -> baselines -> report. Each stage leaves a folder and is skipped if
-it is there, so a stopped quickstart goes on where it was.
+generate -> lerobot-train (ObAct) -> lerobot-eval -> privileged baselines -> report. Each stage writes a folder and is
+skipped if that exists, so a stopped quickstart can be resumed.
 """
 
 from __future__ import annotations
@@ -38,6 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("outputs/quickstart"), help="folder for everything")
     parser.add_argument("--episodes", type=int, default=TRAINING_EPISODES, help="training episodes to generate")
     parser.add_argument("--steps", type=int, default=TRAINING_STEPS, help="training steps")
+    parser.add_argument(
+        "--evaluation-episodes", type=int, default=EPISODES_PER_KIND, help="episodes to evaluate on, of each kind"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -48,8 +51,8 @@ def run(args: argparse.Namespace) -> int:
     stages: list[tuple[str, Path, Callable[[], None]]] = [
         ("generate a dataset", out / "dataset", lambda: _generate(out, args.episodes)),
         ("train ObAct with lerobot-train", _checkpoint(out), lambda: _train(out, args.steps)),
-        ("evaluate it with lerobot-eval", out / "results" / "obact", lambda: _evaluate(out)),
-        ("play the baselines", out / "results" / BASELINES[-1], lambda: _baselines(out)),
+        ("evaluate it with lerobot-eval", out / "results" / "obact", lambda: _evaluate(out, args.evaluation_episodes)),
+        ("evaluate the privileged baselines", out / "results" / BASELINES[-1], lambda: _baselines(out)),
     ]
     try:
         for number, (what, product, stage) in enumerate(stages, 1):
@@ -98,7 +101,7 @@ def _train(out: Path, steps: int) -> None:
     )
 
 
-def _evaluate(out: Path) -> None:
+def _evaluate(out: Path, episodes_per_kind: int) -> None:
     _lerobot(
         out,
         "lerobot_eval",
@@ -108,15 +111,15 @@ def _evaluate(out: Path) -> None:
         f"--env.split={SMALL_TEST}",
         f"--env.image_size={IMAGE_SIZE}",
         f"--env.results_dir={out / 'results' / 'obact'}",
-        f"--eval.n_episodes={EPISODES_PER_KIND}",
-        f"--eval.batch_size={EPISODES_PER_KIND}",
+        f"--eval.n_episodes={episodes_per_kind}",
+        f"--eval.batch_size={episodes_per_kind}",
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     )
 
 
 def _baselines(out: Path) -> None:
-    """Play the same episodes with those who see the simulator's state, and keep some captures as GIFs."""
+    """Evaluate the privileged baselines on the same episodes, and record some captures as GIFs."""
     for name in BASELINES:
         gifs = GIFS if name == "intercept" else 0
         folder = str(out / "results" / name)

@@ -1,9 +1,8 @@
-"""``dynahoi view``: watch one episode, played anew, from a dataset or from results, as GIF, MP4 or a page with both."""
+"""``dynahoi view``: one episode, newly played, from a dataset or from results, as GIF, MP4 or a web page."""
 
 from __future__ import annotations
 
 import argparse
-import base64
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,138 +10,130 @@ from typing import Any
 import draccus
 import numpy as np
 
+from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.command import make_actor
-from dynahoi_lerobot.evaluate.gif import phases_of, write_gif
-from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
-from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.evaluate.actors import add_trust_argument, image_size_for, make_actor
+from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
+from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed, seed_stream
 
-MIN_WIDTH_PX = 384
-PAGE = """<!doctype html><meta charset="utf-8"><title>{caption}</title>
-<style>body{{font:16px system-ui;background:#111;color:#ddd;text-align:center}}img{{image-rendering:pixelated}}</style>
-<p>{caption}</p><img alt="{caption}" src="data:image/gif;base64,{data}">"""
+DEFAULT_IMAGE_SIZE = 256
+"""Side of newly rendered images [px]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi view``."""
-    parser.add_argument("--motion", help="kind of motion to play")
+    parser.add_argument("--motion", help="play a new episode of this motion")
+    parser.add_argument("--dataset", type=Path, help="show an episode of this LeRobot dataset")
+    parser.add_argument("--results", type=Path, help="replay an evaluated episode of this result folder")
+    parser.add_argument("--episode", type=int, default=0, help="with --dataset: index of the episode")
     parser.add_argument(
-        "--seed", type=int, default=0, help="number of the episode within split and kind; with --results, its seed"
+        "--seed", type=int, default=0, help="with --motion: number within split and motion; with --results: its seed"
     )
-    parser.add_argument("--split", default="test", help="seed stream")
-    parser.add_argument("--policy", default="expert", help="who moves the hand: a checkpoint folder or an expert")
-    parser.add_argument("--capture", default="attach", help="capture rule")
-    parser.add_argument("--dataset", type=Path, help="show an episode of this dataset instead")
-    parser.add_argument("--episode", type=int, default=0, help="its index in the dataset")
-    parser.add_argument("--results", type=Path, help="play an evaluated episode of this result folder again")
-    parser.add_argument("--image-size", type=int, help="side of the images [px]")
-    parser.add_argument("--view", default="ego", choices=VIEWS, help="what is shown of it, from which camera")
+    parser.add_argument("--split", default="test", help="with --motion: train, val, test or one of the ood_ splits")
+    parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint, or the name of an expert")
+    parser.add_argument("--capture", default="attach", help="with --motion: capture rule, attach or contact")
+    add_trust_argument(parser)
+    parser.add_argument("--image-size", type=int, help="side of newly rendered images [px]")
+    parser.add_argument("--view", default="ego", choices=VIEWS, help="camera, and what is shown of its image")
     parser.add_argument("--out", type=Path, default=Path("episode.gif"), help="a .gif, .mp4 or .html file")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the file; return the exit code.
+    """Write the clip; return the exit code.
 
     Raises:
-        ValueError: for an unknown suffix, motion or episode.
+        ValueError: for an unknown suffix, source, motion, view or episode, or a damaged dataset or result folder.
     """
-    if args.out.suffix not in WRITERS:
-        raise ValueError(f"cannot write {args.out.suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
-    source = _from_dataset if args.dataset else _replayed if args.results else _played
-    frames, caption, phases = source(args)
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    WRITERS[args.out.suffix](args.out, frames, caption, phases)
-    print(f"{caption}: {args.out}")
+    check_suffix(args.out)
+    sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
+    chosen = [make_clip for name, make_clip in sources.items() if getattr(args, name) is not None]
+    if len(chosen) != 1:
+        raise ValueError(
+            "say what to watch, one of: --motion MOTION, --dataset DIR --episode I, --results DIR --seed S"
+        )
+    clip = chosen[0](args)
+    write_clip(args.out, clip)
+    print(f"{clip.caption}: {args.out}")
     return 0
 
 
-Shown = tuple[np.ndarray, str, list[str]]
-
-
-def _played(args: argparse.Namespace) -> Shown:
-    """Play an episode; frames (T, H, W, 3), a caption, and the phase of every frame."""
-    if args.motion is None:
-        raise ValueError("say what to watch: --motion KIND, --dataset DIR --episode I, or --results DIR --seed S")
-    actor = make_actor(args.policy, args.capture)
-    size = args.image_size or actor.image_size or 256
+def _played(args: argparse.Namespace) -> Clip:
+    """Play a new episode with the policy or expert."""
+    actor = make_actor(args.policy, args.capture, trust=args.trust)
+    size = image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE)
     views = {*actor.views, args.view} - {"ego"}
     recipe = Recipe(split=seed_stream(args.split), image_size=size, views=tuple(sorted(views)), capture=args.capture)
+    if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it
+        recipe = replace(recipe, motions=(args.motion,))
     spec = sample_specs(recipe, [kind_seed(recipe, args.split, args.motion, args.seed)])[0]
-    return _shown(next(evaluate(make_batch(recipe, 1), actor, [spec], images=True)), args.view)
+    episode = next(evaluate(make_batch(recipe, 1), actor, [spec], images=True))
+    return _clip(episode, args.view, episode.meta.agent)
 
 
-def _replayed(args: argparse.Namespace) -> Shown:
-    """Play the commands of an evaluated episode again, from its seed; at any image size."""
+def _replayed(args: argparse.Namespace) -> Clip:
+    """Replay the actions of an evaluated episode in the world of its seed, rendered at any image size."""
     results = read_results(args.results)
     seeds = [row["seed"] for row in results.rows]
     if args.seed not in seeds:
         raise ValueError(f"{args.results} has no episode with seed {args.seed}; it has {min(seeds)} to {max(seeds)}")
-    if "recipe" not in results.info.extra:
-        raise ValueError(f"{args.results} does not say what was played; evaluate again with this version")
-    recipe = draccus.decode(Recipe, results.info.extra["recipe"])
+    recipe = _recipe_of(results)
     if recipe.fingerprint() != results.info.fingerprint:
         print("these results are of other code: the replay may differ from what was graded")
     index = seeds.index(args.seed)
-    views = () if args.view == "ego" else (args.view,)
-    shown, attempt = replace(recipe, image_size=args.image_size or 256, views=views), results.rows[index]["attempts"]
-    return _shown(replay(shown, args.seed, results.actions[index], attempt=attempt), args.view, results.info.policy)
+    size = DEFAULT_IMAGE_SIZE if args.image_size is None else args.image_size
+    shown = replace(recipe, image_size=size, views=() if args.view == "ego" else (args.view,))
+    episode = replay(shown, args.seed, results.actions[index], attempt=results.rows[index]["attempts"])
+    return _clip(episode, args.view, results.info.policy)
 
 
-def _shown(episode: Episode, view: str, agent: str = "") -> Shown:
-    meta = episode.meta
-    return episode.pictures[view], f"{agent or meta.agent}: {meta.task} {episode.stage}", phases_of(episode)
+def _recipe_of(results: Results) -> Recipe:
+    if "recipe" not in results.info.extra:
+        raise ValueError(f"{results.folder} does not say what was played; evaluate again with this version")
+    try:
+        return draccus.decode(Recipe, results.info.extra["recipe"])
+    except Exception as error:  # whatever a damaged recipe makes the decoder raise
+        reason = " ".join(str(error).split())
+        raise ValueError(f"the recipe in {results.folder} is damaged ({reason}); evaluate again") from error
 
 
-def _from_dataset(args: argparse.Namespace) -> Shown:
+def _clip(episode: Episode, view: str, agent: str) -> Clip:
+    return Clip(episode.images[view], f"{agent}: {episode.meta.task} {episode.stage}", phases_of(episode))
+
+
+def _from_dataset(args: argparse.Namespace) -> Clip:
     """Read an episode of a dataset with LeRobot."""
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from dynahoi_lerobot.features import FEATURES, IMAGE_PREFIX
 
-    from dynahoi_lerobot.features import PHASE, PICTURE_PREFIX
-
-    dataset = LeRobotDataset(args.dataset.name, root=args.dataset)
+    dataset = _open_dataset(args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
-    if (key := PICTURE_PREFIX + args.view) not in dataset.meta.camera_keys:
-        raise ValueError(f"{args.dataset} has no view {args.view!r}; it has {', '.join(dataset.meta.camera_keys)}")
-    table: Any = dataset.meta.episodes
-    first, last = (int(table[args.episode][key]) for key in ("dataset_from_index", "dataset_to_index"))
-    items: list[Any] = [dataset[i] for i in range(first, last)]
+    if (key := IMAGE_PREFIX + args.view) not in dataset.meta.camera_keys:
+        cameras = ", ".join(dataset.meta.camera_keys) or "none at all"
+        raise ValueError(f"{args.dataset} has no view {args.view!r}; it has {cameras}")
+    row: dict[str, Any] = dataset.meta.episodes[args.episode]
+    items = [dataset[i] for i in range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))]
     frames = np.stack([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
-    phases = [_phase(bool(item["localized"].item()), float(item[PHASE.key].item())) for item in items]
-    return frames, str(items[0]["task"]), phases
+    phases = None
+    keys = [FEATURES[name].key for name in ("phase", "localized")]
+    if set(keys) <= set(dataset.meta.features):
+        acting, localized = (np.array([bool(item[key].item()) for item in items]) for key in keys)
+        phases = frame_phases(acting, localized)
+    return Clip(frames, str(items[0]["task"]), phases, dataset.fps)
 
 
-def _phase(localized: bool, acting: float) -> str:
-    return "localized" if localized else "acting" if acting else "observing"
+def _open_dataset(root: Path) -> Any:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-
-def _gif(path: Path, frames: np.ndarray, caption: str, phases: list[str]) -> None:
-    write_gif(path, frames, caption=caption, phases=phases, scale=-(-MIN_WIDTH_PX // frames.shape[2]))
-
-
-def _html(path: Path, frames: np.ndarray, caption: str, phases: list[str]) -> None:
-    gif = path.with_suffix(".gif")
-    _gif(gif, frames, caption, phases)
-    path.write_text(PAGE.format(caption=caption, data=base64.b64encode(gif.read_bytes()).decode()))
-    gif.unlink()
-
-
-def _mp4(path: Path, frames: np.ndarray, caption: str, phases: list[str]) -> None:
-    import av
-
-    del caption, phases  # a film has no room for them
-    with av.open(str(path), "w") as film:
-        stream = film.add_stream("h264", rate=CONTROL_HZ)
-        stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
-        for frame in frames:
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
-        film.mux(stream.encode())
-
-
-WRITERS = {".gif": _gif, ".mp4": _mp4, ".html": _html}
+    if not (root / "meta" / "info.json").is_file():  # LeRobot would look for it on the Hub
+        raise ValueError(f"there is no LeRobot dataset in {root} (no meta/info.json)")
+    try:
+        return LeRobotDataset(root.resolve().name, root=root)
+    except Exception as error:  # whatever a damaged file makes its reader raise
+        raise ValueError(f"the dataset {root} cannot be read ({type(error).__name__}); try `dynahoi verify`") from error

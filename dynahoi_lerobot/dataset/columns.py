@@ -1,4 +1,4 @@
-"""The per-frame columns: LeRobot's feature table, the arrow schema, an episode's arrays by key."""
+"""The frame table: LeRobot's description of its columns, their arrow types, its rows and reading them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import pyarrow as pa
 from PIL import Image
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import PICTURE_PREFIX, TOUCH, columns
+from dynahoi_lerobot.features import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 Features = dict[str, dict[str, Any]]
@@ -28,28 +27,29 @@ BOOKKEEPING = {
 """LeRobot's own columns."""
 
 
-def info_features(
-    image_size: int | None, encoding: Encoding, views: Sequence[str] = (), *, touch: bool = False
-) -> Features:
-    """Return ``info.json``'s feature table: every column of the spec, then LeRobot's own."""
-    features: Features = {}
-    for column in columns(image_size, views, touch=touch):
-        features[column.key] = {
-            "dtype": column.dtype,
-            "shape": list(column.shape),
-            "names": list(column.names),
-        }
-    codec = encoding.kind
-    for key in picture_keys(features):
-        features[key]["dtype"] = "video" if codec.is_video else "image"
-        if codec.is_video:
-            features[key]["info"] = codec.info(features[key]["shape"][0], CONTROL_HZ)
+def info_features(held: Sequence[Feature], encoding: Encoding) -> Features:
+    """Return ``info.json``'s feature table: the columns of the frame table, then LeRobot's own.
+
+    Args:
+        held: the columns, see ``features.frame_features``.
+        encoding: how images are stored.
+    """
+    features = {feature.key: _info(feature, encoding) for feature in held}
     return features | {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
 
 
-def picture_keys(features: Features) -> list[str]:
-    """Return the keys of all pictures, the hand's camera first."""
-    return [key for key in features if key.startswith(PICTURE_PREFIX)]
+def _info(feature: Feature, encoding: Encoding) -> dict[str, Any]:
+    entry = {"dtype": feature.dtype, "shape": list(feature.column_shape), "names": list(feature.names)}
+    if not feature.is_image:
+        return entry
+    if not encoding.make_codec().is_video:
+        return entry | {"dtype": "image"}
+    return entry | {"dtype": "video", "info": encoding.make_codec().info(feature.shape[0], CONTROL_HZ)}
+
+
+def image_keys(features: Features) -> list[str]:
+    """Return the keys of all images, those of the hand's camera first."""
+    return [key for key in features if key.startswith(IMAGE_PREFIX)]
 
 
 def numeric_keys(features: Features) -> list[str]:
@@ -60,30 +60,6 @@ def numeric_keys(features: Features) -> list[str]:
 def content_keys(features: Features) -> list[str]:
     """Return the keys of the numeric columns that an episode fills, without LeRobot's bookkeeping."""
     return [key for key in numeric_keys(features) if key not in BOOKKEEPING]
-
-
-def picture_arrays(episode: Episode) -> dict[str, np.ndarray]:
-    """Return the episode's pictures under their keys, (T, H, W, 3) uint8 each."""
-    return {PICTURE_PREFIX + view: images for view, images in episode.pictures.items()}
-
-
-def content_arrays(episode: Episode) -> dict[str, np.ndarray]:
-    """Return the episode's numeric columns under their keys, each (T, D)."""
-    frames = len(episode)
-    touch = {} if episode.touch is None else {TOUCH.key: episode.touch}
-    return touch | {
-        "observation.state": episode.state,
-        "observation.fingertips": episode.fingertips,
-        "observation.phase": episode.phase,
-        "action": episode.action,
-        "target.pose": episode.target_pose,
-        "target.velocity": episode.target_velocity,
-        "target.contacts": episode.target_contacts,
-        "intercept.position": np.tile(np.float32(episode.intercept_position), (frames, 1)),
-        "intercept.time": np.full((frames, 1), episode.intercept_time, np.float32),
-        "localized": episode.localized[:, None],
-        "captured": episode.captured[:, None],
-    }
 
 
 def bookkeeping_arrays(frames: int, episode_index: int, first_index: int, task_index: int) -> dict[str, np.ndarray]:
@@ -106,19 +82,28 @@ def arrow_schema(features: Features) -> pa.Schema:
     return pa.schema(fields, metadata={"huggingface": json.dumps(note)})
 
 
-def frame_table(arrays: dict[str, np.ndarray], pictures: dict[str, np.ndarray], schema: pa.Schema) -> pa.Table:
+def frame_table(arrays: dict[str, np.ndarray], images: dict[str, np.ndarray], schema: pa.Schema) -> pa.Table:
     """Return one episode's rows.
 
     Args:
         arrays: (T, D) or (T,) per key.
-        pictures: (T, H, W, 3) uint8 RGB per key; none where pictures do not go into the table.
+        images: (T, H, W, 3) uint8 RGB per key; none where images do not go into the table.
         schema: what ``arrow_schema`` returned.
     """
     columns = [
-        _pictures(pictures[field.name]) if field.type == _PICTURE else _array(arrays[field.name], field.type)
+        _images(images[field.name]) if field.type == _IMAGE else _array(arrays[field.name], field.type)
         for field in schema
     ]
     return pa.table(columns, schema=schema)
+
+
+def column_array(table: pa.Table, key: str) -> np.ndarray:
+    """Return a numeric column as (n, D); LeRobot's own tools write lists that are not of a fixed size."""
+    column = table[key].combine_chunks()
+    rows = len(column)
+    if pa.types.is_fixed_size_list(column.type) or pa.types.is_list(column.type):
+        column = column.flatten()
+    return column.to_numpy(zero_copy_only=False).reshape(rows, -1 if rows else 1)  # (n, D)
 
 
 def _array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
@@ -128,9 +113,9 @@ def _array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), kind.list_size)
 
 
-def _pictures(images: np.ndarray) -> pa.Array:
+def _images(images: np.ndarray) -> pa.Array:
     cells = [{"bytes": _png(image), "path": f"frame-{number:06d}.png"} for number, image in enumerate(images)]
-    return pa.array(cells, _PICTURE)
+    return pa.array(cells, _IMAGE)
 
 
 def _png(image: np.ndarray) -> bytes:
@@ -139,13 +124,13 @@ def _png(image: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-_PICTURE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+_IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 _SCALARS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
 
 
 def _arrow_type(feature: dict[str, Any]) -> pa.DataType:
     if feature["dtype"] == "image":
-        return _PICTURE
+        return _IMAGE
     scalar, width = _SCALARS[feature["dtype"]], feature["shape"][0]
     return scalar if width == 1 else pa.list_(scalar, width)
 

@@ -8,11 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, content_keys, numeric_keys, picture_keys
-from dynahoi_lerobot.dataset.episode_table import Row, row_histogram, row_stats
+from dynahoi_lerobot.dataset.columns import (
+    BOOKKEEPING,
+    Features,
+    column_array,
+    content_keys,
+    image_keys,
+    numeric_keys,
+)
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_histogram, row_stats
 from dynahoi_lerobot.dataset.histograms import histograms
 from dynahoi_lerobot.dataset.quantiles import exact_quantiles, weighted_quantiles
 from dynahoi_lerobot.dataset.statistics import LEVELS, Moments, Stats, picture_stats
@@ -33,9 +39,9 @@ class DatasetStats:
         self._task_frames: Counter[int] = Counter()
         self._lengths: list[int] = []
         self._pictures = Counter[str]()
-        self._histograms = {key: np.zeros((3, LEVELS), np.int64) for key in picture_keys(features)}
+        self._histograms = {key: np.zeros((3, LEVELS), np.int64) for key in image_keys(features)}
 
-    def add(self, row: Row) -> None:
+    def add(self, row: EpisodeRow) -> None:
         """Add one episode's row, with its statistics."""
         for key, moments in self._moments.items():
             moments.add(row_stats(row, key))
@@ -88,12 +94,3 @@ def numeric_batches(root: Path, keys: list[str]) -> Iterator[np.ndarray]:
         table = pq.read_table(path, columns=keys)
         columns = [column_array(table, key) for key in keys]
         yield np.concatenate(columns, axis=1, dtype=np.float32, casting="unsafe")
-
-
-def column_array(table: pa.Table, key: str) -> np.ndarray:
-    """Return a numeric column as (n, D)."""
-    column = table[key].combine_chunks()
-    width = 1
-    if pa.types.is_fixed_size_list(column.type):
-        width, column = column.type.list_size, column.flatten()
-    return column.to_numpy(zero_copy_only=False).reshape(-1, width)  # (n, D)

@@ -5,11 +5,13 @@ Only ``open_dataset`` needs LeRobot, and imports it when called.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.episode_arrays import features_of
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
@@ -20,33 +22,33 @@ if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 
-def write_episodes(
-    root: Path,
-    episodes: Iterable[Episode],
-    image_size: int | None,
-    encoding: Encoding | None = None,
-    views: Sequence[str] = (),
-) -> Manifest:
+def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding | None = None) -> Manifest:
     """Write episodes, in their order, as a new dataset; ``root`` appears when it is whole.
+
+    The first episode decides which columns the dataset has: its views and their size, and whether it has ``touch``.
 
     Args:
         root: a path that does not exist yet.
-        episodes: one or more, all with images of the same size or all without.
-        image_size: side of the square images [pixels], None for a dataset without a camera.
-        encoding: how pictures are stored; H.264 video by default.
-        views: pictures that the episodes hold besides the hand's camera.
+        episodes: one or more, alike in their columns.
+        encoding: how images are stored; H.264 video by default.
 
     Raises:
         FileExistsError: if ``root`` exists.
-        ValueError: if there is no episode, or one does not fit the dataset.
+        ValueError: if there is no episode, or one has other columns than the first.
     """
     if root.exists():
         raise FileExistsError(f"{root} exists; choose a new folder for the dataset")
+    remaining = iter(episodes)
+    if (first := next(remaining, None)) is None:
+        raise ValueError("there is no episode to write; a dataset holds one or more")
     with temporary_sibling(root) as folder:
-        writer = DatasetWriter(folder, image_size, encoding, views=views)
-        for episode in episodes:
-            writer.add(episode)
-        return writer.finish()
+        writer = DatasetWriter(folder, features_of(first), encoding)
+        try:
+            for episode in chain([first], remaining):
+                writer.add(episode)
+            return writer.finish()
+        finally:
+            writer.abandon()
 
 
 def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: bool = True) -> Iterator[Episode]:
@@ -55,7 +57,7 @@ def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: b
     Args:
         root: the dataset's folder.
         indices: which episodes, all by default.
-        images: False leaves the pictures undecoded.
+        images: False leaves the images undecoded; episodes then have none.
 
     Raises:
         IndexError: if the dataset has no episode of an index.

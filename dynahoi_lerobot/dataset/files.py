@@ -1,8 +1,10 @@
-"""Folders that appear whole or not at all."""
+"""Atomic folders and files: they appear complete under their name, or not at all."""
 
 from __future__ import annotations
 
 import os
+import re
+import secrets
 import shutil
 import socket
 from collections.abc import Iterator
@@ -10,19 +12,21 @@ from contextlib import contextmanager
 from glob import escape
 from pathlib import Path
 
+_RUN = secrets.token_hex(4)
+"""Tells this process from an earlier one of the same number, as restarted containers have."""
+
 
 @contextmanager
 def temporary_sibling(target: Path) -> Iterator[Path]:
     """Give the path of a folder to be made beside ``target``, and rename it to ``target`` at the end.
 
-    Whatever happens before the end, ``target`` does not exist. What a killed process left for the same target is
-    removed first; an error removes the folder. If another process has made ``target`` meanwhile, its
+    Whatever happens before the end, ``target`` does not exist. What a killed process of this host left for the same
+    target is removed first; an error removes the folder. If another process has made ``target`` meanwhile, its
     result stays: both are the same, because datasets are functions of their recipe.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    for leftover in target.parent.glob(f".{escape(target.name)}.*.tmp"):
-        shutil.rmtree(leftover, ignore_errors=True)
-    folder = target.parent / f".{target.name}.{socket.gethostname()}-{os.getpid()}.tmp"
+    remove_stale(target.parent, escape(target.name))
+    folder = temporary_name(target)
     try:
         yield folder
         sync_tree(folder)
@@ -31,14 +35,47 @@ def temporary_sibling(target: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def temporary_name(target: Path) -> Path:
+    """Return ``.<name>.<host>.<process>.<random>.tmp`` beside ``target``; the name says which process made it."""
+    return target.with_name(f".{target.name}.{socket.gethostname()}.{os.getpid()}.{_RUN}.tmp")
+
+
+def remove_stale(folder: Path, name: str) -> None:
+    """Remove what processes of this host that have ended left in ``folder`` under temporary names.
+
+    Args:
+        folder: where to look, not below it.
+        name: glob pattern of the targets' names.
+    """
+    host = re.escape(socket.gethostname())
+    pattern = re.compile(rf"\..+\.{host}\.(?P<process>\d+)\.(?P<run>[0-9a-f]{{8}})\.tmp")
+    for path in folder.glob(f".{name}.*.tmp"):
+        found = pattern.fullmatch(path.name)
+        if found and not _is_running(int(found["process"]), found["run"]):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def _is_running(process: int, run: str) -> bool:
+    """Return whether a process of this host still runs; an earlier one with our process id does not."""
+    if process == os.getpid():
+        return run == _RUN
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
 def sync_tree(folder: Path) -> None:
-    """Ask the disk to keep every file below ``folder``, so that a rename cannot survive a power cut without them."""
+    """Flush every file below ``folder`` to disk, so that a rename cannot survive a power cut without them."""
     for path in [*sorted(folder.rglob("*")), folder]:
         sync(path)
 
 
 def sync(path: Path) -> None:
-    """Ask the disk to keep one file or folder."""
+    """Flush one file or folder to disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -47,15 +84,15 @@ def sync(path: Path) -> None:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a small file so that readers see the old text or the new one, never a part."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    """Write a small file atomically: readers see the old text or the new one."""
+    temporary = temporary_name(path)
     temporary.write_text(text)
     sync(temporary)
     temporary.replace(path)
 
 
 def link(source: Path, target: Path) -> None:
-    """Give a file a second name; copy it where the file system has no links."""
+    """Hard-link a file; copy it where the file system has no links."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         target.hardlink_to(source)

@@ -1,4 +1,4 @@
-"""Merge datasets of ours into one: videos are linked, tables renumbered; no picture is read."""
+"""Merge datasets that this project wrote: videos are hard-linked, tables renumbered, no picture decoded."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
-from dynahoi_lerobot.dataset.episode_table import Row
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.files import link, temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import Layout
+from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.features import CAMERA_KEY
 
@@ -20,16 +20,16 @@ def merge(
     sources: Sequence[Path],
     root: Path,
     *,
-    layout: Layout | None = None,
+    limits: FileLimits | None = None,
     provenance: dict[str, Any] | None = None,
 ) -> Manifest:
-    """Merge datasets, in the given order, into a new one; ``root`` appears when it is whole.
+    """Merge datasets, in the given order, into a new one; ``root`` appears when it is complete.
 
     Args:
         sources: folders of datasets written by this project.
         root: a path that does not exist yet.
-        layout: file size limits.
-        provenance: what the manifest shall say about the dataset's origin.
+        limits: file size limits.
+        provenance: stored in the manifest: recipe, seed, encoding and code fingerprint.
 
     Raises:
         FileExistsError: if ``root`` exists.
@@ -45,7 +45,7 @@ def merge(
             raise ValueError(f"{store.root} has other features than {stores[0].root}; merge like with like")
     yields: Counter[str] = Counter()
     with temporary_sibling(root) as folder:
-        assembly = Assembly(folder, stores[0], layout or Layout())
+        assembly = Assembly(folder, stores[0], limits or FileLimits())
         for store in stores:
             manifest = Manifest.read(store.root)
             _append(assembly, store, manifest)
@@ -54,17 +54,17 @@ def merge(
 
 
 def _append(assembly: Assembly, store: Store, manifest: Manifest) -> None:
-    places: dict[Path, Row] = {}
+    places: dict[Path, EpisodeRow] = {}
     """By the video file of the hand's camera; those of other views are divided alike."""
     for row, table in stored_episodes(store):
-        place: Row = {}
+        place: EpisodeRow = {}
         if store.has_video:
             first = store.video_path(row, CAMERA_KEY)
             if first not in places:
                 for key, target in assembly.next_videos().items():
                     source = store.video_path(row, key)
                     link(source, target)
-                    assembly.believe(target, manifest.files[source.relative_to(store.root).as_posix()])
+                    assembly.set_known_hash(target, manifest.files[source.relative_to(store.root).as_posix()])
                 places[first] = assembly.video_place()
             place = places[first]
         assembly.add(row | place, table)

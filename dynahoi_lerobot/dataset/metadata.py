@@ -1,4 +1,4 @@
-"""Everything under ``meta/``, built one episode at a time by the writer, and again when shards are merged."""
+"""The tables under ``meta/``, built one episode at a time, by the writer and when datasets are merged."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.dataset_stats import DatasetStats
-from dynahoi_lerobot.dataset.episode_table import Row, place_row, row_schema
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow, place_row, row_schema
 from dynahoi_lerobot.dataset.paths import (
     CODEBASE_VERSION,
     DATA_PATH,
@@ -21,7 +21,7 @@ from dynahoi_lerobot.dataset.paths import (
     STATS_PATH,
     TASKS_PATH,
     VIDEO_PATH,
-    Layout,
+    FileLimits,
 )
 from dynahoi_lerobot.dataset.tables import RollingParquet, write_tasks
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
@@ -29,24 +29,24 @@ from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 FLUSH_ROWS = 256
 
 
-class Catalog:
-    """The tables of a dataset that describe it: info, statistics, tasks and one row per episode."""
+class MetadataWriter:
+    """Writes info, statistics, tasks and the episode table of a dataset."""
 
-    def __init__(self, root: Path, features: Features, layout: Layout) -> None:
-        """Describe the dataset below ``root``, whose frames have these features."""
-        self.root, self.features, self.layout = root, features, layout
+    def __init__(self, root: Path, features: Features, limits: FileLimits) -> None:
+        """Start with no episode; files go below ``root``, which exists."""
+        self.root, self.features, self.limits = root, features, limits
         self.episodes = self.frames = 0
         self.tasks: dict[str, int] = {}
         self._summary = DatasetStats(features)
         self._schema = row_schema(features)
-        self._files = RollingParquet(root, EPISODES_PATH, self._schema, layout)
-        self._pending: list[Row] = []
+        self._files = RollingParquet(root, EPISODES_PATH, self._schema, limits)
+        self._pending: list[EpisodeRow] = []
 
     def next_place(self, task: str) -> tuple[int, int, int]:
         """Return the episode, first frame and task indices of the episode that is added next."""
         return self.episodes, self.frames, self.tasks.setdefault(task, len(self.tasks))
 
-    def add(self, row: Row) -> None:
+    def add(self, row: EpisodeRow) -> None:
         """Add one episode's row; its place and the statistics that follow from it are filled in."""
         row = place_row(row, *self.next_place(row["tasks"][0]))
         self._summary.add(row)
@@ -88,9 +88,9 @@ class Catalog:
             "total_episodes": self.episodes,
             "total_frames": self.frames,
             "total_tasks": len(self.tasks),
-            "chunks_size": self.layout.chunk_files,
-            "data_files_size_in_mb": self.layout.data_mb,
-            "video_files_size_in_mb": self.layout.video_mb,
+            "chunks_size": self.limits.chunk_files,
+            "data_files_size_in_mb": self.limits.data_mb,
+            "video_files_size_in_mb": self.limits.video_mb,
             "data_path": DATA_PATH,
             "video_path": VIDEO_PATH if has_video else None,
             "robot_type": ROBOT_TYPE,

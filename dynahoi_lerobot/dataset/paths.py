@@ -20,8 +20,8 @@ HISTOGRAMS_PATH = "meta/histograms.json"
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Size limits of a dataset's files.
+class FileLimits:
+    """Where a dataset's data, video and episode files end and the next one begins.
 
     Attributes:
         data_mb: largest parquet file [MiB], LeRobot's default.

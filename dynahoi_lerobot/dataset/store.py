@@ -14,14 +14,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from dynahoi_lerobot.dataset.columns import Features, picture_keys
-from dynahoi_lerobot.dataset.dataset_stats import column_array
-from dynahoi_lerobot.dataset.episode_table import META_COLUMNS, TRACES, Row
+from dynahoi_lerobot.dataset.columns import Features, image_keys
+from dynahoi_lerobot.dataset.episode_arrays import content_values
+from dynahoi_lerobot.dataset.episode_table import ARRAY_COLUMNS, EpisodeRow, own_values
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.dataset.tables import read_tasks
 from dynahoi_lerobot.dataset.video import decode
-from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.features import CAMERA_KEY, PICTURE_PREFIX, TOUCH
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 
@@ -50,12 +50,12 @@ class Store:
 
     @property
     def pictures(self) -> list[str]:
-        """The keys of all pictures, the hand's camera first."""
-        return picture_keys(self.features)
+        """The keys of all images, those of the hand's camera first."""
+        return image_keys(self.features)
 
     @property
     def has_video(self) -> bool:
-        """Whether pictures are stored as video."""
+        """Whether images are stored as video."""
         return self.features.get(CAMERA_KEY, {}).get("dtype") == "video"
 
     @cached_property
@@ -64,13 +64,12 @@ class Store:
         return read_tasks(self.root / TASKS_PATH)
 
     @cached_property
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[EpisodeRow]:
         """The episode table without its statistics, one dictionary per episode."""
-        wanted = {f"stats/{name}" for name in TRACES}
         tables = []
         for path in self.row_files():
             names = pq.read_schema(path).names
-            columns = [name for name in names if name in wanted or not name.startswith("stats/")]
+            columns = [name for name in names if name in ARRAY_COLUMNS or not name.startswith(EPISODE_TABLE_PREFIX)]
             tables.append(pq.read_table(path, columns=columns))
         return pa.concat_tables(tables).to_pylist()
 
@@ -87,27 +86,27 @@ class Store:
         """Return the files of the frame table, in order."""
         return sorted((self.root / "data").glob("*/*.parquet"))
 
-    def full_rows(self) -> Iterator[Row]:
+    def full_rows(self) -> Iterator[EpisodeRow]:
         """Yield the rows of the episode table with their statistics."""
         for path in self.row_files():
             yield from pq.read_table(path).to_pylist()
 
-    def data_path(self, row: Row) -> Path:
+    def data_path(self, row: EpisodeRow) -> Path:
         """Return the file that holds the episode's rows."""
         place = {"chunk_index": row["data/chunk_index"], "file_index": row["data/file_index"]}
         return self.root / DATA_PATH.format(**place)
 
-    def video_path(self, row: Row, key: str) -> Path:
-        """Return the file that holds the episode's pictures of a view."""
+    def video_path(self, row: EpisodeRow, key: str) -> Path:
+        """Return the file that holds the episode's images of a view."""
         place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
         return self.root / VIDEO_PATH.format(video_key=key, **place)
 
-    def frames(self, row: Row) -> pa.Table:
+    def frames(self, row: EpisodeRow) -> pa.Table:
         """Return the episode's rows of the frame table."""
         return pq.read_table(self.data_path(row), filters=[("episode_index", "=", row["episode_index"])])
 
-    def images(self, row: Row, table: pa.Table, key: str) -> np.ndarray:
-        """Return the episode's pictures of a view, (T, H, W, 3) uint8 RGB."""
+    def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
+        """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         if not self.has_video:
             cells = table[key].to_pylist()
             return np.stack([np.asarray(Image.open(io.BytesIO(cell["bytes"]))) for cell in cells])
@@ -115,7 +114,7 @@ class Store:
         return np.stack(list(decode(self.video_path(row, key), start, start + row["length"])))
 
     def episode(self, index: int, *, images: bool = True) -> Episode:
-        """Return one episode.
+        """Return one episode; ``images`` says whether to decode its images.
 
         Raises:
             IndexError: if there is no such episode.
@@ -125,25 +124,5 @@ class Store:
         row = self.rows[index]
         table = self.frames(row)
         keys = self.pictures if images else []
-        views = {key.removeprefix(PICTURE_PREFIX): self.images(row, table, key) for key in keys}
-        flat = {name: np.array(row[f"stats/{name}"], np.float32) for name in TRACES}
-        return Episode(
-            meta=EpisodeMeta(**{name: row[name] for name in META_COLUMNS}),
-            images=views.pop("ego", None),
-            state=column_array(table, "observation.state"),
-            fingertips=column_array(table, "observation.fingertips"),
-            phase=column_array(table, "observation.phase"),
-            action=column_array(table, "action"),
-            target_pose=column_array(table, "target.pose"),
-            target_velocity=column_array(table, "target.velocity"),
-            target_contacts=column_array(table, "target.contacts"),
-            localized=column_array(table, "localized")[:, 0],
-            captured=column_array(table, "captured")[:, 0],
-            intercept_position=column_array(table, "intercept.position")[0],
-            intercept_time=float(column_array(table, "intercept.time")[0, 0]),
-            success=row["success"],
-            stage=row["stage"],
-            touch=column_array(table, TOUCH.key) if TOUCH.key in table.column_names else None,
-            views=views,
-            **flat,
-        )
+        views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
+        return Episode(images=views, **own_values(row), **content_values(table))

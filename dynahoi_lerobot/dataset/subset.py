@@ -15,16 +15,16 @@ import av
 from av.video.stream import VideoStream
 
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
-from dynahoi_lerobot.dataset.episode_table import Row, video_columns
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import Layout
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 
 def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest:
-    """Copy the named episodes, in their order, to a new dataset; ``output`` appears when it is whole.
+    """Copy the named episodes, in their order, to a new dataset; ``output`` appears when it is complete.
 
     Args:
         root: a dataset written by this project.
@@ -33,17 +33,20 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
 
     Raises:
         FileExistsError: if ``output`` exists.
+        FileNotFoundError: if ``root`` holds no dataset of this project.
         ValueError: if no episode is kept, or one does not exist.
     """
     store, kept = Store(root), set(episodes)
     if output.exists():
         raise FileExistsError(f"{output} exists; choose a new folder")
+    if not (root / MANIFEST_PATH).is_file():
+        raise FileNotFoundError(f"{root} was not written by this project: {MANIFEST_PATH} is missing")
     if not kept:
         raise ValueError("no episode is kept; a dataset holds one or more")
     if unknown := sorted(kept - set(range(store.episodes))):
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
     with temporary_sibling(output) as folder:
-        assembly = Assembly(folder, store, Layout())
+        assembly = Assembly(folder, store, FileLimits())
         cutter = _Cutter(assembly, store)
         for index, (row, table) in enumerate(stored_episodes(store)):
             if index in kept:
@@ -55,7 +58,7 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
 
 
 class _Cutter:
-    """Copies episodes' packets; every set of source files with kept episodes gives one set of files.
+    """Copies the video packets of episodes; each set of source files with kept episodes gives one set of new files.
 
     An episode begins with a key frame and no codec here reorders frames, so its packets stand alone.
     """
@@ -65,7 +68,7 @@ class _Cutter:
         self._sources: dict[str, Path] = {}
         self._copies: dict[str, _Copy] = {}
 
-    def cut(self, row: Row) -> Row:
+    def cut(self, row: EpisodeRow) -> EpisodeRow:
         """Copy one episode's packets; return the columns that say where they went."""
         sources = {key: self._store.video_path(row, key) for key in self._store.pictures}
         if sources != self._sources:
@@ -73,7 +76,7 @@ class _Cutter:
             targets = self._assembly.next_videos()
             self._copies = {key: _Copy(source, targets[key]) for key, source in sources.items()}
             self._sources = sources
-        times: Row = {}
+        times: EpisodeRow = {}
         for key, copy in self._copies.items():
             start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
             begin, end = copy.frames(start, row["length"])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dynahoi_lerobot.dataset.paths import Layout
+from dynahoi_lerobot.dataset.paths import FileLimits
 
 MIB = 1 << 20
 
@@ -16,19 +16,19 @@ MIB = 1 << 20
 class RollingParquet:
     """Writes tables one row group each and starts a new file before one would exceed the limit."""
 
-    def __init__(self, root: Path, template: str, schema: pa.Schema, layout: Layout) -> None:
+    def __init__(self, root: Path, template: str, schema: pa.Schema, limits: FileLimits) -> None:
         """Write files named by ``template`` below ``root``."""
-        self._root, self._template, self._schema, self._layout = root, template, schema, layout
+        self._root, self._template, self._schema, self._limits = root, template, schema, limits
         self._sink: pa.NativeFile | None = None
         self._writer: pq.ParquetWriter | None = None
         self._number = -1
 
     def upcoming(self, table: pa.Table) -> tuple[int, int]:
         """Make room for ``table``; return the (chunk, file) index it will go to."""
-        limit = self._layout.data_mb * MIB
+        limit = self._limits.data_mb * MIB
         if self._sink is None or self._sink.tell() + table.nbytes >= limit:
             self._open_next()
-        return self._layout.place(self._number)
+        return self._limits.place(self._number)
 
     def write(self, table: pa.Table) -> tuple[int, int]:
         """Append ``table`` as one row group; return the (chunk, file) index it went to."""
@@ -52,7 +52,7 @@ class RollingParquet:
     def _open_next(self) -> None:
         self.close()
         self._number += 1
-        path = self._layout.path(self._root, self._template, self._number)
+        path = self._limits.path(self._root, self._template, self._number)
         self._sink = pa.OSFile(str(path), "wb")
         self._writer = pq.ParquetWriter(self._sink, self._schema, compression="snappy", use_dictionary=True)
 

@@ -30,8 +30,10 @@ class VideoWriter:
         self.size_bytes = 0
         self._time_base = Fraction(1, fps)
         self._container = av.open(str(path), "w", options={"fflags": "+bitexact"})
-        options = encoding.kind.options()
-        self._stream = cast(VideoStream, self._container.add_stream(encoding.kind.encoder, fps, options=options))
+        options = encoding.make_codec().options()
+        self._stream = cast(
+            VideoStream, self._container.add_stream(encoding.make_codec().encoder, fps, options=options)
+        )
         self._stream.width = self._stream.height = image_size
         self._stream.pix_fmt = encoding.pix_fmt
         self._stream.thread_count = 1

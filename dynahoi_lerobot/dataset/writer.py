@@ -9,19 +9,12 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
-from dynahoi_lerobot.dataset.columns import (
-    arrow_schema,
-    bookkeeping_arrays,
-    content_arrays,
-    frame_table,
-    info_features,
-    picture_arrays,
-    picture_keys,
-)
-from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, Row, own_columns, stats_columns, video_columns
+from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, frame_table, image_keys, info_features
+from dynahoi_lerobot.dataset.episode_arrays import check_fits, content_arrays, image_arrays
+from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, EpisodeRow, own_columns, stats_columns, video_columns
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
-from dynahoi_lerobot.dataset.metadata import Catalog
-from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, Layout
+from dynahoi_lerobot.dataset.metadata import MetadataWriter
+from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, FileLimits
 from dynahoi_lerobot.dataset.statistics import (
     picture_histogram,
     picture_stats,
@@ -31,6 +24,7 @@ from dynahoi_lerobot.dataset.statistics import (
 from dynahoi_lerobot.dataset.tables import MIB, RollingParquet
 from dynahoi_lerobot.dataset.video import VideoWriter
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.features import Feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 
@@ -43,39 +37,35 @@ class DatasetWriter:
     def __init__(
         self,
         root: Path,
-        image_size: int | None,
+        features: Sequence[Feature],
         encoding: Encoding | None = None,
-        layout: Layout | None = None,
-        *,
-        views: Sequence[str] = (),
-        touch: bool = False,
+        limits: FileLimits | None = None,
     ) -> None:
         """Make the folder ``root``.
 
         Args:
             root: a path that does not exist yet; its parent does.
-            image_size: side of the square frames [pixels], None for a dataset without a camera.
-            encoding: how pictures are stored.
-            layout: file size limits.
-            views: pictures that episodes hold besides those of the hand's camera.
-            touch: whether episodes hold the fingers' forces.
+            features: the columns that every episode fills, see ``features.frame_features``.
+            encoding: how images are stored.
+            limits: file size limits.
 
         Raises:
             FileExistsError: if ``root`` exists.
-            ValueError: if video cannot hold frames of this size.
+            ValueError: if video cannot hold images of this size.
         """
-        self.encoding, self.layout = encoding or Encoding(), layout or Layout()
-        self._codec = self.encoding.kind
-        self._image_size = image_size
-        if image_size is not None and self._codec.is_video and image_size % 2:
-            raise ValueError(f"image size is {image_size} pixels; video needs an even number")
+        self.encoding, self.limits = encoding or Encoding(), limits or FileLimits()
+        self._codec = self.encoding.make_codec()
+        self._features = tuple(features)
+        self._image_size = max((feature.shape[0] for feature in features if feature.is_image), default=0)
+        if self._codec.is_video and self._image_size % 2:
+            raise ValueError(f"image size is {self._image_size} pixels; video needs an even number")
         root.mkdir()
         self.root = root
-        features = info_features(image_size, self.encoding, views, touch=touch)
-        self._keys = picture_keys(features)
-        self._schema = arrow_schema(features)
-        self._catalog = Catalog(root, features, self.layout)
-        self._data = RollingParquet(root, DATA_PATH, self._schema, self.layout)
+        info = info_features(features, self.encoding)
+        self._keys = image_keys(info)
+        self._schema = arrow_schema(info)
+        self._catalog = MetadataWriter(root, info, self.limits)
+        self._data = RollingParquet(root, DATA_PATH, self._schema, self.limits)
         self._videos: dict[str, VideoWriter] = {}
         """The file of each view that is being written; all of them begin and end with the same episodes."""
         self._n_videos = 0
@@ -90,12 +80,12 @@ class DatasetWriter:
         """Append one episode.
 
         Raises:
-            ValueError: if its images are missing or of another size than the dataset's.
+            ValueError: if it has other columns than the dataset, or images of another size.
         """
-        self._check(episode)
+        check_fits(episode, self._features)
         arrays = content_arrays(episode)
         row = own_columns(episode) | {"tasks": [episode.meta.task], "length": len(episode)}
-        row |= stats_columns(table_stats(arrays)) | self._picture_columns(episode)
+        row |= stats_columns(table_stats(arrays)) | self._image_columns(episode)
         row |= self._write_frames(episode, arrays)
         if self._keys and self._codec.is_video:
             row |= self._write_videos(episode)
@@ -129,42 +119,32 @@ class DatasetWriter:
         for video in self._videos.values():
             video.abandon()
 
-    def _check(self, episode: Episode) -> None:
-        pictures = picture_arrays(episode)
+    def _image_columns(self, episode: Episode) -> EpisodeRow:
+        sample, arrays, columns = sampled_frames(len(episode)), image_arrays(episode), EpisodeRow()
         for key in self._keys:
-            wanted = (len(episode), self._image_size, self._image_size, 3)
-            found = pictures[key].shape if key in pictures else None
-            if found != wanted:
-                raise ValueError(
-                    f"episode of seed {episode.meta.seed} has {key} of shape {found}; the dataset needs {wanted}"
-                )
-
-    def _picture_columns(self, episode: Episode) -> Row:
-        sample, pictures, columns = sampled_frames(len(episode)), picture_arrays(episode), Row()
-        for key in self._keys:
-            images = pictures[key] if len(sample) == len(episode) else pictures[key][sample]
+            images = arrays[key] if len(sample) == len(episode) else arrays[key][sample]
             histogram = picture_histogram(images)
             columns |= {HISTOGRAM + key: histogram.reshape(-1).tolist()}  # (3 * 256,)
             columns |= stats_columns({key: picture_stats(histogram, len(sample))})
         return columns
 
-    def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> Row:
+    def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> EpisodeRow:
         place = self._catalog.next_place(episode.meta.task)
         bookkeeping = bookkeeping_arrays(len(episode), *place)
-        pictures = {} if self._codec.is_video else picture_arrays(episode)
-        table = frame_table(arrays | bookkeeping, pictures, self._schema)
+        images = {} if self._codec.is_video else image_arrays(episode)
+        table = frame_table(arrays | bookkeeping, images, self._schema)
         chunk, file = self._data.write(table)
         return {"data/chunk_index": chunk, "data/file_index": file}
 
-    def _write_videos(self, episode: Episode) -> Row:
+    def _write_videos(self, episode: Episode) -> EpisodeRow:
         if not all(self._fits(video, len(episode)) for video in self._videos.values()):
             self._close_videos()
         if not self._videos:
             self._open_videos()
         start = self._videos[self._keys[0]].frames
-        for key, images in picture_arrays(episode).items():
+        for key, images in image_arrays(episode).items():
             self._videos[key].write(images)
-        chunk, file = self.layout.place(self._n_videos - 1)
+        chunk, file = self.limits.place(self._n_videos - 1)
         place = {
             "chunk_index": chunk,
             "file_index": file,
@@ -174,9 +154,8 @@ class DatasetWriter:
         return video_columns(self._keys, place)
 
     def _open_videos(self) -> None:
-        assert self._image_size is not None
         for key in self._keys:
-            path = self.layout.path(self.root, VIDEO_PATH, self._n_videos, video_key=key)
+            path = self.limits.path(self.root, VIDEO_PATH, self._n_videos, video_key=key)
             self._videos[key] = VideoWriter(path, self._image_size, CONTROL_HZ, self.encoding)
         self._n_videos += 1
 
@@ -187,4 +166,4 @@ class DatasetWriter:
 
     def _fits(self, video: VideoWriter, frames: int) -> bool:
         expected_bytes = video.size_bytes * (1 + frames / video.frames)
-        return expected_bytes < self.layout.video_mb * MIB and video.frames + frames <= self.layout.video_s * CONTROL_HZ
+        return expected_bytes < self.limits.video_mb * MIB and video.frames + frames <= self.limits.video_s * CONTROL_HZ

@@ -1,53 +1,66 @@
-"""The environment: a native gymnasium VectorEnv over a WorldBatch; the single Env is a batch of one."""
+"""N worlds as a native ``gymnasium.vector.VectorEnv`` over one ``WorldBatch``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from dynahoi_lerobot.agent import Observation
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import FINGERTIPS, PHASE, STATE, TOUCH
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
-from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
+from dynahoi_lerobot.env.checks import RENDER_MODES, check_open, check_render_mode, check_seed, episode_numbers
+from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisodes
+from dynahoi_lerobot.env.spaces import as_gym, observation_space
+from dynahoi_lerobot.features import frame_features
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout.loop import make_batch
-from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed, seed_stream
 
-LARGEST_TOUCH_N = 1000.0
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
 """Reset option: play one episode in every world, then stand still until the next reset."""
-POLICY_NAME = "policy"
-EpisodeListener = Callable[[Episode], None]
+RECIPE_OPTIONS = ("image_size", "views", "appearance", "protocol", "capture", "hand", "renderer", "instructions")
+"""Arguments of the constructor that are fields of a ``Recipe``."""
 
 
 class DynahoiVectorEnv(VectorEnv):
     """N hands that watch N moving objects and may then catch them.
 
-    Description: in the observation window (the first 20 % of the frames, at least 8) actions are ignored and the hand
-    is held still; ``phase`` turns from 0 to 1 when the control phase begins. Then the hand has L control steps.
-    Observation: ``pixels/ego`` (H, W, 3) uint8, and likewise each of ``views``; ``agent_pos`` (18,) palm centre [m],
-    world, and joint angles [rad]; ``fingertips`` (30,) positions [m] and rotation vectors [rad]; ``phase`` (1,).
-    Action: (18,) target for the next frame, palm centre [m], world, and joint angles [rad]; clipped to the limits.
-    Reward: 1 at the frame at which the episode ends in success, else 0.
-    Episode end: terminated half a second after localisation, truncated after L control steps.
-    Info: ``is_success`` at every step; when an episode ends, every metric by name, NaN where it does not apply.
-    Autoreset: next step.
+    Description:
+        A floating five-fingered hand (3 palm translations, 15 flexion joints) and a target that moves on a path of its
+        own, at 20 Hz. In the observation window (the first 20 % of the frames, at least 8) actions are ignored and the
+        hand is held still; ``phase`` turns from 0 to 1 when the control phase begins. Then the hand has L control
+        steps. World frame, z up, SI units.
+    Observation:
+        A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
+        view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], world, and joint angles [rad];
+        ``fingertips`` (30,) positions [m] and rotation vectors [rad], world; ``phase`` (1,); and, if the capture rule
+        uses contact sensors, ``touch`` (5,) force of each finger on the target [N].
+    Action:
+        (18,) float32 target for the next frame: palm centre [m], world, and joint angles [rad]. Clipped to the joint
+        ranges and to what the hand reaches within a frame.
+    Reward:
+        1 at the frame at which the episode ends in success, else 0.
+    Episode end:
+        Terminated when the capture rule's verdict falls, half a second (``attach``) after localisation; truncated
+        after L control steps. Autoreset: the next step begins the world's next episode and ignores its action.
+    Info:
+        ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
+        it does not apply, with its mask ``_<name>``.
+    Options:
+        ``reset(options={"lerobot_new_rollout": True})`` plays one episode per world and then stands still.
+
+    Copies (``pickle``, ``deepcopy``) have the same constructor arguments and begin before their first reset.
     """
 
     metadata = {  # noqa: RUF012 - gymnasium's own convention
-        "render_modes": ["rgb_array"],
+        "render_modes": list(RENDER_MODES),
         "render_fps": CONTROL_HZ,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
@@ -79,12 +92,16 @@ class DynahoiVectorEnv(VectorEnv):
             split: ``train``, ``val``, ``test``, ``test_small`` or ``ood_*``.
             image_size: side of the images [px].
             images: whether observations contain images; without them nothing is rendered.
-            views: pictures besides those of the hand's camera, under ``pixels``; see `views.py`.
+            views: views besides ``ego``, such as ``side``; see `renderers/camera_views.py`.
             appearance, protocol, capture, hand, renderer, instructions: see ``Recipe``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
+
+        Raises:
+            ValueError: for an unknown name or a value out of range, naming those allowed.
         """
+        check_render_mode(render_mode)
         self.num_envs, self.kind, self.split, self.render_mode = num_envs, kind, split, render_mode
         self.recipe = Recipe(
             split=seed_stream(split),
@@ -100,16 +117,14 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self._images, self._threads, self._on_episode = images, threads, on_episode
         self._batch = make_batch(self.recipe, num_envs, threads)
-        self.single_observation_space = observation_space(
-            image_size if images else None, self.recipe.views, touch=self._batch.rule.uses_contact_sensors
-        )
+        contact_sensors = self._batch.rule.uses_contact_sensors
+        features = frame_features(image_size if images else None, self.recipe.views, contact_sensors=contact_sensors)
+        self.single_observation_space = observation_space(features)
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._session = Session(self._batch, record_images=False)
-        self._success, self._longest = np.zeros(num_envs, bool), np.zeros(num_envs, int)
-        self._ended = np.zeros(num_envs, bool)
-        self._numbers = np.zeros(num_envs, int)
+        self._episodes = RunningEpisodes(self._batch, on_episode)
+        self._ended, self._numbers = np.zeros(num_envs, bool), np.zeros(num_envs, int)
         self._one_episode = False
 
     def reset(
@@ -118,27 +133,38 @@ class DynahoiVectorEnv(VectorEnv):
         """Begin an episode in every world.
 
         Args:
-            seed: number of the episode within the split (and kind), one for each world or a first one that counts up;
-                None draws numbers at random.
-            options: ``{"lerobot_new_rollout": True}`` plays one episode per world and then stands still.
+            seed: number of the episode within the split (and kind), 0 to 2^40 - 1, one for each world or a first one
+                that counts up; None draws numbers at random.
+            options: see the class.
+
+        Raises:
+            ValueError: for a seed that is not such an integer, or a wrong number of them.
+            ClosedEnvironmentError: after ``close``.
         """
-        super().reset(seed=seed if isinstance(seed, int) else None)
+        check_open(self.closed)
+        numbers = episode_numbers(seed, self.num_envs, self._seeded(seed))
         self._one_episode = bool((options or {}).get(ONE_EPISODE_OPTION, False))
-        self._numbers = self._episode_numbers(seed)
+        self._numbers = numbers
         self._begin(np.arange(self.num_envs))
         self._ended[:] = False
         return self._observe(), {"is_success": np.zeros(self.num_envs, bool)}
 
     def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance every world by one frame; a world whose episode has ended begins the next one instead.
+        """Advance every world by one frame of 0.05 s; a world whose episode has ended begins the next one instead.
+
+        Args:
+            actions: (N, 18) targets for the next frame, palm centres [m], world, and joint angles [rad].
 
         Raises:
-            ValueError: for a wrong shape or a value that is not finite; nothing moves then.
+            ValueError: for a wrong shape or element type, or a value that is not finite; nothing moves then.
+            ResetNeeded: before the first ``reset``.
+            ClosedEnvironmentError: after ``close``.
         """
-        ended = self._session.step(actions)
+        self._observed()
+        ended = self._episodes.step(actions)
         restarting = np.flatnonzero(self._ended)
-        terminated, truncated = (self._mask(ids) for ids in (ended.settled, ended.full))
-        infos = self._infos(ended.worlds)
+        terminated, truncated = (np.isin(np.arange(self.num_envs), ids) for ids in (ended.settled, ended.full))
+        infos = self._episodes.infos(ended.worlds)
         reward = (infos["is_success"] & (terminated | truncated)).astype(np.float64)
         if restarting.size and not self._one_episode:
             self._numbers[restarting] += self.num_envs
@@ -148,9 +174,14 @@ class DynahoiVectorEnv(VectorEnv):
         return self._observe(ended.worlds), reward, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...]:  # type: ignore[override]
-        """Return the current image of every world, (H, W, 3) uint8 each."""
-        seen = self._session.observation.images if self._session.observation is not None else None
-        return tuple(self._batch.cameras.render() if seen is None else seen)
+        """Return the current image of every world's ``ego`` view, (H, W, 3) uint8 each.
+
+        Raises:
+            ResetNeeded: before the first ``reset``.
+            ClosedEnvironmentError: after ``close``.
+        """
+        images = self._observed().images
+        return tuple(images[EGO_VIEW] if images else self._batch.cameras.render())
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Return attribute ``name`` of every world, called if it can be; as gymnasium's other vector envs do."""
@@ -177,119 +208,39 @@ class DynahoiVectorEnv(VectorEnv):
     @property
     def _max_episode_steps(self) -> int:
         """Longest episode now being played [frames]; LeRobot asks after every reset."""
-        return int(self._longest.max())
+        return int(self._episodes.longest.max())
 
-    def _episode_numbers(self, seed: int | Sequence[int | None] | None) -> np.ndarray:
-        if seed is None:
-            return self.np_random.integers(0, 2**31, self.num_envs)
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made from: the constructor's arguments."""
+        options = {name: getattr(self.recipe, name) for name in RECIPE_OPTIONS}
+        options |= {name: getattr(self, name) for name in ("num_envs", "kind", "split", "render_mode")}
+        options |= {"images": self._images, "threads": self._threads, "on_episode": self._on_episode}
+        return {"options": options, "spec": self.spec}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Construct the copy."""
+        self.__init__(**state["options"])
+        self.spec = state["spec"]
+
+    def _observed(self) -> Observation:
+        """The latest observation; there is one between the first ``reset`` and ``close``."""
+        check_open(self.closed)
+        if self._episodes.observation is None:
+            raise ResetNeeded("call reset first: no episode has begun")
+        return self._episodes.observation
+
+    def _seeded(self, seed: int | Sequence[int | None] | None) -> np.random.Generator:
+        """The generator of random episode numbers, begun anew from ``seed`` if that is one number."""
         if isinstance(seed, int | np.integer):
-            return int(seed) + np.arange(self.num_envs)
-        if len(seed) != self.num_envs:
-            raise ValueError(f"reset needs one seed for each of {self.num_envs} worlds, got {len(seed)}")
-        return np.array([int(self.np_random.integers(0, 2**31)) if s is None else s for s in seed])
+            super().reset(seed=check_seed(seed))
+        return self.np_random
 
     def _begin(self, ids: np.ndarray) -> None:
         """Begin episode ``self._numbers[i]`` in each world ``i`` of ``ids``."""
         seeds = [kind_seed(self.recipe, self.split, self.kind, int(self._numbers[i])) for i in ids]
         specs = sample_specs(self.recipe, seeds, threads=max(1, self._threads))
-        self._session.begin(ids, [Job.evaluation(int(i), spec) for i, spec in zip(ids, specs, strict=True)])
-        self._longest[ids] = [spec.window_frames + spec.length_frames for spec in specs]
-        self._success[ids] = False
-
-    def _mask(self, ids: np.ndarray) -> np.ndarray:
-        """(N,) bool, True in worlds ``ids``."""
-        mask = np.zeros(self.num_envs, bool)
-        mask[ids] = True
-        return mask
-
-    def _infos(self, ending: np.ndarray) -> dict[str, Any]:
-        """``is_success`` so far for all worlds, and every metric for worlds ``ending`` (n,)."""
-        for i in self._session.playing:
-            self._success[i] = self._session.success(int(i))
-        infos: dict[str, Any] = {"is_success": self._success.copy()}
-        for i in ending:
-            _, episode = self._session.finish(int(i), POLICY_NAME)
-            if self._on_episode is not None:
-                self._on_episode(episode)
-            for name, value in measure(episode).items():
-                column = infos.setdefault(name, np.full(self.num_envs, np.nan))
-                column[i] = np.nan if value is None else value
-                infos["_" + name] = self._mask(ending)
-        return infos
+        self._episodes.begin_specs(ids, specs)
 
     def _observe(self, ending: np.ndarray | None = None) -> dict[str, Any]:
         """Return what is seen now; worlds ``ending`` (n,) show their last frame, those that ended before are black."""
-        return as_gym(self._session.observe(images=self._images, ending=ending))
-
-
-class DynahoiEnv(gym.Env):
-    """One world: ``DynahoiVectorEnv`` with a batch of one, without the batch axis and without autoreset."""
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
-
-    def __init__(self, render_mode: str | None = None, **options: Any) -> None:
-        """Take the keyword arguments of ``DynahoiVectorEnv`` besides ``num_envs``."""
-        self._vector = DynahoiVectorEnv(1, render_mode=render_mode, **options)
-        self.render_mode = render_mode
-        self.observation_space = self._vector.single_observation_space
-        self.action_space = self._vector.single_action_space
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin episode ``seed`` of the split (and kind); None draws one."""
-        super().reset(seed=seed)
-        number = int(self.np_random.integers(0, 2**31)) if seed is None else seed
-        observation, infos = self._vector.reset(seed=[number], options={**(options or {}), ONE_EPISODE_OPTION: True})
-        return _first(observation), _first(infos)
-
-    def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Advance by one frame."""
-        observation, reward, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
-        return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
-
-    def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """Return (H, W, 3) uint8 if the render mode is ``rgb_array``."""
-        return self._vector.render()[0] if self.render_mode == "rgb_array" else None
-
-    @property
-    def task_description(self) -> str:
-        """The instruction."""
-        return self._vector.task_description[0]
-
-
-def observation_space(image_size: int | None, views: Sequence[str] = (), *, touch: bool = False) -> spaces.Dict:
-    """Return the space of one world's observations, in the names LeRobot's preprocessing expects."""
-    entries: dict[str, gym.Space] = {}
-    if image_size is not None:
-        picture = spaces.Box(0, 255, (image_size, image_size, 3), np.uint8)
-        entries["pixels"] = spaces.Dict(dict.fromkeys(("ego", *views), picture))
-    for key, feature, bound in (("agent_pos", STATE, 10.0), ("fingertips", FINGERTIPS, 10.0), ("phase", PHASE, 1.0)):
-        entries[key] = spaces.Box(-bound, bound, feature.shape, np.float32)
-    if touch:
-        entries["touch"] = spaces.Box(0.0, LARGEST_TOUCH_N, TOUCH.shape, np.float32)
-    return spaces.Dict(entries)
-
-
-def as_gym(observation: Observation) -> dict[str, Any]:
-    """Return an Observation under the keys of ``observation_space``."""
-    entries: dict[str, Any] = {"pixels": observation.pictures} if observation.pictures else {}
-    entries |= {} if observation.touch is None else {"touch": np.minimum(observation.touch, LARGEST_TOUCH_N)}
-    return {**entries, "agent_pos": observation.state, "fingertips": observation.fingertips, "phase": observation.phase}
-
-
-def register_envs() -> None:
-    """Register ``dynahoi/<kind>-v0`` for every benchmark kind, and ``dynahoi/all-v0``."""
-    for kind in (None, *benchmark_motions(), *(name for name, motion in MOTIONS.items() if motion.held_out)):
-        gym_id = f"dynahoi/{kind or 'all'}-v0"
-        if gym_id not in gym.registry:
-            gym.register(
-                gym_id,
-                entry_point="dynahoi_lerobot.env:DynahoiEnv",
-                vector_entry_point="dynahoi_lerobot.env:DynahoiVectorEnv",
-                kwargs={"kind": kind},
-            )
-
-
-def _first(batched: dict[str, Any]) -> dict[str, Any]:
-    return {key: _first(value) if isinstance(value, dict) else value[0] for key, value in batched.items()}
+        return as_gym(self._episodes.observe(images=self._images, ending=ending))

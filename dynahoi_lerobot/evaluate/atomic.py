@@ -1,4 +1,4 @@
-"""Files that are either whole or absent: write beside the goal, then rename."""
+"""Atomic writing of files: write a temporary file in the same folder, then rename it."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from pathlib import Path
 
 
 def write_atomically(writers: dict[Path, Callable[[Path], object]]) -> None:
-    """Write every file beside its goal, and rename only when all are complete.
+    """Write every file under a temporary name, and rename them only when all are complete.
 
     Args:
-        writers: the goal of each file and the function that writes it to a given path. They are renamed in
-            this order, so the last file is the sign that the others are there.
+        writers: for each path, a function that writes the file to the path it is given. The files are renamed in this
+            order, so the presence of the last implies that of the others. Folders are made.
     """
-    drafts = {goal: goal.with_name(f".{goal.name}.{os.getpid()}.part") for goal in writers}
+    temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in writers}
     try:
-        for goal, write in writers.items():
-            goal.parent.mkdir(parents=True, exist_ok=True)
-            write(drafts[goal])
-        for goal, draft in drafts.items():
-            draft.replace(goal)
+        for path, write in writers.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(temporary[path])
+        for path, file in temporary.items():
+            file.replace(path)
     finally:
-        for draft in drafts.values():
-            draft.unlink(missing_ok=True)
+        for file in temporary.values():
+            file.unlink(missing_ok=True)

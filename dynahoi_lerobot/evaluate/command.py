@@ -1,10 +1,10 @@
-"""``dynahoi evaluate``: play a split with a policy or an expert and write the result folder."""
+"""``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
@@ -12,12 +12,11 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Actor, Agent
-from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.evaluate.actors import VLM, add_trust_argument, image_size_for, make_actor
 from dynahoi_lerobot.evaluate.gif import episode_gif
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
-from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
+from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.arguments import names
@@ -27,56 +26,86 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import SMALL_TEST, seed_stream, split_seeds
 
-VLM = "vlm"
-EXPERT_ALIAS = "expert"
-"""The capture rule's own demonstrator."""
+DEFAULT_IMAGE_SIZE = 128
+"""Side of the images [px] for experts and for policies that do not say theirs."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi evaluate``."""
     parser.add_argument(
-        "--policy", required=True, help=f"a checkpoint folder, vlm, expert, or {', '.join(EXPERTS.names())}"
+        "--policy",
+        required=True,
+        help=f"checkpoint folder, Hub repository, vlm, or privileged baseline: expert, {', '.join(EXPERTS.names())}",
     )
     parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val or one of the ood_ splits")
-    parser.add_argument("--out", type=Path, help="result folder; goes on where an earlier run stopped")
-    parser.add_argument("--episodes", type=int, help="only the first so many episodes of the split")
+    parser.add_argument("--out", type=Path, help="result folder; resumes where an earlier run stopped")
+    parser.add_argument("--episodes", type=int, help="number of episodes, from the first of the split; all by default")
     parser.add_argument(
-        "--motions", type=names, default=(), help="comma-separated kinds of motion; all of the split by default"
+        "--motions", type=names, default=(), help="comma-separated motions; all of the split by default"
     )
-    parser.add_argument("--capture", default="attach", help="capture rule")
-    parser.add_argument("--hand", default="", help="embodiment; the capture rule's own by default")
-    parser.add_argument("--protocol", default="observe_before_act", help="or direct_act")
+    parser.add_argument("--capture", default="attach", help="capture rule: attach or contact")
+    parser.add_argument("--hand", default="", help="hand model; the capture rule's own by default")
+    parser.add_argument(
+        "--protocol",
+        default="observe_before_act",
+        help="observe_before_act or direct_act, which has no observation window",
+    )
+    parser.add_argument(
+        "--objects", type=names, default=(), help="comma-separated objects; all of the split by default"
+    )
     parser.add_argument(
         "--appearance",
         type=names,
         default=(),
-        help="comma-separated: what varies more strongly than in training",
+        help="comma-separated: what is randomised beyond the training distribution",
     )
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
-    parser.add_argument("--batch-size", type=int, default=32, help="worlds played together; no influence on the result")
+    parser.add_argument(
+        "--batch-size", type=int, default=32, help="worlds simulated together; no influence on the result"
+    )
     parser.add_argument("--device", help="torch device of the policy")
+    add_trust_argument(parser)
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="change the config of the policy, as n_action_steps=2; may be repeated",
+        help="override a field of the policy's config, such as n_action_steps=2; may be repeated",
     )
     parser.add_argument(
-        "--delay-ms", type=float, default=0.0, help="inference time to pretend [ms]; the world moves on"
+        "--delay-ms", type=float, default=0.0, help="simulated inference latency [ms]; the world moves on meanwhile"
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
-    parser.add_argument("--base-url", help="of an OpenAI-compatible endpoint; the key is taken from OPENAI_API_KEY")
-    parser.add_argument("--request-timeout", type=float, default=60.0, help="of one request to it [s]")
     parser.add_argument(
-        "--prices", type=float, nargs=2, default=(0.0, 0.0), help="of a million prompt and completion tokens"
+        "--base-url",
+        help="with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from OPENAI_API_KEY",
     )
-    parser.add_argument("--gifs", type=int, default=0, help="how many episodes to keep as GIFs in --out")
-    parser.add_argument("--per-kind", action="store_true", help="print a row per kind of motion, too")
+    parser.add_argument(
+        "--request-timeout",
+        type=float,
+        default=60.0,
+        help="with --policy vlm: time for a decision with all its requests [s]",
+    )
+    parser.add_argument(
+        "--prices",
+        type=float,
+        nargs=2,
+        default=(0.0, 0.0),
+        metavar=("PROMPT", "COMPLETION"),
+        help="with --policy vlm: prices of a million tokens",
+    )
+    parser.add_argument("--gifs", type=int, default=0, help="number of episodes to record as GIFs in --out")
+    parser.add_argument("--per-kind", action="store_true", help="also print a row for each motion")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Play, write and print; return the exit code."""
+    """Evaluate, write the results and print them; return the exit code.
+
+    Raises:
+        PolicyError: if the policy cannot be loaded or, without ``--trust``, could run code.
+        ResultsError: if ``--out`` holds damaged results, or those of another evaluation.
+        ValueError: for any other bad argument.
+    """
     actor = _delayed(_actor(args), args)
     recipe = _recipe(args, actor)
     info = RunInfo(
@@ -87,7 +116,7 @@ def run(args: argparse.Namespace) -> int:
         recipe.fingerprint(),
         {"recipe": asdict(recipe), "delay_ms": args.delay_ms, "settings": args.set},
     )
-    recorder = Recorder.resume(args.out, info) if args.out else Recorder()
+    recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
     specs = _specs(args, recipe, recorder)
     for episodes in _played(args, recipe, actor, specs):
         recorder.extend(episodes)
@@ -107,14 +136,14 @@ def _delayed(actor: Actor, args: argparse.Namespace) -> Actor:
     if not args.delay_ms:
         return actor
     if not isinstance(actor, Agent):
-        raise ValueError(f"--delay-ms concerns policies; {args.policy!r} is an expert")
+        raise ValueError(f"--delay-ms delays policies; {args.policy!r} is an expert")
     return DelayedAgent(actor, args.delay_ms)
 
 
 def _actor(args: argparse.Namespace) -> Actor:
     if args.policy == VLM and not args.set:
         return _vlm(args)
-    return make_actor(args.policy, args.capture, args.device, args.set)
+    return make_actor(args.policy, args.capture, args.device, args.set, trust=args.trust)
 
 
 def _vlm(args: argparse.Namespace) -> Agent:
@@ -133,40 +162,22 @@ def _vlm(args: argparse.Namespace) -> Agent:
     return VlmAgent(client, name=f"vlm:{args.model}", concurrency=args.batch_size)
 
 
-def make_actor(name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = ()) -> Actor:
-    """Return the expert called ``name``, the capture rule's own for "expert", or else load it as a policy.
-
-    Args:
-        name: of an expert, or of a policy as `PolicyAgent` takes it.
-        capture: rule under which it is to catch.
-        device: torch device of a policy, its own if None.
-        settings: changes of a policy's config, ``KEY=VALUE`` each.
-
-    Raises:
-        ValueError: if there is no such policy, or its config cannot be changed so.
-    """
-    key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
-    if settings and key in (*EXPERTS.names(), VLM):
-        raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
-    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings)
-
-
 def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
-    size = args.image_size or actor.image_size or 128
     return Recipe(
         split=seed_stream(args.split),
         motions=args.motions,
+        objects=args.objects,
         capture=args.capture,
         hand=args.hand,
         protocol=args.protocol,
-        image_size=size,
+        image_size=image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE),
         views=actor.views,
         appearance=args.appearance,
     )
 
 
-def _specs(args: argparse.Namespace, recipe: Recipe, recorder: Recorder) -> list[EpisodeSpec]:
-    """Sample the episodes that are still to be played."""
+def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) -> list[EpisodeSpec]:
+    """Sample the episodes that are not recorded yet."""
     seeds = split_seeds(args.split)
     if args.episodes is not None:
         if args.episodes < 1:
@@ -178,7 +189,7 @@ def _specs(args: argparse.Namespace, recipe: Recipe, recorder: Recorder) -> list
 def _played(
     args: argparse.Namespace, recipe: Recipe, actor: Actor, specs: list[EpisodeSpec]
 ) -> Iterator[list[Episode]]:
-    """Play ``specs`` and yield them a batch at a time, without images."""
+    """Play the episodes ``specs`` and yield them batch by batch, without images."""
     if not specs:
         return
     batch = make_batch(recipe, min(args.batch_size, len(specs)))
@@ -187,11 +198,11 @@ def _played(
         for start in range(0, len(specs), args.batch_size):
             wanted = max(0, gifs - start)
             episodes = evaluate(batch, actor, specs[start : start + args.batch_size], images=wanted > 0)
-            yield list(_watched(episodes, progress, args.out, wanted))
+            yield list(_reported(episodes, progress, args.out, wanted))
 
 
-def _watched(episodes: Iterator[Episode], progress: tqdm, out: Path | None, gifs: int) -> Iterator[Episode]:
-    """Pass episodes on, counting them and keeping the first ``gifs`` as GIFs."""
+def _reported(episodes: Iterator[Episode], progress: tqdm, out: Path | None, gifs: int) -> Iterator[Episode]:
+    """Yield the episodes without images, updating the progress bar; the first ``gifs`` are written as GIFs."""
     for episode in islice(episodes, gifs):
         progress.update()
         if out is not None:

@@ -1,4 +1,4 @@
-"""Two policies on the same episodes: the paired difference, its interval and how surprising it is."""
+"""Paired comparison of two policies on the same episodes: difference, confidence interval and p-value."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.intervals import bootstrap_means
-from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.metrics import METRICS
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Policy A against policy B on the episodes both played.
+    """Policy A against policy B on the episodes that both played.
 
     Attributes:
         metric: the compared metric.
@@ -35,20 +35,25 @@ class Comparison:
 
 
 def paired_values(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> np.ndarray:
-    """Return (n, 2) values of ``metric`` in the episodes that both row sets hold and in which it applies."""
+    """Return (n, 2) values of ``metric``, in its unit, in the episodes that both have played and where it applies."""
     other = {_identity(row): row[metric] for row in rows_b}
     pairs = ((row[metric], other.get(_identity(row))) for row in rows_a)
     return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
 
 
 def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Comparison:
-    """Compare two row sets on one metric, episode by episode.
+    """Compare two evaluations on one metric, episode by episode.
+
+    Args:
+        rows_a: the episodes of policy A.
+        rows_b: the episodes of policy B.
+        metric: name of a registered metric.
 
     Raises:
         UnknownNameError: if the metric is not registered.
         ValueError: if no episode is in both sets with the metric applying.
     """
-    kind = METRICS[metric].kind
+    aggregation = METRICS[metric].aggregation
     pairs = paired_values(rows_a, rows_b, metric)
     if len(pairs) == 0:
         raise ValueError(f"the result sets share no episode with a value of {metric}; evaluate both on the same split")
@@ -56,7 +61,7 @@ def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Compar
     means = bootstrap_means(differences)
     low, high = np.percentile(means, [2.5, 97.5])
     only_a, only_b = int((differences > 0).sum()), int((differences < 0).sum())
-    p_value = mcnemar(only_a, only_b) if kind == "rate" else _tail(means)
+    p_value = mcnemar(only_a, only_b) if aggregation == "rate" else _tail(means)
     return Comparison(metric, len(pairs), float(differences.mean()), float(low), float(high), p_value)
 
 

@@ -1,7 +1,8 @@
-"""An episode as a GIF: the camera's frames, a border that tells the phase, a thin caption."""
+"""Camera frames of an episode as a GIF, with a coloured border for the phase and a caption."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,13 +11,13 @@ import numpy as np
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.atomic import write_atomically
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
 
 if TYPE_CHECKING:
     from PIL import Image
 
 BORDERS = {"observing": (128, 128, 128), "acting": (30, 30, 34), "localized": (46, 160, 67)}
-"""Border colour [RGB 0-255] of each phase: grey while watching, dark while acting, green once localised."""
+"""Border colour [RGB, 0 to 255] of each phase: grey while observing, dark while acting, green once localised."""
 
 BORDER_PX = 3
 CAPTION_PX = 16
@@ -25,28 +26,40 @@ MAX_FPS = 50
 
 
 def episode_gif(path: Path, episode: Episode, caption: str | None = None, min_width: int = 192) -> Path:
-    """Write one episode as a GIF at its true speed.
+    """Write the hand camera's images of one episode as a GIF at real-time speed.
 
     Args:
         path: the file to write.
         episode: an episode with images.
-        caption: the line under the picture; None says kind, object and stage.
-        min_width: frames are enlarged by a whole factor until they are at least this wide [px].
+        caption: the line under the image; None says motion, object and stage.
+        min_width: least width of the frames [px]; smaller ones are enlarged by a whole factor.
+
+    Returns:
+        ``path``.
 
     Raises:
         ValueError: if the episode has no images.
     """
-    if episode.images is None:
+    frames = episode.images.get(EGO_VIEW)
+    if frames is None:
         raise ValueError(f"the episode with seed {episode.meta.seed} holds no images; play it with a renderer")
     text = f"{episode.meta.motion} · {episode.meta.object} · {episode.stage}" if caption is None else caption
-    scale = -(-min_width // episode.images.shape[2])
-    return write_gif(path, episode.images, caption=text, phases=phases_of(episode), scale=scale)
+    return write_gif(path, frames, caption=text, phases=phases_of(episode), min_width=min_width)
 
 
 def phases_of(episode: Episode) -> list[str]:
-    """Return ``observing``, ``acting`` or ``localized`` for each of the T frames."""
-    acting = np.where(episode.localized, "localized", "acting")
-    return np.where(np.arange(len(episode)) < episode.meta.window_frames, "observing", acting).tolist()
+    """Return ``observing``, ``acting`` or ``localized`` for each of the episode's T frames."""
+    return frame_phases(np.arange(len(episode)) >= episode.meta.window_frames, episode.localized)
+
+
+def frame_phases(acting: np.ndarray, localized: np.ndarray) -> list[str]:
+    """Return the name of each frame's phase.
+
+    Args:
+        acting: (T,) bool, whether the frame belongs to the control phase.
+        localized: (T,) bool, whether the target has been localised by then.
+    """
+    return np.where(acting, np.where(localized, "localized", "acting"), "observing").tolist()
 
 
 def write_gif(
@@ -56,27 +69,54 @@ def write_gif(
     fps: float = CONTROL_HZ,
     caption: str = "",
     phases: Sequence[str] | None = None,
-    scale: int = 1,
+    min_width: int = 0,
 ) -> Path:
-    """Write frames as an endless GIF.
+    """Write frames as a GIF that repeats forever, whole or not at all.
 
     Args:
-        path: the file to write, whole or not at all.
+        path: the file to write.
+        frames, fps, caption, phases, min_width: as ``encode_gif`` takes them.
+
+    Returns:
+        ``path``.
+
+    Raises:
+        ValueError: as ``encode_gif``.
+    """
+    data = encode_gif(frames, fps=fps, caption=caption, phases=phases, min_width=min_width)
+    write_atomically({Path(path): lambda draft: draft.write_bytes(data)})
+    return Path(path)
+
+
+def encode_gif(
+    frames: np.ndarray,
+    *,
+    fps: float = CONTROL_HZ,
+    caption: str = "",
+    phases: Sequence[str] | None = None,
+    min_width: int = 0,
+) -> bytes:
+    """Return frames as the bytes of a GIF that repeats forever.
+
+    Args:
         frames: (T, H, W, 3) uint8 RGB.
-        fps: frames per second; the format rounds the time of a frame to 10 ms.
-        caption: text for a strip under the picture; empty leaves the strip out.
+        fps: frames per second, at most 50; the format rounds the duration of a frame to 10 ms.
+        caption: text for a strip under the image; empty leaves the strip out.
         phases: T names out of ``BORDERS``, or None for no border.
-        scale: whole factor of enlargement, so that small frames stay crisp.
+        min_width: least width of the frames [px]; smaller ones are enlarged by a whole factor, so that pixels stay
+            crisp.
 
     Raises:
         ValueError: if the frames, the frame rate or the phases are not as described.
     """
     _check(frames, fps, phases)
+    scale = max(1, -(-min_width // frames.shape[2]))
     names = phases or [None] * len(frames)
     pages = [_page(frame, name, caption, scale) for frame, name in zip(frames, names, strict=True)]
     options = {"save_all": True, "append_images": pages[1:], "duration": round(100 / fps) * 10, "loop": 0}
-    write_atomically({Path(path): lambda draft: pages[0].save(draft, "GIF", **options)})
-    return Path(path)
+    buffer = io.BytesIO()
+    pages[0].save(buffer, "GIF", **options)
+    return buffer.getvalue()
 
 
 def _check(frames: np.ndarray, fps: float, phases: Sequence[str] | None) -> None:

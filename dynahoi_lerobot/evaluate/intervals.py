@@ -1,4 +1,4 @@
-"""How sure a number is: Wilson intervals for rates, bootstrap intervals for means, both 95 %."""
+"""Confidence intervals, 95 %: Wilson's for rates, the percentile bootstrap's for means."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
 
 
 def bootstrap_means(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> np.ndarray:
-    """Return (resamples,) means of resamples with replacement of the (n,) ``values``; the same for any order.
+    """Return (resamples,) means of resamples with replacement of (n,) ``values``, independent of their order.
 
     Raises:
         ValueError: if there is no value.

@@ -1,4 +1,4 @@
-"""A trained LeRobot policy as an agent: LeRobot's own loading, processors and action selection.
+"""A trained LeRobot policy as an agent, with LeRobot's own loading, processors and action selection.
 
 Nothing here imports torch or LeRobot before a policy is loaded.
 """
@@ -13,44 +13,43 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
-from dynahoi_lerobot.env.vector_env import as_gym
-from dynahoi_lerobot.features import CAMERA_KEY, PICTURE_PREFIX
-from dynahoi_lerobot.renderers.views import FURTHER_VIEWS
-
-REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
-
-
-class PolicyError(ValueError):
-    """A policy that cannot be loaded; the message says what was asked for and what would do."""
+from dynahoi_lerobot.env.spaces import as_gym
+from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, REMEDY, PolicyError, trusted_checkpoint
+from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX
+from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
 
 
 class PolicyAgent(Agent):
-    """Plays a checkpoint folder or a Hub repository, exactly as ``lerobot-eval`` would."""
+    """Acts as ``lerobot-eval`` would with the same checkpoint folder or Hub repository."""
 
-    def __init__(self, path: str, device: str | None = None, settings: Sequence[str] = ()) -> None:
+    def __init__(
+        self, path: str, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
+    ) -> None:
         """Load the policy and its processors.
 
         Args:
             path: a ``pretrained_model`` folder, or a Hub repository id.
             device: torch device, the policy's own if None.
-            settings: changes of its config, ``KEY=VALUE`` each.
+            settings: overrides of its config, ``KEY=VALUE`` each.
+            trust: load it even if that can run code of its own.
 
         Raises:
             PolicyError: if there is no such policy, or its config cannot be changed so.
+            UntrustedCheckpointError: if loading it could run code of its own, unless ``trust`` allows that.
         """
         self.name = path
-        self._policy, self._before, self._after = _load(path, device, settings)
+        self._policy, self._before, self._after = _load(path, device, settings, trust=trust)
         inputs = self._policy.config.input_features
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
-        self.views = tuple(view for view in FURTHER_VIEWS if PICTURE_PREFIX + view in inputs)
+        self.views = tuple(view for view in EXTRA_VIEWS if IMAGE_PREFIX + view in inputs)
 
     def reset(self, count: int) -> None:
         """Forget queued actions and history."""
         self._policy.reset()
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands."""
+        """Return (N, 18) float commands: palm position [m] world and joint angles [rad]."""
         import torch
         from lerobot.envs.utils import preprocess_observation
 
@@ -61,36 +60,42 @@ class PolicyAgent(Agent):
         return self._after(action).to("cpu").numpy()
 
 
-def _load(path: str, device: str | None, settings: Sequence[str]) -> tuple[Any, Any, Any]:
+def _load(path: str, device: str | None, settings: Sequence[str], *, trust: bool) -> tuple[Any, Any, Any]:
     """Policy, preprocessor and postprocessor."""
     try:
-        from lerobot.configs import PreTrainedConfig
         from lerobot.policies.factory import get_policy_class, make_pre_post_processors
         from lerobot.utils.import_utils import register_third_party_plugins
     except ImportError as error:
         raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
     register_third_party_plugins()
-    config = _config(PreTrainedConfig, path, settings)
+    _check_exists(path)
+    source = path if trust else trusted_checkpoint(path)
+    config = _config(source, path, settings)
     if device is not None:
         config.device = device
-    policy = get_policy_class(config.type).from_pretrained(path, config=config).eval()
+    policy = get_policy_class(config.type).from_pretrained(source, config=config).eval()
     overrides = {"device_processor": {"device": str(config.device)}}
-    before, after = make_pre_post_processors(config, pretrained_path=path, preprocessor_overrides=overrides)
+    before, after = make_pre_post_processors(config, pretrained_path=source, preprocessor_overrides=overrides)
     return policy, before, after
 
 
-def _config(config_class: Any, path: str, settings: Sequence[str]) -> Any:
+def _check_exists(path: str) -> None:
     if not Path(path).is_dir() and path.count("/") != 1:
         raise PolicyError(f"there is no policy {path!r}; {REMEDY}")
-    if Path(path).is_dir() and not (Path(path) / "config.json").is_file():
+    if Path(path).is_dir() and not (Path(path) / CONFIG).is_file():
         nested = sorted(str(p.parent) for p in Path(path).glob("**/pretrained_model/config.json"))
         hint = f"; did you mean {nested[-1]}?" if nested else ""
-        raise PolicyError(f"{path} holds no policy (no config.json){hint}")
+        raise PolicyError(f"{path} holds no policy (no {CONFIG}){hint}")
+
+
+def _config(source: str, path: str, settings: Sequence[str]) -> Any:
+    from lerobot.configs import PreTrainedConfig
+
     try:
-        config = config_class.from_pretrained(path)
+        config = PreTrainedConfig.from_pretrained(source)
     except Exception as error:
         raise PolicyError(f"there is no policy {path!r} ({type(error).__name__}); {REMEDY}") from error
-    return _changed(config, path, settings) if settings else config
+    return _changed(config, source, settings) if settings else config
 
 
 def _changed(config: Any, path: str, settings: Sequence[str]) -> Any:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate import files
-from dynahoi_lerobot.evaluate.files import ResultsError
-from dynahoi_lerobot.evaluate.rows import Row, episode_row
+from dynahoi_lerobot.evaluate import result_files
+from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
+from dynahoi_lerobot.evaluate.result_files import ResultsError
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
 
-__all__ = ["Recorder", "Results", "ResultsError", "RunInfo", "read_results", "summarise", "write_results"]
+__all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class RunInfo:
         capture: the capture rule, ``attach`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: anything a figure may need, such as ``n_obs_frames`` or ``data_fraction``; ``delay_ms`` and ``settings``,
-            where the policy was delayed or its config changed.
+        extra: further JSON values: ``delay_ms`` [ms] and ``settings`` where the policy was delayed or its config
+            changed, ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
     """
 
     policy: str
@@ -41,7 +41,7 @@ class RunInfo:
 
     @property
     def conditions(self) -> dict[str, Any]:
-        """What all episodes of one evaluation have in common, in words for a message."""
+        """What must be equal for an evaluation to be resumed, by a name for messages."""
         changed = {name: self.extra.get(name) or "none" for name in ("delay_ms", "settings")}
         return {
             "policy": self.policy,
@@ -53,12 +53,12 @@ class RunInfo:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """One evaluation: what was run, and a row and the commands of every episode.
+    """One evaluation: what was run, and a row and the actions of every episode.
 
     Attributes:
         folder: where it was read from or written to.
         info: what was evaluated and how.
-        rows: one row an episode, as ``rows.episode_row`` makes them.
+        rows: one row an episode, as ``episode_row`` makes them.
         actions: one (T, 18) float32 array an episode, palm position [m] world and joint angles [rad].
     """
 
@@ -87,22 +87,22 @@ class Results:
         }
 
 
-class Recorder:
-    """Collects episodes batch by batch; of each it keeps a row and the commands, never the images."""
+class ResultsRecorder:
+    """Collects episodes batch by batch and writes the result folder; keeps a row and the actions of each, no images."""
 
     def __init__(self, rows: Sequence[Row] = (), actions: Sequence[np.ndarray] = ()) -> None:
-        """Start empty, or go on from the rows and actions of an earlier run."""
+        """Start empty, or from the rows and (T, 18) actions of an earlier run."""
         self._rows = list(rows)
         self._actions = list(actions)
 
     @classmethod
-    def resume(cls, folder: Path, info: RunInfo) -> Recorder:
-        """Return a recorder that goes on where the results in ``folder`` end, empty if there are none.
+    def resume(cls, folder: Path, info: RunInfo) -> ResultsRecorder:
+        """Return a recorder that resumes the results in ``folder``, an empty one if there are none.
 
         Raises:
             ResultsError: if there are results and they are damaged, or of another evaluation than ``info``'s.
         """
-        if not (Path(folder) / files.METRICS_FILE).exists():
+        if not (Path(folder) / result_files.METRICS_FILE).exists():
             return cls()
         earlier = read_results(folder)
         for what, value in info.conditions.items():
@@ -132,7 +132,7 @@ class Recorder:
             ValueError: if nothing was recorded, or an episode was played under another capture rule.
         """
         results = self.results(info, Path(folder))
-        files.write(results.folder, results.as_json(), results.rows, results.actions)
+        result_files.write(results.folder, results.as_json(), results.rows, results.actions)
         return results
 
     def results(self, info: RunInfo, folder: Path = Path()) -> Results:
@@ -181,7 +181,7 @@ def write_results(
     Raises:
         ValueError: if there is no episode, or one was played under another capture rule.
     """
-    recorder = Recorder()
+    recorder = ResultsRecorder()
     recorder.extend(episodes)
     return recorder.write(folder, RunInfo(policy, split, capture, command, fingerprint, dict(extra or {})))
 
@@ -193,10 +193,9 @@ def read_results(folder: Path) -> Results:
         ResultsError: one sentence that says what is missing or damaged.
     """
     folder = Path(folder)
-    head, rows, actions = files.read(folder)
+    head, rows, actions = result_files.read(folder)
     info = RunInfo(
-        *(str(head[key]) for key in ("policy", "split", "capture", "command", "fingerprint")),
-        extra=dict(head.get("extra") or {}),
+        *(head[key] for key in ("policy", "split", "capture", "command", "fingerprint")), extra=head.get("extra") or {}
     )
     return Results(folder, info, tuple(rows), tuple(actions))
 

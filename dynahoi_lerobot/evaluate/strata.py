@@ -1,4 +1,4 @@
-"""How episodes are grouped: by tier, category, kind, object, periodicity, duration and travel."""
+"""Strata, by which results are broken down: tier, category, motion, object, periodicity, duration and travel."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TRAVEL_EDGES = (0.5, 2.0, 4.0)
 
 @dataclass(frozen=True)
 class Stratum:
-    """One way to group episodes.
+    """One way to group episodes into disjoint labels.
 
     Attributes:
         name: the column that holds the label.
@@ -48,7 +48,7 @@ class Stratum:
     order: tuple[str, ...] = ()
 
     def arrange(self, labels: set[str]) -> list[str]:
-        """Return ``labels`` in the stratum's order, unknown ones last."""
+        """Return ``labels`` sorted in the stratum's order, unknown ones last."""
         rank = {label: place for place, label in enumerate(self.order)}
         return sorted(labels, key=lambda label: (rank.get(label, len(rank)), label))
 
@@ -57,7 +57,7 @@ STRATA: dict[str, Stratum] = {}
 
 
 def stratum(name: str, order: tuple[str, ...] = ()) -> Callable[[Label], Label]:
-    """Return a decorator that files a labelling function as the stratum ``name``."""
+    """Return a decorator that registers a labelling function as the stratum ``name``."""
 
     def decorate(label: Label) -> Label:
         STRATA[name] = Stratum(name, label, order)
@@ -67,7 +67,7 @@ def stratum(name: str, order: tuple[str, ...] = ()) -> Callable[[Label], Label]:
 
 
 def travel_u(episode: Episode) -> float:
-    """Return the straight distance [u] from the palm at control start to the intercept."""
+    """Return the straight distance [u = 0.1 m] from the palm at control start to the intercept point."""
     start = episode.palm_pos_w[min(episode.meta.window_frames, len(episode) - 1)]
     return float(np.linalg.norm(episode.intercept_position.astype(np.float64) - start)) / UNIT_M
 
@@ -86,7 +86,7 @@ def category(episode: Episode) -> str:
 
 @stratum("kind")
 def kind(episode: Episode) -> str:
-    """Return the episode's kind of motion, one of the 22."""
+    """Return the name of the episode's motion."""
     return episode.meta.motion
 
 
@@ -120,5 +120,5 @@ def duration(episode: Episode) -> str:
 
 @stratum("travel", TRAVELS)
 def travel(episode: Episode) -> str:
-    """Return the bin of the hand's straight way to the intercept [u]."""
+    """Return the bin of the straight distance from palm to intercept point [u]."""
     return TRAVELS[bisect_left(TRAVEL_EDGES, travel_u(episode))]

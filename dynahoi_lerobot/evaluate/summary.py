@@ -1,4 +1,4 @@
-"""Rows to numbers: every metric with its interval, over all rows or by stratum."""
+"""Aggregation: every metric with its confidence interval, over all episodes or by stratum."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.intervals import bootstrap, wilson
-from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.evaluate.strata import STRATA
 from dynahoi_lerobot.metrics import METRICS, Metric
 
@@ -49,7 +49,7 @@ def estimate(metric: Metric, values: Iterable[float | None]) -> Estimate:
     known = np.array([value for value in values if value is not None], np.float64)
     if known.size == 0:
         return Estimate(None, None, None, metric.unit, 0)
-    ends = wilson(int(known.sum()), known.size) if metric.kind == "rate" else bootstrap(known)
+    ends = wilson(int(known.sum()), known.size) if metric.aggregation == "rate" else bootstrap(known)
     return Estimate(float(known.mean()), *ends, metric.unit, int(known.size))
 
 

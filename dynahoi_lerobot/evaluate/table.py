@@ -1,4 +1,4 @@
-"""Results as plain text of fixed width, in the order of the paper's columns."""
+"""Results as plain-text tables, in the column order of the paper."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ PAPER_COLUMNS = ("S_loc", "E_loc", "S_gra", "E_gra", "Q_smooth", "Q_line", "R_ti
 """The seven metrics in the order of the paper's table "Online evaluation of mainstream policy models"."""
 
 CONTACT_COLUMNS = ("S_hold", *PAPER_COLUMNS)
-"""The columns as soon as one row was played under the capture rule contact."""
+"""The columns if any evaluation uses the capture rule contact."""
 
 
 def results_table(results: Sequence[Results], columns: Sequence[str] | None = None) -> str:
-    """Return one row per evaluation: what was played, how often, and each metric with its interval."""
+    """Return one row per evaluation: what was run, number of episodes, and each metric with its interval."""
     columns = columns or columns_for(results)
     rows = [[*_labels(result), *_cells(result.summary(), columns)] for result in results]
-    return _layout([["policy", "split", "capture", "n", *map(heading, columns)], *rows], left=3)
+    return _aligned([["policy", "split", "capture", "n", *map(heading, columns)], *rows], left=3)
 
 
 def stratum_table(results: Results, stratum: str = "kind", columns: Sequence[str] | None = None) -> str:
@@ -28,11 +28,11 @@ def stratum_table(results: Results, stratum: str = "kind", columns: Sequence[str
     groups: Mapping[str, Summary] = summarise_by(results.rows, stratum)
     counts = {label: sum(row[stratum] == label for row in results.rows) for label in groups}
     rows = [[label, str(counts[label]), *_cells(summary, columns)] for label, summary in groups.items()]
-    return _layout([[stratum, "n", *map(heading, columns)], *rows], left=1)
+    return _aligned([[stratum, "n", *map(heading, columns)], *rows], left=1)
 
 
 def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
-    """Return the paper's columns, led by S_hold if anything was captured by contact."""
+    """Return the paper's columns, led by S_hold if any evaluation uses the capture rule contact."""
     return CONTACT_COLUMNS if any(r.info.capture == "contact" for r in results) else PAPER_COLUMNS
 
 
@@ -65,7 +65,7 @@ def _cells(summary: Summary, columns: Sequence[str]) -> list[str]:
     return [printed(summary[name]) for name in columns]
 
 
-def _layout(table: list[list[str]], left: int) -> str:
+def _aligned(table: list[list[str]], left: int) -> str:
     """Return the lines of ``table``, its first ``left`` columns flush left and the others flush right."""
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = [

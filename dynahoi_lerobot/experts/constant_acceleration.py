@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.experts.base import EXPERTS, HORIZON_FRAMES, SingleWorldExpert, WorldView, reach
+from dynahoi_lerobot.experts.approach import EXTRAPOLATED_FRAMES, approach
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 
 
@@ -16,9 +17,9 @@ class ConstantAcceleration(SingleWorldExpert):
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        ahead_s = (world.control.latency_frames + np.arange(HORIZON_FRAMES + 1))[:, None] * CONTROL_DT
+        ahead_s = (world.control.latency_frames + np.arange(EXTRAPOLATED_FRAMES + 1))[:, None] * CONTROL_DT
         moved = ahead_s * world.target_velocity_w + ahead_s**2 / 2 * _acceleration(world)
-        return reach(world, world.target_pos_w + moved, world.control.palm_speed_m_s)
+        return approach(world, world.target_pos_w + moved, world.control.palm_speed_m_s)
 
 
 def _acceleration(world: WorldView) -> np.ndarray:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView, reach
+from dynahoi_lerobot.experts.approach import approach
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 
 SPEED_M_S = 1.0
 """Faster than this it does not go, where it may."""
@@ -24,4 +25,4 @@ class Intercept(SingleWorldExpert):
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
         path_w = world.spec.oracle_path[min(world.due_frame, world.spec.horizon_frames - 2) :]
-        return reach(world, path_w, min(SPEED_M_S, world.control.palm_speed_m_s))
+        return approach(world, path_w, min(SPEED_M_S, world.control.palm_speed_m_s))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.experts.base import EXPERTS, HORIZON_FRAMES, SingleWorldExpert, WorldView, reach
+from dynahoi_lerobot.experts.approach import EXTRAPOLATED_FRAMES, approach
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 
 
 @EXPERTS.register("pursuit")
@@ -15,4 +16,4 @@ class Pursuit(SingleWorldExpert):
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        return reach(world, np.tile(world.target_pos_w, (HORIZON_FRAMES + 1, 1)), world.control.palm_speed_m_s)
+        return approach(world, np.tile(world.target_pos_w, (EXTRAPOLATED_FRAMES + 1, 1)), world.control.palm_speed_m_s)

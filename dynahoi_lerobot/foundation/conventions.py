@@ -39,6 +39,9 @@ FINGER_DOF = len(FINGERS) * JOINTS_PER_FINGER
 HAND_DOF = PALM_DOF + FINGER_DOF
 """3 palm translations and 15 flexion joints (Section 3.1)."""
 
+EGO_VIEW = "ego"
+"""The view of the camera that is fixed to the hand; the camera in the model has the same name."""
+
 PALM_AXES = ("palm_x", "palm_y", "palm_z")
 JOINT_NAMES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("base", "middle", "tip"))
 HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)

@@ -1,1 +1,1 @@
-""""""
+"""Generation of datasets: plan, shards, worker processes and cluster executors."""

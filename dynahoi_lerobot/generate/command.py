@@ -15,9 +15,9 @@ from tqdm import tqdm
 from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.foundation.arguments import names
-from dynahoi_lerobot.generate.executors.base import EXECUTORS, Executor, Fleet
+from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record, shard_size
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
 
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 
@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--appearance", type=names, help="comma-separated: materials, lights, specular, transparency, distractors"
     )
     parser.add_argument("--motions", type=names, help="comma-separated kinds of motion")
+    parser.add_argument("--objects", type=names, help="comma-separated objects")
     parser.add_argument("--capture", help="capture rule, with its own hand and expert")
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
@@ -46,24 +47,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--executor", help="local, slurm or ray: spread the shards as datatrove tasks")
     parser.add_argument("--tasks", type=int, help="number of tasks; one per shard by default")
     parser.add_argument("--dry-run", action="store_true", help="show what --executor would do, the Slurm scripts say")
-    parser.add_argument("--partition", default=Fleet.partition, help="Slurm partition")
-    parser.add_argument("--time", default=Fleet.time, help="Slurm time limit per task")
-    parser.add_argument("--cpus-per-task", type=int, default=Fleet.cpus_per_task)
-    parser.add_argument("--gpus-per-task", type=int, default=Fleet.gpus_per_task)
+    parser.add_argument("--partition", default=ClusterResources.partition, help="Slurm partition")
+    parser.add_argument("--time", default=ClusterResources.time, help="Slurm time limit per task")
+    parser.add_argument("--cpus-per-task", type=int, default=ClusterResources.cpus_per_task)
+    parser.add_argument("--gpus-per-task", type=int, default=ClusterResources.gpus_per_task)
     parser.add_argument("--json", type=Path, help="write the summary there as well")
 
 
 def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None) -> int:
-    """Carry the command out.
+    """Generate a dataset and print a JSON summary.
 
     Args:
-        args: what ``add_arguments`` declares.
-        record: plays the expert, ``dynahoi_lerobot.rollout.loop.record`` by default.
-        recipe: what the options override, the default recipe or ``--recipe`` by default.
+        args: the parsed arguments of ``add_arguments``.
+        record: plays the expert; ``dynahoi_lerobot.rollout.loop.record`` by default.
+        recipe: what the options override; that of ``--recipe``, or the default recipe, by default.
 
     Returns:
         The exit code: 0 done, 1 failed (run it again to go on), 2 bad input, 130 stopped by the user.
     """
+    complete = args.root.exists()
     try:
         plan = _plan(args, recipe if recipe is not None else _load_recipe(args.recipe))
         if args.executor is not None:
@@ -73,6 +75,8 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
                 return 0
         recorder = record or _record(plan, 0 if args.workers == 1 else 1)
         manifest = _generate(plan, args, recorder)
+        if complete:
+            _say(f"{args.root} was already complete; its files agree with its manifest", 0)
     except ModuleNotFoundError as error:
         return _say(f"--executor needs {error.name}; install dynahoi_lerobot[scale]", BAD_INPUT)
     except (ValueError, FileExistsError, FileNotFoundError) as error:
@@ -88,14 +92,15 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     return 0
 
 
-def _plan(args: argparse.Namespace, recipe: Any) -> Plan:
+def _plan(args: argparse.Namespace, recipe: Any) -> GenerationPlan:
     changes: dict[str, Any] = {}
     if args.image_size:
         changes["image_size"] = args.image_size
-    changes |= {name: getattr(args, name) for name in ("views", "appearance", "motions") if getattr(args, name)}
+    lists = ("views", "appearance", "motions", "objects")
+    changes |= {name: getattr(args, name) for name in lists if getattr(args, name)}
     if args.capture:
         changes |= {"capture": args.capture, "hand": "", "expert": ""}
-    return Plan(
+    return GenerationPlan(
         replace(recipe, **changes),
         args.episodes,
         args.seed,
@@ -111,23 +116,23 @@ def _load_recipe(path: Path | None) -> Any:
     return Recipe() if path is None else load_recipe(path)
 
 
-def _record(plan: Plan, threads: int) -> Record:
+def _record(plan: GenerationPlan, threads: int) -> Record:
     """Return the expert's recorder; ``threads`` (0: all cores) share the worlds of one process."""
     from dynahoi_lerobot.rollout.loop import record
 
     return partial(record, threads=threads, images=plan.camera)
 
 
-def _executor(args: argparse.Namespace, plan: Plan, record: Record) -> Executor:
+def _executor(args: argparse.Namespace, plan: GenerationPlan, record: Record) -> Executor:
     workers = -1 if args.workers == 1 else args.workers
-    fleet = Fleet(
+    resources = ClusterResources(
         args.tasks, workers, args.cpus_per_task, gpus_per_task=args.gpus_per_task,
         partition=args.partition, time=args.time,
     )  # fmt: skip
-    return EXECUTORS[args.executor](plan, args.root, record, fleet)
+    return EXECUTORS[args.executor](plan, args.root, record, resources)
 
 
-def _generate(plan: Plan, args: argparse.Namespace, record: Record) -> Manifest:
+def _generate(plan: GenerationPlan, args: argparse.Namespace, record: Record) -> Manifest:
     with tqdm(total=plan.episodes, unit="episode", smoothing=0.05, disable=None) as bar:
 
         def show(done: int) -> None:

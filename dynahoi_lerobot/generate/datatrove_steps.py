@@ -9,7 +9,7 @@ from typing import Any
 
 from datatrove.pipeline.base import PipelineStep
 
-from dynahoi_lerobot.generate.pipeline import finished, merge_shards
+from dynahoi_lerobot.generate.pipeline import finished
 from dynahoi_lerobot.generate.plan import GenerationError
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
@@ -53,9 +53,15 @@ class MergeShards(PipelineStep):
         self.maker, self.root = maker, root
 
     def run(self, data: Any, rank: int = 0, world_size: int = 1) -> Iterator[Any]:
-        """Merge, unless it is done already."""
+        """Check the shards and merge them, unless it is done already.
+
+        Raises:
+            GenerationError: if a shard was damaged after it was made.
+        """
         yield from data or ()
         if finished(self.maker.plan, self.root) is None:
-            merge_shards(self.maker, self.root)
+            if damaged := self.maker.discard_damaged():
+                raise GenerationError(f"{len(damaged)} shards were damaged; run the same command again to make them")
+            self.maker.merge(self.root)
         for shard in range(self.maker.plan.shards):
             shutil.rmtree(self.maker.path(shard), ignore_errors=True)

@@ -1,4 +1,4 @@
-"""Plan: which seeds go into which shard. A dataset is a function of (recipe, seed, code)."""
+"""The generation plan: which seeds go into which shard. A dataset is a function of (recipe, seed, code)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any, Protocol
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.codecs.base import Encoding
-from dynahoi_lerobot.dataset.paths import Layout
+from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.features import Feature, frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 REDRAW_STRIDE = math.lcm(*range(1, 25))
@@ -59,7 +60,7 @@ def shard_size(episodes: int) -> int:
 
 
 @dataclass(frozen=True)
-class Plan:
+class GenerationPlan:
     """A dataset to be made.
 
     Episode slot i of the dataset has the seed ``seed + i``, or a redraw of it. So a dataset that starts where
@@ -71,8 +72,8 @@ class Plan:
         seed: the first episode's seed.
         camera: whether to store pictures, of the recipe's size.
         encoding: how to store them.
-        shard_episodes: episodes per shard, the unit of work that is made whole or not at all.
-        layout: file size limits.
+        shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
+        limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
     """
 
@@ -82,7 +83,7 @@ class Plan:
     camera: bool = True
     encoding: Encoding = field(default_factory=Encoding)
     shard_episodes: int = LARGEST_SHARD
-    layout: Layout = field(default_factory=Layout)
+    limits: FileLimits = field(default_factory=FileLimits)
     code: str = field(default_factory=code_fingerprint)
 
     def __post_init__(self) -> None:
@@ -98,7 +99,7 @@ class Plan:
         if not 0 <= self.seed <= REDRAW_STRIDE - self.episodes:
             raise ValueError(f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes}")
         size = self.image_size
-        if size is not None and (size < 16 or (size % 2 and self.encoding.kind.is_video)):
+        if size is not None and (size < 16 or (size % 2 and self.encoding.make_codec().is_video)):
             raise ValueError(f"the image size is {size} pixels; it must be an even number from 16")
 
     @property
@@ -107,14 +108,10 @@ class Plan:
         return self.recipe.image_size if self.camera else None
 
     @property
-    def views(self) -> tuple[str, ...]:
-        """The recipe's pictures besides those of the hand's camera, none without a camera."""
-        return self.recipe.views if self.camera else ()
-
-    @property
-    def touch(self) -> bool:
-        """Whether the recipe's capture rule records the fingers' forces."""
-        return CAPTURES[self.recipe.capture].uses_contact_sensors
+    def features(self) -> tuple[Feature, ...]:
+        """The columns of the dataset's frame table."""
+        contact_sensors = CAPTURES[self.recipe.capture].uses_contact_sensors
+        return frame_features(self.image_size, self.recipe.views, contact_sensors=contact_sensors)
 
     @property
     def shards(self) -> int:
@@ -135,7 +132,7 @@ class Plan:
             "seed": self.seed,
             "camera": self.camera,
             "encoding": asdict(self.encoding),
-            "layout": asdict(self.layout),
+            "limits": asdict(self.limits),
             "shard_episodes": self.shard_episodes,
             "code": self.code,
         }

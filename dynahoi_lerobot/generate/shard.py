@@ -1,7 +1,8 @@
-"""One shard: a fixed list of slots, written beside its place and renamed when whole."""
+"""Shards: fixed lists of seeds, each written beside its place, renamed when complete, and checked before merging."""
 
 from __future__ import annotations
 
+import logging
 import shutil
 from collections import Counter
 from collections.abc import Callable
@@ -10,12 +11,15 @@ from pathlib import Path
 
 from av.error import FFmpegError
 
-from dynahoi_lerobot.dataset.columns import content_arrays
+from dynahoi_lerobot.dataset.episode_arrays import content_arrays
 from dynahoi_lerobot.dataset.files import temporary_sibling
-from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
+from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, Record
-from dynahoi_lerobot.verify.plausibility import implausibilities
+from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, GenerationPlan, Record
+
+logger = logging.getLogger(__name__)
 
 Tick = Callable[[], object]
 """Called after each stored episode."""
@@ -23,7 +27,7 @@ Tick = Callable[[], object]
 
 @dataclass(frozen=True)
 class ShardMaker:
-    """Makes the shards of a plan; travels to other processes.
+    """Makes, checks and merges the shards of a plan; it is pickled for worker processes.
 
     Attributes:
         plan: what to make.
@@ -31,7 +35,7 @@ class ShardMaker:
         record: plays the expert.
     """
 
-    plan: Plan
+    plan: GenerationPlan
     folder: Path
     record: Record
 
@@ -49,27 +53,26 @@ class ShardMaker:
         return self.plan.episodes - missing
 
     def make(self, shard: int, tick: Tick = lambda: None) -> Path:
-        """Make one shard, or do nothing if it is already whole.
+        """Make one shard, or do nothing if it is already there.
 
         Returns:
             The shard's folder, a dataset of its own.
 
         Raises:
+            FileExistsError: if a file is in the shard's place.
             GenerationError: if a slot fails MAX_DRAWS times.
             OSError: if the disk is full or refuses to be written.
         """
         target = self.path(shard)
         if is_whole(target):
             return target
-        shutil.rmtree(target, ignore_errors=True)
+        _make_way(target)
         with temporary_sibling(target) as temporary:
             plan = self.plan
-            writer = DatasetWriter(
-                temporary, plan.image_size, plan.encoding, plan.layout, views=plan.views, touch=plan.touch
-            )
+            writer = DatasetWriter(temporary, plan.features, plan.encoding, plan.limits)
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
-                writer.finish(yields=tally)
+                writer.finish(plan.identity(), tally)
             except FFmpegError as error:
                 # FFmpeg's own errors cannot travel between processes.
                 raise OSError(error.errno, error.strerror, str(target)) from None
@@ -77,18 +80,63 @@ class ShardMaker:
                 writer.abandon()
         return target
 
+    def problem(self, shard: int) -> str | None:
+        """Say what keeps a shard that is there from being the plan's; every byte of it is read."""
+        folder = self.path(shard)
+        try:
+            manifest = Manifest.read(folder)
+        except (OSError, ValueError):
+            return "its manifest cannot be read"
+        if manifest.provenance != self.plan.identity():
+            return "it belongs to another plan"
+        if sorted(seed % REDRAW_STRIDE for seed in manifest.seeds) != list(self.plan.slots(shard)):
+            return f"its seeds are not those of shard {shard}"
+        return next(file_problems(folder, manifest), None)
+
+    def discard_damaged(self) -> list[int]:
+        """Remove shards that are not the plan's, so that they are made again; say which and why.
+
+        Returns:
+            The shards that were removed.
+        """
+        there = [shard for shard in range(self.plan.shards) if self.path(shard).is_dir()]
+        problems = {shard: problem for shard in there if (problem := self.problem(shard))}
+        for shard, problem in problems.items():
+            logger.warning("%s is made again: %s", self.path(shard), problem)
+            shutil.rmtree(self.path(shard))
+        return list(problems)
+
+    def merge(self, root: Path) -> Manifest:
+        """Merge the shards, in the order of the plan, into the dataset ``root``."""
+        sources = [self.path(shard) for shard in range(self.plan.shards)]
+        return merge(sources, root, limits=self.plan.limits, provenance=self.plan.identity())
+
+
+def _make_way(target: Path) -> None:
+    """Remove an incomplete shard, or an empty file in its place.
+
+    Raises:
+        FileExistsError: if a file with content is there.
+    """
+    if target.is_dir():
+        shutil.rmtree(target)
+    elif target.exists():
+        if target.stat().st_size:
+            raise FileExistsError(f"{target} is a file, where a shard belongs; remove it")
+        target.unlink()
+
 
 def is_whole(folder: Path) -> bool:
-    """Tell whether a shard's files are all there; they are renamed into place together."""
+    """Tell whether a shard's files are all there, without reading them; they are renamed into place together."""
     try:
         manifest = Manifest.read(folder)
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError):
         return False
     return all((folder / name).is_file() for name in manifest.files)
 
 
 class _Filling:
-    """Writes one episode per slot; failed slots are drawn again after all others."""
+    """Writes one episode per slot; failed slots are drawn again, with other seeds, after all others."""
 
     def __init__(self, maker: ShardMaker, writer: DatasetWriter, tick: Tick) -> None:
         self._maker, self._writer, self._tick = maker, writer, tick
@@ -114,7 +162,7 @@ class _Filling:
             if seed not in expected - seen:
                 raise GenerationError(f"the recorder gave an episode of seed {seed}, which was not asked for")
             seen.add(seed)
-            if not implausibilities(content_arrays(episode)):
+            if not trajectory_problems(content_arrays(episode)):
                 self._writer.add(episode)
                 kept.add(seed)
                 self._tick()

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import threading
-import time
 from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.sharedctypes import Synchronized
 
+from dynahoi_lerobot.generate.parent_watch import exit_with_parent
 from dynahoi_lerobot.generate.plan import GenerationError, Progress
 from dynahoi_lerobot.generate.shard import ShardMaker
 
 STARTS = 3
-"""How often a pool is started before dying processes are believed to be no accident."""
+"""How often a pool is started before processes that die are an error."""
 
 POLL_S = 0.2
 
@@ -64,16 +63,10 @@ _counter: Synchronized[int] | None = None
 
 
 def _enter(counter: Synchronized[int], parent: int) -> None:
-    """Prepare a worker: remember the shared counter, and leave when the parent is gone."""
+    """Prepare a worker: keep the shared counter, and end with the parent."""
     global _counter  # noqa: PLW0603 - a process pool offers its workers no other memory
     _counter = counter
-    threading.Thread(target=_leave_with, args=(parent,), daemon=True).start()
-
-
-def _leave_with(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(POLL_S)
-    os._exit(1)
+    exit_with_parent(parent)
 
 
 def _make(maker: ShardMaker, shard: int) -> None:

@@ -1,4 +1,4 @@
-"""Hands that catch, one file per embodiment; all have the same 18 degrees of freedom."""
+"""Hands, one file each; all have the same 18 degrees of freedom."""
 
 from dynahoi_lerobot.hands.base import HANDS, Hand
 

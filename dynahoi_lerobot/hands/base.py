@@ -1,4 +1,4 @@
-"""What a hand is to the rest: a body on three slides, fifteen flexion joints, five fingertips and a camera."""
+"""The base class of hands: a palm on three slides, fifteen flexion joints, five fingertip sites and a camera."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW
 from dynahoi_lerobot.foundation.registry import Registry
 
 HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")
 
 PALM_SITE = "palm_center"
 PALM_BODY = "palm"
-EGO_CAMERA = "ego"
+EGO_CAMERA = EGO_VIEW
 HAND_GEOM_PREFIX = "hand_"
-"""Names every hand gives to the things the scene looks up; fingertip sites are ``<finger>_tip``."""
+"""Names that every hand uses, by which the scene finds its parts; fingertip sites are ``<finger>_tip``."""
 
 
 def camera_quat(forward: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -30,12 +31,12 @@ def camera_quat(forward: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 class Hand(ABC):
-    """An embodiment: it adds its bodies, actuators, sites and camera to a model under construction.
+    """A hand, which adds its bodies, actuators, sites and camera to a model under construction.
 
-    Contract: body ``palm`` hangs on joints ``palm_x, palm_y, palm_z``; the fifteen joints are named as in
-    ``conventions.JOINT_NAMES``; site ``palm_center`` lies in the middle of the grasp volume and coincides with the
-    origin of ``palm`` at zero slide positions; sites ``<finger>_tip`` sit on the pads with z along the finger; camera
-    ``ego`` is fixed to the palm; each actuator drives one joint, in the order of ``conventions.HAND_NAMES``.
+    It must keep to these names and frames: body ``palm`` hangs on joints ``palm_x, palm_y, palm_z``; the fifteen joints
+    are named as in ``conventions.JOINT_NAMES``; site ``palm_center`` lies in the middle of the grasp volume, at the
+    origin of ``palm`` at zero slide positions; sites ``<finger>_tip`` sit on the pads with z along the finger;
+    camera ``ego`` is fixed to the palm; each actuator drives one joint, in the order of ``conventions.HAND_NAMES``.
     """
 
     @abstractmethod
@@ -44,8 +45,8 @@ class Hand(ABC):
 
     @abstractmethod
     def open_joints(self) -> np.ndarray:
-        """Return (15,) joint angles [rad] of the open hand."""
+        """Return (15,) joint angles [rad] of the open hand, in which it waits."""
 
     @abstractmethod
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
-        """Return (15,) joint angles [rad] that close the fingers around an object of that radius [m]."""
+        """Return (15,) joint angles [rad] of the reference grasp around an object of that radius [m]."""

@@ -36,7 +36,7 @@ class Finger:
         axis: flexion axis, unit vector, palm frame; positive rotation closes.
         lengths: of the three links [m].
         radius: of the links [m].
-        share: (3,) how far each joint flexes when the hand closes fully [rad].
+        closed: (3,) joint angles of the closed hand [rad].
     """
 
     base: tuple[float, float, float]
@@ -44,7 +44,7 @@ class Finger:
     axis: tuple[float, float, float]
     lengths: tuple[float, float, float]
     radius: float
-    share: tuple[float, float, float]
+    closed: tuple[float, float, float]
 
 
 def _row_finger(z: float, scale: float) -> Finger:
@@ -83,7 +83,7 @@ class CapsuleHand(Hand):
 
     def open_joints(self) -> np.ndarray:
         """Return (15,) zeros: straight fingers."""
-        return np.zeros(15)
+        return np.zeros(FINGER_DOF)
 
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
         """Return (15,) angles [rad] at which each fingertip pad is ``grasp_radius_m`` away from the palm's axis.
@@ -92,7 +92,7 @@ class CapsuleHand(Hand):
         full closure.
         """
         closure, distance = self._closure_table()
-        return close_around(grasp_radius_m, closure, distance, [self.fingers[name].share for name in FINGERS])
+        return close_around(grasp_radius_m, closure, distance, [self.fingers[name].closed for name in FINGERS])
 
     @classmethod
     @functools.cache
@@ -138,8 +138,8 @@ def pad_position(finger: Finger, closure: float) -> np.ndarray:
     """Return (3,) the fingertip pad [m], palm frame, at a fraction of full closure."""
     pos, rotation = np.asarray(finger.base, float), np.eye(3)
     along = np.asarray(finger.along)
-    for share, length in zip(finger.share, finger.lengths, strict=True):
-        rotation = rotation @ _turn(np.asarray(finger.axis), share * closure)
+    for angle, length in zip(finger.closed, finger.lengths, strict=True):
+        rotation = rotation @ _turn(np.asarray(finger.axis), angle * closure)
         pos = pos + rotation @ along * length
     return pos + rotation @ np.cross(finger.axis, along) * finger.radius
 

@@ -1,4 +1,4 @@
-"""What carries every hand: a palm on three driven slides, the point it grasps at, and the camera that looks there."""
+"""What all hands have in common: a palm on three driven slides, the site in its grasp volume, and the camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GANTRY_SPEED_M_S = 2.0
 """Greatest speed of each slide where hand and target collide [m/s]."""
 PALM_BANDWIDTH_RAD_S = 150.0
 GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
-"""Reach of the palm centre, world."""
+"""Range of the palm centre along each axis, world."""
 FINGER_BANDWIDTH_RAD_S = 120.0
 
 CAMERA_POS = (-0.15, 0.03, 0.21)
@@ -28,7 +28,7 @@ def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:
 
     Args:
         spec: the model under construction.
-        fingers_kg: what the servos move besides the palm.
+        fingers_kg: mass of the fingers, which the servos move together with the palm.
     """
     palm = spec.worldbody.add_body(name=PALM_BODY, gravcomp=1.0)
     palm.explicitinertial = True

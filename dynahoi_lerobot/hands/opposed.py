@@ -1,7 +1,7 @@
-"""The bundled hand with its thumb across: fingers and thumb close around the target from both sides of the palm.
+"""The bundled hand with an abducted thumb: fingers and thumb close around the target from opposite sides.
 
-The capsule hand's thumb comes from above, as a cupped hand's does; what the four fingers push sideways then slips out
-under it. With the thumb abducted, fingers, thumb and palm enclose the target.
+The thumb of the capsule hand comes from above, so that a target which the four fingers push sideways slips out under
+it. With the thumb abducted, fingers, thumb and palm enclose the target.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dynahoi_lerobot.hands.capsule import HAND, CapsuleHand, Finger
 THUMB = Finger(
     (-0.042, -0.03, 0.004), (0.0, -0.9798, 0.2), (0.0, 0.2, 0.9798), (0.044, 0.034, 0.026), 0.0095, (1.0, 1.4, 0.8)
 )
-"""It points away from the fingers and a little up, and flexes towards them."""
+"""Points away from the fingers and a little up, and flexes towards them."""
 
 
 @HANDS.register("opposed")

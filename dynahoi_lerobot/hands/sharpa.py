@@ -128,14 +128,14 @@ def _add_geoms(body: mujoco.MjsBody, model: mujoco.MjModel, i: int, name: str) -
     """Add what collides of body ``i``, and return it: primitives as they are, meshes as the boxes around them."""
     geoms = []
     for geom in np.flatnonzero((model.geom_bodyid == i) & (model.geom_contype > 0)):
-        kind, size, pos = int(model.geom_type[geom]), model.geom_size[geom], model.geom_pos[geom]
-        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        shape, size, pos = int(model.geom_type[geom]), model.geom_size[geom], model.geom_pos[geom]
+        if shape == mujoco.mjtGeom.mjGEOM_MESH:
             center = np.zeros(3)
             mujoco.mju_rotVecQuat(center, model.geom_aabb[geom, :3], model.geom_quat[geom])
-            kind, size, pos = mujoco.mjtGeom.mjGEOM_BOX, model.geom_aabb[geom, 3:], pos + center
+            shape, size, pos = mujoco.mjtGeom.mjGEOM_BOX, model.geom_aabb[geom, 3:], pos + center
         label = f"{HAND_GEOM_PREFIX}{name}_{len(geoms)}"
         geoms += [
-            body.add_geom(name=label, type=kind, size=size, pos=pos, quat=model.geom_quat[geom], rgba=SKIN, mass=0)
+            body.add_geom(name=label, type=shape, size=size, pos=pos, quat=model.geom_quat[geom], rgba=SKIN, mass=0)
         ]
     return geoms
 

@@ -1,4 +1,4 @@
-"""What a metric is: a pure function of an Episode that knows its unit, direction, range and condition."""
+"""The interface of a metric: a pure function of an Episode, with its unit, direction, bounds and condition."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.foundation.registry import Registry
 
 Direction = Literal["higher", "lower"]
-Kind = Literal["rate", "mean"]
+Aggregation = Literal["rate", "mean"]
 Compute = Callable[[Episode], "float | bool | None"]
 
 FRACTION = "fraction"
@@ -33,7 +33,8 @@ class Metric:
         compute: the function of one episode; its docstring gives the formula and the source.
         unit: ``fraction``, ``u`` (0.1 m) or ``score``.
         direction: which way is better.
-        kind: ``rate`` (0 or 1 per episode, Wilson interval) or ``mean`` (real, bootstrap interval).
+        aggregation: ``rate`` of values 0 or 1, with Wilson's interval; or ``mean`` of real values, with a bootstrap
+            interval.
         bounds: least and greatest possible value, in ``unit``.
         condition: which episodes count, in words; empty when all do. The value of the others is None.
     """
@@ -42,7 +43,7 @@ class Metric:
     compute: Compute
     unit: str
     direction: Direction
-    kind: Kind
+    aggregation: Aggregation
     bounds: tuple[float, float]
     condition: str = ""
 
@@ -79,18 +80,26 @@ def metric(
     *,
     unit: str,
     direction: Direction,
-    kind: Kind,
+    aggregation: Aggregation,
     bounds: tuple[float, float] = (0.0, 1.0),
     condition: str = "",
 ) -> Callable[[Compute], Metric]:
-    """Return a decorator that turns a function of an episode into the registered metric ``name``."""
+    """Return a decorator that turns a function of an episode into the registered metric ``name``.
+
+    Args:
+        name, unit, direction, aggregation, bounds, condition: as ``Metric`` has them.
+    """
 
     def decorate(compute: Compute) -> Metric:
-        return METRICS.register(name)(Metric(name, compute, unit, direction, kind, bounds, condition))
+        return METRICS.register(name)(Metric(name, compute, unit, direction, aggregation, bounds, condition))
 
     return decorate
 
 
 def measure(episode: Episode) -> dict[str, float | None]:
-    """Return every registered metric of one episode; None where a metric's condition does not hold."""
+    """Return every registered metric of one episode by name; None where a metric's condition does not hold.
+
+    Raises:
+        ValueError: if the episode has no frame of the control phase.
+    """
     return {name: evaluate(episode) for name, evaluate in METRICS.items()}

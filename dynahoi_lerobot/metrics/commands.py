@@ -1,4 +1,4 @@
-"""The authors' own trajectory: 18-D commands in their mixed units, for the legacy scores."""
+"""Steps between 18-D commands in the authors' mixed units, for the legacy scores."""
 
 from __future__ import annotations
 

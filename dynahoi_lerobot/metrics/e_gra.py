@@ -1,4 +1,4 @@
-"""E_gra: how close the fingertips came."""
+"""E_gra: grasping error."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from dynahoi_lerobot.foundation.conventions import UNIT_M
 from dynahoi_lerobot.metrics.base import UNIT, metric
 
 
-@metric("E_gra", unit=UNIT, direction="lower", kind="mean", bounds=(0.0, float("inf")))
+@metric("E_gra", unit=UNIT, direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
 def e_gra(episode: Episode) -> float:
-    """Grasping error: the least fingertip to target surface distance, in u (0.1 m) as in the paper.
+    """Grasping error: the least distance between a fingertip and the target's surface.
 
-    ``E_gra = min_{t, finger} dist(tip(t), surface(t)) / 0.1 m`` over the control phase, 0 inside the target
-    (Section "Evaluation metrics").
+    ``E_gra = min_{t, finger} dist(tip(t), surface(t)) / 0.1 m`` over the frames of the control phase; 0 inside the
+    target.
+
+    In u (0.1 m), lower is better. Paper: Section "Evaluation metrics".
     """
     return float(episode.fingertip_distance[episode.control].min()) / UNIT_M

@@ -1,4 +1,4 @@
-"""Which fingers hold the reference grasp, frame by frame."""
+"""Comparison of the finger joints with the reference grasp, frame by frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dynahoi_lerobot.foundation.conventions import FINGERS, JOINTS_PER_FINGER
 
 
 def share_of_frames(episode: Episode, at_least: int) -> float:
-    """Return the share of control frames in which ``at_least`` fingers have all three joints in place."""
+    """Return the share of control frames, 0 to 1, in which ``at_least`` fingers match the reference in all joints."""
     reached = joints_reached(episode.joints[episode.control], episode.open_joints, episode.reference_joints)
     by_finger = reached.reshape(-1, len(FINGERS), JOINTS_PER_FINGER)  # (T, 15) -> (T, 5, 3)
     return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= at_least))

@@ -1,4 +1,4 @@
-"""grasp_medium: four fingers hold the reference grasp."""
+"""grasp_medium: share of frames in which at least four fingers hold the reference grasp."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dynahoi_lerobot.metrics.base import FRACTION, metric
 from dynahoi_lerobot.metrics.fingers import share_of_frames
 
 
-@metric("grasp_medium", unit=FRACTION, direction="higher", kind="mean")
+@metric("grasp_medium", unit=FRACTION, direction="higher", aggregation="mean")
 def grasp_medium(episode: Episode) -> float:
-    """Per-frame grasp, medium: the share of control frames with at least four fingers at the reference.
+    """Per-frame grasp, medium: the share of control frames in which at least four fingers match the reference.
 
-    A finger holds when its three joints all pass the test of S_gra (Figure "Grasp success rate under
-    per-frame evaluation", setting Medium).
+    ``grasp_medium = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= 4]``.
+
+    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Medium.
     """
     return share_of_frames(episode, at_least=4)

@@ -1,4 +1,4 @@
-"""Q_line: is the palm's path straight?"""
+"""Q_line: spatial linearity of the palm's path."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from dynahoi_lerobot.metrics.base import SCORE, metric
 from dynahoi_lerobot.metrics.trajectory import palm_steps
 
 
-@metric("Q_line", unit=SCORE, direction="higher", kind="mean", bounds=(-1.0, 1.0))
+@metric("Q_line", unit=SCORE, direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
 def q_line(episode: Episode) -> float:
     """Spatial linearity of the palm's path from control start to the first localised frame.
 
-    ``Q_line = 1 / (N - 1) * sum_t s_t . v`` with the unit directions ``s_t`` of the steps and ``v`` of the
-    whole displacement; 0 without displacement, and a step of zero length adds 0 (Section "Evaluation
-    metrics").
+    ``Q_line = 1 / (N - 1) * sum_t s_t . v`` with the unit directions ``s_t`` of the steps and ``v`` of the whole
+    displacement; 0 without displacement, and a step of zero length adds 0.
+
+    Score in [-1, 1], higher is better. Paper: Section "Evaluation metrics".
     """
     return linearity(*palm_steps(episode))
 

@@ -1,4 +1,4 @@
-"""Q_smooth: is the palm's speed even?"""
+"""Q_smooth: temporal smoothness of the palm's path."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from dynahoi_lerobot.metrics.base import SCORE, metric
 from dynahoi_lerobot.metrics.trajectory import palm_steps
 
 
-@metric("Q_smooth", unit=SCORE, direction="higher", kind="mean")
+@metric("Q_smooth", unit=SCORE, direction="higher", aggregation="mean")
 def q_smooth(episode: Episode) -> float:
     """Temporal smoothness of the palm's path from control start to the first localised frame.
 
-    ``Q_smooth = 1 / (1 + CV(d))``, ``CV = sigma_d / mu_d`` with the population standard deviation of the step
-    lengths ``d_t = |p_{t+1} - p_t|``, and ``CV = 0`` where ``mu_d = 0`` (Section "Evaluation metrics").
+    ``Q_smooth = 1 / (1 + CV(d))`` with ``CV = sigma_d / mu_d`` (population standard deviation) of the step lengths
+    ``d_t = |p_{t+1} - p_t|``, and ``CV = 0`` where ``mu_d = 0``.
+
+    Score in [0, 1], higher is better. Paper: Section "Evaluation metrics".
     """
     return smoothness(palm_steps(episode)[0])
 

@@ -1,4 +1,4 @@
-"""R_time: how early the hand arrived."""
+"""R_time: completion speed, counted from control start."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.metrics.base import SCORE, metric
 
 
-@metric("R_time", unit=SCORE, direction="higher", kind="mean")
+@metric("R_time", unit=SCORE, direction="higher", aggregation="mean")
 def r_time(episode: Episode) -> float:
-    """Time score, clock from control start: ``R_time = 1 - T / N``, 0 if never localised.
+    """Time score, counted from control start; 0 if the target is never localised.
 
-    N is the recording's length [frames], T the frames from control start to the first localised one; the
-    result is clipped to [0, 1] (Section "Evaluation metrics"; the clock's start follows the authors'
-    evaluation).
+    ``R_time = 1 - T / N``, clipped to [0, 1], with N the recording's length and T the frames from control start to the
+    first localised one.
+
+    Score in [0, 1], higher is better. Paper: Section "Evaluation metrics"; the start of the clock follows the authors'
+    evaluation code.
     """
     return time_score(episode, start_frame=episode.meta.window_frames)
 

@@ -1,4 +1,4 @@
-"""S_gra: was the hand in the reference grasp when it arrived?"""
+"""S_gra: grasp success at the moment of localisation."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from dynahoi_lerobot.metrics.base import FRACTION, metric
 from dynahoi_lerobot.metrics.fingers import grasps_at
 
 
-@metric("S_gra", unit=FRACTION, direction="higher", kind="rate", condition="localised episodes")
+@metric("S_gra", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
 def s_gra(episode: Episode) -> bool | None:
-    """Grasp success, given localisation: all 15 joints match the reference at the first localised frame.
+    """Grasp success, given localisation: all 15 joints match the reference grasp at the first localised frame.
 
-    A joint matches when it turned in the reference's direction by at least 0.9 of its rotation (Section
-    "Evaluation metrics" and Appendix "Evaluation Criteria"). Episodes that never localise do not count.
+    ``S_gra = 1 if for all j: (q_j - open_j) / (ref_j - open_j) >= 0.9, else 0`` with the joint angles q at that frame:
+    each joint has turned in the direction of the reference, by at least 0.9 of its rotation. None if the target is
+    never localised.
+
+    Fraction of localised episodes, higher is better. Paper: Section "Evaluation metrics" and Appendix "Evaluation
+    Criteria".
     """
     first = episode.first_localized
     return None if first is None else grasps_at(episode, slice(first, first + 1))

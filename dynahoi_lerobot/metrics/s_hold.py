@@ -1,4 +1,4 @@
-"""S_hold: the physical capture."""
+"""S_hold: success of the physical capture."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.metrics.base import FRACTION, metric
 
 
-@metric("S_hold", unit=FRACTION, direction="higher", kind="rate", condition="capture rule contact")
+@metric("S_hold", unit=FRACTION, direction="higher", aggregation="rate", condition="capture rule contact")
 def s_hold(episode: Episode) -> bool | None:
-    """Physical success: the hand holds the free target off every other surface for 0.5 s.
+    """Physical capture: the hand holds the free target off every other surface for 0.5 s.
 
-    Ours, for the capture rule contact: the paper attaches the target to the palm, so nothing can slip there.
+    ``S_hold = 1 if the capture rule contact reports success, else 0``; None under the capture rule attach, where the
+    target is welded to the palm and cannot slip.
+
+    Fraction of episodes under contact, higher is better. Ours.
     """
     return episode.success if episode.meta.capture == "contact" else None

@@ -1,4 +1,4 @@
-"""S_loc: did the palm come to the target?"""
+"""S_loc: localisation success."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.metrics.base import FRACTION, metric
 
 
-@metric("S_loc", unit=FRACTION, direction="higher", kind="rate")
+@metric("S_loc", unit=FRACTION, direction="higher", aggregation="rate")
 def s_loc(episode: Episode) -> bool:
-    """Localisation success: the palm centre comes within 0.3 u of the target centre in the control phase.
+    """Localisation success: the palm centre comes within 0.3 u (0.03 m) of the target centre.
 
-    ``S_loc = [exists t >= t_control: localized(t)]``, the 3-D distance of Section "Evaluation metrics" with
-    the threshold of Appendix "Evaluation Criteria" (0.3 u = 0.03 m).
+    ``S_loc = 1 if exists t >= t_control: |palm(t) - target(t)| < 0.3 u, else 0``, the distance in 3-D and between
+    frames as well, over the control phase.
+
+    Fraction of episodes, higher is better. Paper: Section "Evaluation metrics", threshold from Appendix "Evaluation
+    Criteria".
     """
     return episode.first_localized is not None

@@ -1,4 +1,4 @@
-"""S_loc_planar: localisation as the authors' code measures it, with height ignored."""
+"""S_loc_planar: localisation by horizontal distance, as the authors' code measures it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from dynahoi_lerobot.metrics.base import FRACTION, metric
 from dynahoi_lerobot.metrics.trajectory import until_localized
 
 
-@metric("S_loc_planar", unit=FRACTION, direction="higher", kind="rate")
+@metric("S_loc_planar", unit=FRACTION, direction="higher", aggregation="rate")
 def s_loc_planar(episode: Episode) -> bool:
-    """Planar localisation: the horizontal palm to target distance falls below 0.3 u.
+    """Planar localisation: the horizontal distance of palm and target centre falls below 0.3 u (0.03 m).
 
-    ``[exists t: |(palm - target)_xy| < 0.3 u]`` over control frames until the target is attached. The paper's
-    text says distance, its code ignores height. Localisation in 3-D implies it, also between two frames.
+    ``S_loc_planar = 1 if exists t: |(palm(t) - target(t))_xy| < 0.3 u, else 0`` over the control frames until the
+    target is attached; 3-D localisation implies it, also between two frames.
+
+    Fraction of episodes, higher is better. Source: the authors' evaluation code, which ignores height where the paper's
+    Section "Evaluation metrics" says distance.
     """
     if episode.first_localized is not None:
         return True

@@ -1,4 +1,4 @@
-"""The piece of an episode on which trajectory quality is measured, cut into steps."""
+"""The part of an episode on which trajectory quality is measured, as steps between frames."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from dynahoi_lerobot.episode import Episode
 
 REST_M = 1e-6
-"""Palm steps up to this length [m] are rest: a servo holding still flickers in the last bits of a float32."""
+"""Palm steps up to this length [m] count as zero: a servo that holds still jitters in the last bits of a float32."""
 
 
 def until_localized(episode: Episode) -> slice:
@@ -20,7 +20,7 @@ def until_localized(episode: Episode) -> slice:
 
 
 def palm_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
-    """Return the palm's (M - 1, 3) steps [m] and its (3,) displacement [m] over the trajectory."""
+    """Return the palm's (M - 1, 3) steps [m] and its (3,) displacement [m], world frame, of M trajectory frames."""
     points = episode.palm_pos_w[until_localized(episode)].astype(np.float64)  # (M, 3)
     steps = np.diff(points, axis=0)
     steps[np.linalg.norm(steps, axis=1) <= REST_M] = 0.0

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, level_heading
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.straight import RISE_M, StraightMotion
 
 
@@ -20,6 +21,6 @@ class Accelerating(StraightMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw the two speeds and a direction that stays off the floor."""
-        speeds = (draw.pace(0.03, 0.15), draw.pace(0.35, 0.9))
-        direction = level_heading(draw, RISE_M, sum(speeds) / 2 * draw.horizon_s)
+        speeds = (draw.sample_speed(0.03, 0.15), draw.sample_speed(0.35, 0.9))
+        direction = draw.level_heading(RISE_M, sum(speeds) / 2 * draw.horizon_s)
         return cls.between(draw.meeting_point(), direction, draw.intercept_s, speeds, draw.horizon_s)

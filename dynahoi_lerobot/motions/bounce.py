@@ -7,17 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import (
-    GRAVITY_M_S2,
-    MOTIONS,
-    Draw,
-    Launch,
-    PhysicalMotion,
-    Vector,
-    as_vector,
-    damping_ratio_for,
-    heading,
-)
+from dynahoi_lerobot.motions.base import MOTIONS, PhysicalMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector, as_vector, heading
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, damping_ratio_for
 from dynahoi_lerobot.objects import TargetObject
 
 
@@ -49,17 +42,17 @@ class Bounce(PhysicalMotion):
         height, restitution = draw.uniform(0.5, 0.9), draw.uniform(0.75, 0.9)
         fall_s = np.sqrt(2 * (height - draw.target.rest_height_m) / GRAVITY_M_S2)
         meeting_s = fall_s * (1 + 2 * restitution * draw.uniform(0.15, 0.7))
-        velocity = np.asarray(heading(np.pi + draw.uniform(-0.8, 0.8))) * draw.pace(0.4, 1.0)
+        velocity = np.asarray(heading(np.pi + draw.uniform(-0.8, 0.8))) * draw.sample_speed(0.4, 1.0)
         start = np.asarray(draw.meeting_point()) - velocity * meeting_s
         start[2] = height
         return cls(as_vector(start), as_vector(velocity), max(0.0, draw.intercept_s - meeting_s), restitution)
 
     @classmethod
     def objects(cls) -> list[str]:
-        """Return the one that bounces the same way whatever side it lands on."""
+        """Return the ball, which bounces the same way whatever side it lands on."""
         return ["ball"]
 
     def launch(self, target: TargetObject) -> Launch:
-        """Return the drop."""
+        """Return the release above the floor, with horizontal velocity."""
         ratio = damping_ratio_for(self.restitution)
         return Launch(self.start, velocity=self.velocity, release_s=self.release_s, damping_ratio=ratio)

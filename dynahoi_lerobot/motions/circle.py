@@ -1,4 +1,4 @@
-"""What the motions on a circle share: a planar orbit whose angle is a function of time."""
+"""Base class of motions on a circle at constant angular speed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import Draw, PrescribedMotion, Vector
+from dynahoi_lerobot.motions.base import PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class CircularMotion(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw radius, speed, sense, phase and plane."""
         radius = draw.uniform(0.08, 0.25)
-        rate = draw.pace(0.1, 0.6) / radius * draw.sign()
+        rate = draw.sample_speed(0.1, 0.6) / radius * draw.sign()
         return cls(draw.meeting_point(), radius, rate, draw.angle(), draw.angle())
 
     def axes(self) -> np.ndarray:
@@ -56,6 +58,6 @@ class CircularMotion(PrescribedMotion):
         return self.radius_m * self.rate_rad_s**2 * self._orbit(time_s, np.pi)
 
     def _orbit(self, time_s: np.ndarray, ahead: float) -> np.ndarray:
-        """(K, 3) unit vector to the target, turned ``ahead`` [rad]; each derivative turns it by a quarter."""
+        """(K, 3) unit vector from the centre, ``ahead`` [rad] of the target; a derivative is a quarter turn ahead."""
         angle = self.rate_rad_s * time_s + self.phase_rad + ahead
         return np.column_stack([np.cos(angle), np.sin(angle)]) @ self.axes()

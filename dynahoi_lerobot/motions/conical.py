@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import GRAVITY_M_S2, MOTIONS, Draw
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 from dynahoi_lerobot.motions.suspended import SuspendedMotion
 from dynahoi_lerobot.objects import TargetObject
 
@@ -22,8 +24,8 @@ class ConicalPendulum(SuspendedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw string and angle."""
-        return cls.hung(draw, float(np.radians(draw.pace(12, 32))))
+        """Draw length and angle."""
+        return cls.hanging(draw, float(np.radians(draw.sample_speed(12, 32))))
 
     def precession_rad_s(self, target: TargetObject) -> float:
         """Return W with W^2 cos(a) (I + m l^2 - I_z) = m g l: the rigid body's steady precession."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, level_heading
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.straight import RISE_M, StraightMotion
 
 
@@ -20,6 +21,6 @@ class Constant(StraightMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw a speed and a direction that stays off the floor."""
-        speed = draw.pace(0.06, 0.5)
-        direction = level_heading(draw, RISE_M, speed * draw.horizon_s)
+        speed = draw.sample_speed(0.06, 0.5)
+        direction = draw.level_heading(RISE_M, speed * draw.horizon_s)
         return cls(draw.meeting_point(), direction, draw.intercept_s, speed, 0.0)

@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.throw import ThrowMotion
 
 
@@ -21,6 +22,6 @@ class CrossThrow(ThrowMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw the throw."""
+        """Draw direction, flight time, distance and height."""
         yaw = draw.sign() * (np.pi / 2 + draw.uniform(0.7, 1.15))
-        return cls.aimed(draw, draw.uniform(0.45, 0.75), yaw, draw.pace(0.4, 0.8), draw.uniform(0.85, 1.1))
+        return cls.aimed(draw, draw.uniform(0.45, 0.75), yaw, draw.sample_speed(0.4, 0.8), draw.uniform(0.85, 1.1))

@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.suspended import SuspendedMotion
 
 
@@ -21,5 +22,5 @@ class DampedPendulum(SuspendedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw string, deflection and drag."""
-        return cls.hung(draw, float(np.radians(draw.pace(20, 45))), draw.uniform(0.15, 0.5))
+        """Draw length, initial angle and drag."""
+        return cls.hanging(draw, float(np.radians(draw.sample_speed(20, 45))), draw.uniform(0.15, 0.5))

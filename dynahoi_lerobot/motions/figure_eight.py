@@ -1,4 +1,4 @@
-"""Held out: a figure of eight in a vertical plane."""
+"""A figure of eight in a vertical plane."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion, Vector
+from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector
 
 
 @MOTIONS.register("figure_eight")
@@ -31,12 +33,11 @@ class FigureEight(PrescribedMotion):
     name: ClassVar[str] = "figure_eight"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "tracing a figure of eight"
-    held_out: ClassVar[bool] = True
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw size and rhythm."""
-        rate = 2 * np.pi * draw.pace(0.15, 0.45)
+        rate = 2 * np.pi * draw.sample_speed(0.15, 0.45)
         return cls(draw.meeting_point(), draw.uniform(0.1, 0.25), float(rate), draw.angle(), draw.angle())
 
     def position(self, time_s: np.ndarray) -> np.ndarray:

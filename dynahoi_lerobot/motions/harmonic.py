@@ -1,4 +1,4 @@
-"""What the three simple harmonic motions share."""
+"""Base class of simple harmonic motions along an axis."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import Draw, PrescribedMotion, Vector
+from dynahoi_lerobot.motions.base import PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector
 
 MAX_PEAK_SPEED_M_S = 1.0
 
@@ -23,6 +25,9 @@ class HarmonicMotion(PrescribedMotion):
         amplitude_m: A.
         frequency_hz: f.
         phase_rad: phase at t = 0.
+
+    Class attributes:
+        axis: unit vector of the oscillation, world.
     """
 
     center: Vector
@@ -37,7 +42,7 @@ class HarmonicMotion(PrescribedMotion):
         """Draw amplitude, frequency and phase."""
         amplitude = draw.uniform(0.08, 0.3)
         fastest = MAX_PEAK_SPEED_M_S / (2 * np.pi * amplitude)
-        frequency = min(draw.pace(0.15, 0.7), fastest * draw.tempo)
+        frequency = min(draw.sample_speed(0.15, 0.7), fastest * draw.speed_scale)
         return cls(draw.meeting_point(), amplitude, frequency, draw.angle())
 
     def position(self, time_s: np.ndarray) -> np.ndarray:

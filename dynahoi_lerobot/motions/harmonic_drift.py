@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion, Vector, as_vector, level_heading
+from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector, as_vector
 
 
 @MOTIONS.register("harmonic_drift")
@@ -39,10 +41,10 @@ class HarmonicDrift(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw drift and oscillation."""
-        speed, amplitude = draw.pace(0.03, 0.2), draw.uniform(0.05, 0.18)
-        direction = np.asarray(level_heading(draw, 0.5, speed * draw.horizon_s))
+        speed, amplitude = draw.sample_speed(0.03, 0.2), draw.uniform(0.05, 0.18)
+        direction = np.asarray(draw.level_heading(0.5, speed * draw.horizon_s))
         across = np.cross(direction, draw.rng.normal(size=3))
-        rate = min(2 * np.pi * draw.pace(0.25, 0.8), 0.8 / amplitude * draw.tempo)
+        rate = min(2 * np.pi * draw.sample_speed(0.25, 0.8), 0.8 / amplitude * draw.speed_scale)
         return cls(
             draw.meeting_point(), as_vector(speed * direction), as_vector(across / np.linalg.norm(across)),
             draw.intercept_s, amplitude, float(rate), draw.angle(),

@@ -1,4 +1,4 @@
-"""Held out: a helix, a circle that rises."""
+"""A helix, a circle that rises."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw
+from dynahoi_lerobot.motions.base import MOTIONS
 from dynahoi_lerobot.motions.circle import CircularMotion
+from dynahoi_lerobot.motions.draw import Draw
 
 
 @MOTIONS.register("helix")
@@ -25,13 +26,12 @@ class Helix(CircularMotion):
     meeting_s: float = 0.0
     name: ClassVar[str] = "helix"
     phrase: ClassVar[str] = "moving along a helix"
-    held_out: ClassVar[bool] = True
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw a circle and a climb."""
         radius = draw.uniform(0.08, 0.25)
-        rate = draw.pace(0.1, 0.6) / radius * draw.sign()
+        rate = draw.sample_speed(0.1, 0.6) / radius * draw.sign()
         climb = draw.uniform(0.2, 0.6) * draw.sign() / draw.horizon_s
         return cls(draw.meeting_point(), radius, rate, draw.angle(), draw.angle(), climb, draw.intercept_s)
 

@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion, Vector
+from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector
 
 
 @MOTIONS.register("line_then_arc")
@@ -37,7 +39,7 @@ class LineThenArc(PrescribedMotion):
         """Draw line, bend and arc; at least the last fifth of the window shows the arc."""
         bend_s = draw.window_s * draw.uniform(0.2, 0.8)
         radius = draw.uniform(0.12, 0.4) * draw.sign()
-        return cls(draw.meeting_point(), draw.angle(), bend_s, draw.pace(0.1, 0.45), radius)
+        return cls(draw.meeting_point(), draw.angle(), bend_s, draw.sample_speed(0.1, 0.45), radius)
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""

@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.throw import ThrowMotion
 
 
@@ -21,6 +22,6 @@ class Lob(ThrowMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw the throw."""
+        """Draw direction, flight time, distance and height."""
         yaw = np.pi + draw.uniform(-0.5, 0.5)
-        return cls.aimed(draw, draw.uniform(0.5, 0.85), yaw, draw.pace(0.8, 1.5), draw.uniform(0.5, 0.9))
+        return cls.aimed(draw, draw.uniform(0.5, 0.85), yaw, draw.sample_speed(0.8, 1.5), draw.uniform(0.5, 0.9))

@@ -7,7 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.suspended import SuspendedMotion
 
 
@@ -21,5 +22,5 @@ class PlanarPendulum(SuspendedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw string and deflection."""
-        return cls.hung(draw, float(np.radians(draw.pace(12, 40))))
+        """Draw length and initial angle."""
+        return cls.hanging(draw, float(np.radians(draw.sample_speed(12, 40))))

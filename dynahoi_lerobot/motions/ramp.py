@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.rolling import RollingMotion
 
 

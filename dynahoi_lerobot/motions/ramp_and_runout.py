@@ -7,7 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Box, Draw, as_vector, heading, yaw_quat
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import as_vector, heading, yaw_quat
+from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.motions.rolling import PLANK_HALF_THICKNESS_M, PLANK_HALF_WIDTH_M, RollingMotion
 from dynahoi_lerobot.objects import TargetObject
 

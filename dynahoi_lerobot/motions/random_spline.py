@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion, Vector, as_vector
+from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector, as_vector
 
 KNOT_S = 0.8
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
@@ -17,7 +19,7 @@ BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) /
 @MOTIONS.register("random_spline")
 @dataclass(frozen=True)
 class RandomSpline(PrescribedMotion):
-    """Twice continuously differentiable; control points every 0.8 s, steps of 0.05 to 0.3 m, held near the stage.
+    """Twice continuously differentiable; control points every 0.8 s, steps of 0.05 to 0.3 m, drawn to their middle.
 
     Attributes:
         points: control points [m]; the first segment starts at t = 0.
@@ -32,8 +34,8 @@ class RandomSpline(PrescribedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw a random walk of control points that is pulled back to the meeting point."""
-        knot_s = KNOT_S / draw.tempo
+        """Draw control points as a random walk with a pull back to the meeting point."""
+        knot_s = KNOT_S / draw.speed_scale
         count = int(np.ceil(draw.horizon_s / knot_s)) + 4
         step = draw.uniform(0.05, 0.3)
         middle, heading = np.asarray(draw.meeting_point()), draw.rng.normal(size=3)

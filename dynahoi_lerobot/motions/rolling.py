@@ -1,4 +1,4 @@
-"""What the two rolling motions share: a plank, and a round object that rolls down it without slipping."""
+"""Base class of rolling motions: a round object that rolls down a plank without slipping."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import GRAVITY_M_S2, Box, Draw, Launch, PhysicalMotion, Vector, as_vector, heading
+from dynahoi_lerobot.motions.base import PhysicalMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Quaternion, Vector, as_vector, heading, yaw_pitch_quat
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M
 
@@ -17,13 +20,13 @@ PLANK_HALF_WIDTH_M = 0.07
 
 @dataclass(frozen=True)
 class RollingMotion(PhysicalMotion):
-    """Down a slope a = g (sin q - c cos q / r) / (1 + I / (m r^2)), from rest; c is the rolling friction.
+    """From rest with acceleration g (sin q - c cos q / r) / (1 + I / (m r^2)); c is the rolling friction [m].
 
     Attributes:
-        meeting: where the centre of the target is to be met, on the slope or at its foot [m].
+        meeting: centre of the target ``run_m`` after its release, on the slope or at its foot [m].
         slope_rad: inclination q, 4 to 12 degrees.
         yaw_rad: horizontal direction of descent.
-        run_m: rolled from rest to ``meeting`` [m].
+        run_m: distance from the release to ``meeting`` [m].
         release_s: time of release [s].
     """
 
@@ -38,17 +41,17 @@ class RollingMotion(PhysicalMotion):
 
     @classmethod
     def objects(cls) -> list[str]:
-        """Return the round ones."""
+        """Return the names of those that roll."""
         return [name for name, kind in OBJECTS.items() if kind.rolls]
 
     @classmethod
     def rolled(cls, draw: Draw, run_m: float, until_s: float) -> Self:
-        """Return a roll that is at the meeting point ``until_s``, shortened if there is no time for ``run_m``."""
-        slope = float(np.radians(draw.pace(4, 12)))
-        pace = rolling_acceleration(slope, draw.target)
-        run = min(run_m, pace * until_s**2 / 2)
+        """Return a roll that reaches the meeting point at ``until_s`` [s], at most ``run_m`` [m] after its release."""
+        slope = float(np.radians(draw.sample_speed(4, 12)))
+        acceleration = rolling_acceleration(slope, draw.target)
+        run = min(run_m, acceleration * until_s**2 / 2)
         yaw = np.pi + draw.uniform(-2.0, 2.0)
-        return cls(draw.meeting_point(), slope, yaw, run, until_s - float(np.sqrt(2 * run / pace)))
+        return cls(draw.meeting_point(), slope, yaw, run, until_s - float(np.sqrt(2 * run / acceleration)))
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the plank and the target at rest on it, its axis across the slope."""
@@ -72,7 +75,7 @@ class RollingMotion(PhysicalMotion):
         contact = np.asarray(self.meeting) - target.roll_radius_m * normal
         center = contact + (past_m - half_length) * forward - PLANK_HALF_THICKNESS_M * normal
         half_size = (half_length, PLANK_HALF_WIDTH_M, PLANK_HALF_THICKNESS_M)
-        return Box(as_vector(center), half_size, _yaw_pitch_quat(self.yaw_rad, self.slope_rad))
+        return Box(as_vector(center), half_size, yaw_pitch_quat(self.yaw_rad, self.slope_rad))
 
     def slope_axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (3,) unit vectors down the slope and out of it."""
@@ -80,7 +83,7 @@ class RollingMotion(PhysicalMotion):
         c, s = np.cos(self.slope_rad), np.sin(self.slope_rad)
         return c * flat - s * up, s * flat + c * up
 
-    def _lying(self, target: TargetObject) -> tuple[float, float, float, float]:
+    def _lying(self, target: TargetObject) -> Quaternion:
         """Lay the object's axis of symmetry horizontally across the slope."""
         half, root = self.yaw_rad / 2, float(np.sqrt(0.5))
         c, s = float(np.cos(half)), float(np.sin(half))
@@ -92,9 +95,3 @@ def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
     ratio = target.inertia[2] / (target.mass_kg * target.roll_radius_m**2)
     drive = np.sin(slope_rad) - ROLLING_FRICTION_M / target.roll_radius_m * np.cos(slope_rad)
     return float(GRAVITY_M_S2 * drive / (1 + ratio))
-
-
-def _yaw_pitch_quat(yaw: float, pitch: float) -> tuple[float, float, float, float]:
-    """Rotation that points x to ``yaw`` and ``pitch`` below the horizon, wxyz."""
-    cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
-    return (float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp))

@@ -1,4 +1,4 @@
-"""What the three straight lines share: quadratic progress along a fixed direction."""
+"""Base class of motions along a straight line at constant acceleration."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import PrescribedMotion, Vector
+from dynahoi_lerobot.motions.base import PrescribedMotion
+from dynahoi_lerobot.motions.geometry import Vector
 
 RISE_M = 0.7
-"""How much height a straight path may gain or lose within its horizon [m]."""
+"""Greatest change of height of a straight path within its horizon [m]."""
 
 
 @dataclass(frozen=True)
@@ -48,15 +49,15 @@ class StraightMotion(PrescribedMotion):
     @classmethod
     def between(
         cls,
-        draw_meeting: Vector,
+        meeting: Vector,
         direction: Vector,
         meeting_s: float,
         speeds: tuple[float, float],
         over_s: float,
     ) -> Self:
-        """Return the line whose speed changes evenly from ``speeds[0]`` at t = 0 to ``speeds[1]`` at ``over_s``."""
+        """Return the line whose speed [m/s] changes evenly from ``speeds[0]`` at 0 s to ``speeds[1]`` at ``over_s``."""
         acceleration = (speeds[1] - speeds[0]) / over_s
-        return cls(draw_meeting, direction, meeting_s, speeds[0] + acceleration * meeting_s, acceleration)
+        return cls(meeting, direction, meeting_s, speeds[0] + acceleration * meeting_s, acceleration)
 
     def _along(self, amount: np.ndarray) -> np.ndarray:
         return amount[:, None] * np.asarray(self.direction)

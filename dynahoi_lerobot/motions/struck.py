@@ -7,7 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, Launch, Striker, as_vector, damping_ratio_for, yaw_quat
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import as_vector, yaw_quat
+from dynahoi_lerobot.motions.launch import Launch, Striker, damping_ratio_for
 from dynahoi_lerobot.motions.tabletop import TabletopMotion, reach_m
 from dynahoi_lerobot.objects import TargetObject
 
@@ -24,16 +27,16 @@ class Struck(TabletopMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw the blow; it lands 0.25 to 0.6 s before the intercept and within the window."""
+        """Draw speed, direction, materials; the impact is 0.25 to 0.6 s before the intercept and within the window."""
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.25, 0.6), draw.window_s - 0.1))
-        speed = draw.pace(0.35, 0.8)
+        speed = draw.sample_speed(0.35, 0.8)
         yaw = np.pi + draw.uniform(-1.9, 1.9)
         return cls(
             draw.meeting_point(), yaw, speed, impact_s, draw.uniform(0.5, 0.85), draw.uniform(0.02, 0.06)
         )  # fmt: skip
 
     def launch(self, target: TargetObject) -> Launch:
-        """Return the target at rest and the striker on its way."""
+        """Return the target at rest on the table and the striker in flight."""
         gap = reach_m(target) + STRIKER_RADIUS_M + self.speed_m_s * self.impact_s
         start = np.asarray(self.contact) - gap * self.direction()
         velocity = as_vector(self.speed_m_s * self.direction())

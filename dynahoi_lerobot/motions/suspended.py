@@ -1,4 +1,4 @@
-"""What the three pendulums share: a target that hangs from a rigid massless string."""
+"""Base class of pendulums: the target hangs from a rigid massless string."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import GRAVITY_M_S2, Draw, Launch, PhysicalMotion, Tether, Vector, as_vector
+from dynahoi_lerobot.motions.base import PhysicalMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector, as_vector
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Tether
 from dynahoi_lerobot.objects import TargetObject
 
 
 @dataclass(frozen=True)
 class SuspendedMotion(PhysicalMotion):
-    """A compound pendulum: the target turns with the string, so its moment of inertia counts.
+    """A compound pendulum: the target turns with the string, so its moment of inertia adds to m l^2.
 
     Attributes:
         anchor: where the string is fixed [m].
@@ -31,8 +34,8 @@ class SuspendedMotion(PhysicalMotion):
     category: ClassVar[str] = "pendulum"
 
     @classmethod
-    def hung(cls, draw: Draw, angle_rad: float, drag_1_s: float = 0.0) -> Self:
-        """Return a pendulum whose lowest point is near the middle of the stage."""
+    def hanging(cls, draw: Draw, angle_rad: float, drag_1_s: float = 0.0) -> Self:
+        """Return a pendulum of drawn length and direction whose lowest point is the meeting point."""
         length = draw.uniform(0.3, 1.1)
         anchor = np.asarray(draw.meeting_point()) + [0.0, 0.0, length]
         return cls(as_vector(anchor), length, angle_rad, draw.angle(), drag_1_s)

@@ -7,7 +7,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion, Vector, as_vector
+from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector, as_vector
 
 
 @MOTIONS.register("swinging_arc")
@@ -38,7 +40,7 @@ class SwingingArc(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the arc and its rhythm."""
         radius, swing = draw.uniform(0.25, 0.6), np.radians(draw.uniform(20, 60))
-        rate = min(2 * np.pi * draw.pace(0.2, 0.6), 1.0 / (radius * swing) * draw.tempo)
+        rate = min(2 * np.pi * draw.sample_speed(0.2, 0.6), 1.0 / (radius * swing) * draw.speed_scale)
         pivot = as_vector(np.asarray(draw.meeting_point()) + [0.0, 0.0, radius])
         return cls(pivot, radius, float(swing), float(rate), draw.angle(), draw.angle())
 

@@ -1,4 +1,4 @@
-"""What the two impact motions share: an object that slides on a slippery table."""
+"""Base class of impacts: an object slides on a level table of low friction."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import Box, PhysicalMotion, Vector, as_vector, heading, yaw_quat
+from dynahoi_lerobot.motions.base import PhysicalMotion
+from dynahoi_lerobot.motions.geometry import Vector, as_vector, heading, yaw_quat
+from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 
 TABLE_HALF_M = (1.1, 0.9, 0.02)
@@ -19,9 +21,9 @@ class TabletopMotion(PhysicalMotion):
 
     Attributes:
         contact: centre of the target at the impact [m].
-        yaw_rad: horizontal direction of the blow or the approach.
-        speed_m_s: of whatever is moving, at the impact.
-        impact_s: time of the impact [s]; a ball that begins to roll is a little early.
+        yaw_rad: horizontal direction of what moves before the impact, the striker or the target.
+        speed_m_s: its speed at the impact.
+        impact_s: time of the impact [s]; a ball, which begins to roll, is a little early.
         restitution: rebound speed over approach speed.
         friction: sliding friction of the table.
     """
@@ -38,7 +40,7 @@ class TabletopMotion(PhysicalMotion):
 
     @classmethod
     def objects(cls) -> list[str]:
-        """Return the ones that stay flat when pushed."""
+        """Return the names of those that slide."""
         return [name for name, kind in OBJECTS.items() if kind.slides]
 
     def table(self, target: TargetObject) -> Box:
@@ -47,14 +49,14 @@ class TabletopMotion(PhysicalMotion):
         return Box(as_vector(top), TABLE_HALF_M, yaw_quat(self.yaw_rad))
 
     def direction(self) -> np.ndarray:
-        """Return the (3,) unit vector of the blow or the approach."""
+        """Return the (3,) unit vector along ``yaw_rad``, world."""
         return np.asarray(heading(self.yaw_rad))
 
 
 def reach_m(target: TargetObject) -> float:
-    """Return how far the target extends from its centre, horizontally and upright [m].
+    """Return how far an upright target extends from its centre along its x axis [m].
 
-    The blow always comes along the object's x axis, so boxes are met face on.
+    Impacts are along that axis, so that boxes are hit in the middle of a face.
     """
     extents = []
     for primitive in target.primitives:

@@ -1,4 +1,4 @@
-"""What the two throws share: ballistic flight from a hand that lets go, aimed to pass the meeting point."""
+"""Base class of throws: the target is held, released, and flies freely past the meeting point."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import GRAVITY_M_S2, Draw, Launch, PhysicalMotion, Vector, as_vector, heading
+from dynahoi_lerobot.motions.base import PhysicalMotion
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import Vector, as_vector, heading
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch
 from dynahoi_lerobot.objects import TargetObject
 
-REST_RATIO = 0.6
-"""Contact damping ratio on the floor: a dull landing after a miss."""
+LANDING_DAMPING_RATIO = 0.6
+"""Contact damping ratio on the floor, where a target that was missed lands."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +39,11 @@ class ThrowMotion(PhysicalMotion):
         """Return the throw that covers ``distance_m`` towards ``yaw`` and passes the meeting point after ``flight_s``.
 
         Args:
-            draw: the episode's draw; the flight is shortened to its ``intercept_s``.
+            draw: the episode's draw; the flight is no longer than its ``intercept_s``.
             flight_s: time from release to the meeting point [s].
             yaw: horizontal direction of flight [rad].
             distance_m: horizontal distance between release and meeting point.
-            height_m: height of the release point.
+            height_m: of the release point above the floor.
         """
         flight = min(flight_s, draw.intercept_s)
         meeting = np.asarray(draw.meeting_point())
@@ -52,4 +55,4 @@ class ThrowMotion(PhysicalMotion):
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the release; the floor is the only surface."""
-        return Launch(self.start, velocity=self.velocity, release_s=self.release_s, damping_ratio=REST_RATIO)
+        return Launch(self.start, velocity=self.velocity, release_s=self.release_s, damping_ratio=LANDING_DAMPING_RATIO)

@@ -7,16 +7,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import (
-    GRAVITY_M_S2,
-    MOTIONS,
-    Box,
-    Draw,
-    Launch,
-    as_vector,
-    damping_ratio_for,
-    yaw_quat,
-)
+from dynahoi_lerobot.motions.base import MOTIONS
+from dynahoi_lerobot.motions.draw import Draw
+from dynahoi_lerobot.motions.geometry import as_vector, yaw_quat
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, damping_ratio_for
 from dynahoi_lerobot.motions.tabletop import TabletopMotion, reach_m
 from dynahoi_lerobot.objects import TargetObject
 
@@ -33,18 +27,18 @@ class WallRebound(TabletopMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw approach and rebound; the wall is hit 0.2 to 0.6 s before the intercept and within the window."""
+        """Draw speed, direction, materials; the wall is hit 0.2 to 0.6 s before the intercept and within the window."""
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.2, 0.6), draw.window_s - 0.05))
         yaw = draw.uniform(-2.2, 2.2)
         return cls(
-            draw.meeting_point(), yaw, draw.pace(0.3, 0.7), impact_s,
+            draw.meeting_point(), yaw, draw.sample_speed(0.3, 0.7), impact_s,
             draw.uniform(0.6, 0.9), draw.uniform(0.01, 0.04),
         )  # fmt: skip
 
     def launch(self, target: TargetObject) -> Launch:
-        """Return the target under way on the table, fast enough to reach the wall in time, and the wall."""
+        """Return the target sliding on the table, fast enough to meet the wall at ``impact_s``, and the wall."""
         direction, reach = self.direction(), reach_m(target)
-        lost = self.friction * GRAVITY_M_S2 * self.impact_s  # speed that the table takes [m/s]
+        lost = self.friction * GRAVITY_M_S2 * self.impact_s  # speed lost to friction on the way [m/s]
         distance = (self.speed_m_s + lost / 2) * self.impact_s
         wall = np.asarray(self.contact) + (reach + WALL_HALF_M[0]) * direction
         wall[2] += WALL_HALF_M[2] - target.rest_height_m

@@ -1,5 +1,6 @@
-"""Objects to catch, one file per kind. A new file with ``@OBJECTS.register`` is a new object everywhere."""
+"""Objects to catch, one file each; a new file with ``@OBJECTS.register`` can be played by its name."""
 
-from dynahoi_lerobot.objects.base import OBJECTS, ObjectKind, Primitive, TargetObject
+from dynahoi_lerobot.objects.base import OBJECTS, ObjectGeometry, ObjectType, TargetObject
+from dynahoi_lerobot.objects.primitives import Primitive
 
-__all__ = ["OBJECTS", "ObjectKind", "Primitive", "TargetObject"]
+__all__ = ["OBJECTS", "ObjectGeometry", "ObjectType", "Primitive", "TargetObject"]

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.objects.base import OBJECTS, ObjectKind, Primitive, TargetShape
+from dynahoi_lerobot.objects.base import OBJECTS, ObjectGeometry, ObjectType
+from dynahoi_lerobot.objects.primitives import Primitive
 
 
 @OBJECTS.register("ball")
-class Ball(ObjectKind):
+class Ball(ObjectType):
     """A ball of radius 2.5 to 4 cm."""
 
     rolls = True
     slides = True
 
     @classmethod
-    def shape(cls, rng: np.random.Generator) -> TargetShape:
-        """Draw the geometry [m]."""
+    def sample_geometry(cls, rng: np.random.Generator) -> ObjectGeometry:
+        """Draw sizes and positions [m]."""
         radius = rng.uniform(0.025, 0.04)
-        return TargetShape((Primitive("sphere", (radius,)),), radius, radius, radius)
+        return ObjectGeometry((Primitive("sphere", (radius,)),), radius, radius, radius)

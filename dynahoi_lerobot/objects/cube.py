@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.objects.base import OBJECTS, ObjectKind, Primitive, TargetShape
+from dynahoi_lerobot.objects.base import OBJECTS, ObjectGeometry, ObjectType
+from dynahoi_lerobot.objects.primitives import Primitive
 
 
 @OBJECTS.register("cube")
-class Cube(ObjectKind):
+class Cube(ObjectType):
     """A cube with edges of 4.5 to 7 cm."""
 
     slides = True
 
     @classmethod
-    def shape(cls, rng: np.random.Generator) -> TargetShape:
-        """Draw the geometry [m]."""
+    def sample_geometry(cls, rng: np.random.Generator) -> ObjectGeometry:
+        """Draw sizes and positions [m]."""
         half = rng.uniform(0.0225, 0.035)
-        return TargetShape((Primitive("box", (half, half, half)),), half, half)
+        return ObjectGeometry((Primitive("box", (half, half, half)),), half, half)

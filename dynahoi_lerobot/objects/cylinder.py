@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.objects.base import OBJECTS, ObjectKind, Primitive, TargetShape
+from dynahoi_lerobot.objects.base import OBJECTS, ObjectGeometry, ObjectType
+from dynahoi_lerobot.objects.primitives import Primitive
 
 
 @OBJECTS.register("cylinder")
-class Cylinder(ObjectKind):
+class Cylinder(ObjectType):
     """A can: a cylinder of radius 2.5 to 3.5 cm and half height 3 to 5 cm."""
 
     rolls = True
     slides = True
 
     @classmethod
-    def shape(cls, rng: np.random.Generator) -> TargetShape:
-        """Draw the geometry [m]."""
+    def sample_geometry(cls, rng: np.random.Generator) -> ObjectGeometry:
+        """Draw sizes and positions [m]."""
         radius, half = rng.uniform(0.025, 0.035), rng.uniform(0.03, 0.05)
-        return TargetShape((Primitive("cylinder", (radius, half)),), radius, half, radius)
+        return ObjectGeometry((Primitive("cylinder", (radius, half)),), radius, half, radius)

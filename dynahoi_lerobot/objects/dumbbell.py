@@ -1,22 +1,21 @@
-"""Held out: two balls of radius 2 to 2.8 cm on a bar."""
+"""Two balls of radius 2 to 2.8 cm on a bar."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.objects.base import OBJECTS, ObjectKind, Primitive, TargetShape
+from dynahoi_lerobot.objects.base import OBJECTS, ObjectGeometry, ObjectType
+from dynahoi_lerobot.objects.primitives import Primitive
 
 
 @OBJECTS.register("dumbbell")
-class Dumbbell(ObjectKind):
-    """Held out: two balls of radius 2 to 2.8 cm on a bar."""
-
-    held_out = True
+class Dumbbell(ObjectType):
+    """Two balls of radius 2 to 2.8 cm on a bar."""
 
     @classmethod
-    def shape(cls, rng: np.random.Generator) -> TargetShape:
-        """Draw the geometry [m]."""
+    def sample_geometry(cls, rng: np.random.Generator) -> ObjectGeometry:
+        """Draw sizes and positions [m]."""
         radius, half = rng.uniform(0.02, 0.028), rng.uniform(0.025, 0.04)
         bar = Primitive("capsule", (0.4 * radius, half))
         ends = [Primitive("sphere", (radius,), (0.0, 0.0, z)) for z in (-half, half)]
-        return TargetShape((bar, *ends), radius, half + radius)
+        return ObjectGeometry((bar, *ends), radius, half + radius)

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.objects.base import OBJECTS, ObjectKind, Primitive, TargetShape
+from dynahoi_lerobot.objects.base import OBJECTS, ObjectGeometry, ObjectType
+from dynahoi_lerobot.objects.primitives import Primitive
 
 
 @OBJECTS.register("ring")
-class Ring(ObjectKind):
+class Ring(ObjectType):
     """A ring of eight segments, 2.8 to 3.6 cm from the centre to the middle of its 0.8 cm tube."""
 
     slides = True
 
     @classmethod
-    def shape(cls, rng: np.random.Generator) -> TargetShape:
-        """Draw the geometry [m]."""
+    def sample_geometry(cls, rng: np.random.Generator) -> ObjectGeometry:
+        """Draw sizes and positions [m]."""
         radius, tube = rng.uniform(0.028, 0.036), 0.008
         half = radius * np.tan(np.pi / 8)
-        return TargetShape(tuple(_segment(i, radius, tube, half) for i in range(8)), radius + tube, tube)
+        return ObjectGeometry(tuple(_segment(i, radius, tube, half) for i in range(8)), radius + tube, tube)
 
 
 def _segment(index: int, radius: float, tube: float, half: float) -> Primitive:

@@ -1,4 +1,4 @@
-"""Renderers of a batch of worlds, one file each."""
+"""Renderers of batched worlds, one file each; all of them agree on what is visible (see `tests/renderers`)."""
 
 from dynahoi_lerobot.renderers.base import DEFAULT_RENDERER, RENDERERS, Renderer
 

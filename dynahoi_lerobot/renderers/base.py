@@ -1,4 +1,4 @@
-"""What a renderer is: N worlds in, N images out."""
+"""The interface of a renderer: images, geom ids and depth of chosen worlds of a batch, from one camera."""
 
 from __future__ import annotations
 
@@ -16,10 +16,27 @@ DEFAULT_RENDERER = "tiles"
 
 
 class Renderer(ABC):
-    """Draws one camera of every world of a batch whose kinematics are up to date."""
+    """Renders one camera in the worlds of a batch whose kinematics are up to date.
+
+    A new renderer is one file with a subclass that is registered under a name; images must not depend on the other
+    worlds of the batch.
+
+    Attributes:
+        scene: the compiled scene that all worlds share.
+        batch: the worlds.
+        image_size: side of the square images [px].
+        camera: id of the camera in the model.
+    """
 
     def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA) -> None:
-        """Prepare to draw ``batch``, which runs ``scene.model``, in square images of ``image_size`` pixels."""
+        """Prepare to render.
+
+        Args:
+            scene: the compiled scene.
+            batch: worlds of ``scene.model``.
+            image_size: side of the square images [px].
+            camera: name of the camera in the model.
+        """
         self.scene, self.batch, self.image_size = scene, batch, image_size
         self.camera = scene.model.camera(camera).id
 
@@ -29,8 +46,8 @@ class Renderer(ABC):
 
     @abstractmethod
     def segmentation(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""
+        """Return (n, H, W) int32 geom ids of worlds ``ids`` (n,), -1 for a miss."""
 
     @abstractmethod
     def depth(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) float32 depth along the camera's axis [m], 0 where nothing is, of worlds ``ids`` (n,)."""
+        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""

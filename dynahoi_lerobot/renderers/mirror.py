@@ -1,20 +1,29 @@
-"""Fields of a batch of worlds, copied to a device: the chosen worlds into the first rows."""
+"""Device copies of per-world fields of a batch; chosen worlds are packed into the first rows."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import warp as wp
+from mujoco.batch import Batch
 
 
 class Mirror:
-    """Device arrays that follow arrays of the batch.
+    """Device arrays that are refreshed from arrays of the batch.
 
     Attributes:
-        arrays: by name, one row per world, of which the first are in use.
+        arrays: device arrays by field name, each with one row per world of the batch; only the rows of the worlds
+            copied last are in use.
     """
 
     def __init__(self, sources: dict[str, np.ndarray], arrays: dict[str, wp.array]) -> None:
-        """Let each of ``arrays`` follow the source of the same name, a live (N, ...) array of the batch."""
+        """Pair each device array with the source of the same name.
+
+        Args:
+            sources: (N, ...) arrays of the batch, views that follow the simulation.
+            arrays: device arrays of N rows.
+        """
         self.arrays = arrays
         self._sources = sources
         self._staging = {
@@ -24,9 +33,19 @@ class Mirror:
         self._rows = {name: array.numpy() for name, array in self._staging.items()}
 
     def copy(self, ids: np.ndarray) -> None:
-        """Move the rows ``ids`` of every field to the first rows of its device array."""
+        """Copy the rows ``ids`` (n,) of every field into the first n rows of its device array."""
         for name, source in self._sources.items():
             rows = self._rows[name][: len(ids)]
             rows[...] = source[ids].reshape(rows.shape)
             if self._staging[name] is not self.arrays[name]:
                 wp.copy(self.arrays[name][: len(ids)], self._staging[name][: len(ids)])  # type: ignore[arg-type] - slices of arrays are arrays
+
+
+def world_fields(batch: Batch, model_fields: Iterable[str], data_fields: Iterable[str]) -> dict[str, np.ndarray]:
+    """Return (N, ...) views of the batch's per-world model fields and of its data fields, by name."""
+    return {name: batch.expand(name) for name in model_fields} | {name: batch.bind(name) for name in data_fields}
+
+
+def default_device() -> str:
+    """Return warp's name of the device to render on: ``cuda`` if there is one, else ``cpu``."""
+    return "cuda" if wp.is_cuda_available() else "cpu"

@@ -1,4 +1,4 @@
-"""OpenGL through MuJoCo's own renderer: one world after another, as any MuJoCo user would draw them."""
+"""OpenGL through MuJoCo's own renderer, one world after another."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
-from dynahoi_lerobot.scene.scene import SHOWN_GROUP, Scene
+from dynahoi_lerobot.scene.model import SHOWN_GROUP
+from dynahoi_lerobot.scene.scene import Scene
 
 FLAG = mujoco.mjtRndFlag
 OFF = [f.value for f in (FLAG.mjRND_SHADOW, FLAG.mjRND_REFLECTION, FLAG.mjRND_HAZE, FLAG.mjRND_FOG, FLAG.mjRND_SKYBOX)]
-"""Effects that the ray caster does not have either."""
-NUMBERED = [FLAG.mjRND_SEGMENT.value, FLAG.mjRND_IDCOLOR.value]
-"""Instead of what things look like, paint a colour that numbers them."""
+"""Effects that are switched off, as the ray casters do not have them."""
+ID_COLORS = [FLAG.mjRND_SEGMENT.value, FLAG.mjRND_IDCOLOR.value]
+"""Flags that render each object in a flat colour that encodes its id."""
 GEOM = mujoco.mjtObj.mjOBJ_GEOM.value
 
 
 @RENDERERS.register("opengl")
 class OpenGLRenderer(Renderer):
-    """Writes each world into one MjModel and one MjData, which share the textures, and draws them with one context.
+    """Loads each world into one MjModel and one MjData and renders it with one OpenGL context.
 
-    It shows what ``tiles`` shows: one sample per pixel, textures, no shadows. Shapes and plain colours agree; patterns
-    are laid on with another phase, and highlights are those of the vertices. EGL is used unless MUJOCO_GL asks for
+    Like ``tiles`` it takes one sample per pixel, with textures and without shadows. Shapes and plain colours agree with
+    ``tiles``; textures have another phase, and highlights are computed per vertex. EGL is used unless MUJOCO_GL names
     another platform.
     """
 
@@ -60,16 +61,16 @@ class OpenGLRenderer(Renderer):
         return np.stack([self._draw(int(i)) for i in ids])
 
     def segmentation(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""
+        """Return (n, H, W) int32 geom ids of worlds ``ids`` (n,), -1 for a miss."""
         self._platform.make_current()
-        self._view.flags[NUMBERED] = True
+        self._view.flags[ID_COLORS] = True
         try:
-            return np.stack([self._geoms(self._draw(int(i))) for i in ids])
+            return np.stack([self._geom_ids(self._draw(int(i))) for i in ids])
         finally:
-            self._view.flags[NUMBERED] = False
+            self._view.flags[ID_COLORS] = False
 
     def depth(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) float32 depth along the camera's axis [m], 0 where nothing is, of worlds ``ids`` (n,)."""
+        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
         self._platform.make_current()
         return np.stack([self._depth(int(i)) for i in ids])
 
@@ -83,7 +84,7 @@ class OpenGLRenderer(Renderer):
         return np.where(buffer == 1.0, 0.0, depth)[::-1].astype(np.float32)
 
     def _draw(self, i: int) -> np.ndarray:
-        """(H, W, 3) picture of world ``i``."""
+        """(H, W, 3) uint8 image of world ``i``."""
         model, data = self.batch.get_model(i, self._model), self.batch.get_data(i, self._data)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -95,13 +96,13 @@ class OpenGLRenderer(Renderer):
         mujoco.mjr_readPixels(pixels, None, self._rectangle, self._context)
         return pixels[::-1]  # OpenGL counts rows from below
 
-    def _geoms(self, painted: np.ndarray) -> np.ndarray:
-        """(H, W) geom ids from a picture whose colours number the things in view from 1."""
-        numbers = painted.astype(np.int32) @ np.array([1, 2**8, 2**16], np.int32)
+    def _geom_ids(self, encoded: np.ndarray) -> np.ndarray:
+        """(H, W) geom ids from an image whose colours encode segment ids from 1."""
+        numbers = encoded.astype(np.int32) @ np.array([1, 2**8, 2**16], np.int32)
         ids = np.full(self._view.ngeom + 1, -1, np.int32)
-        for thing in self._view.geoms[: self._view.ngeom]:
-            if thing.objtype == GEOM:
-                ids[thing.segid + 1] = thing.objid
+        for geom in self._view.geoms[: self._view.ngeom]:
+            if geom.objtype == GEOM:
+                ids[geom.segid + 1] = geom.objid
         return ids[numbers]
 
 

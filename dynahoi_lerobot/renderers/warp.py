@@ -1,4 +1,4 @@
-"""Ray casting with mujoco_warp, which knows every shape, texture and light of MuJoCo, on the CPU or on CUDA."""
+"""Ray casting with mujoco_warp, which supports every geom, texture and light of MuJoCo, on the CPU or on CUDA."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ import mujoco_warp as mjw  # noqa: E402
 
 from dynahoi_lerobot.hands.base import EGO_CAMERA  # noqa: E402
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
-from dynahoi_lerobot.renderers.mirror import Mirror  # noqa: E402
-from dynahoi_lerobot.scene.scene import SHOWN_GROUP, Scene  # noqa: E402
+from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields  # noqa: E402
+from dynahoi_lerobot.scene.model import SHOWN_GROUP  # noqa: E402
+from dynahoi_lerobot.scene.scene import Scene  # noqa: E402
 
-LOOK_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
-"""Model fields whose values differ between worlds and which the ray caster reads."""
+APPEARANCE_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
+"""Model fields that differ between worlds and that the ray caster reads."""
 POSE_FIELDS = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir")
 """Data fields that the simulation computes and the ray caster reads."""
 
 
 @wp.kernel(module="unique")
 def _find_roots(bvh_id: wp.uint64, roots: wp.array[int]):
-    """Find where each world's part of the tree begins."""
+    """Find the root of each world's subtree in the bounding volume hierarchy."""
     world = wp.tid()
     roots[world] = wp.bvh_get_group_root(bvh_id, world)  # type: ignore[index, arg-type] - warp's language, not Python's
 
@@ -34,50 +35,62 @@ def _find_roots(bvh_id: wp.uint64, roots: wp.array[int]):
 class WarpRenderer(Renderer):
     """Copies worlds into mujoco_warp's arrays and casts one ray per pixel, with textures and without shadows.
 
-    Worlds are packed into the first rows, so drawing a few of many costs no more than that; what a world looks like
-    does not depend on the row it lands in.
+    Worlds are packed into the first rows, so rendering a few of many costs no more than that; the image of a world does
+    not depend on its row.
     """
 
     def __init__(
         self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA, device: str | None = None
     ) -> None:
-        """Compile (once per machine) and allocate; ``device`` is warp's, CUDA if there is one by default."""
+        """Compile the kernels (once per machine) and allocate device arrays.
+
+        Args:
+            scene, batch, image_size, camera: as ``Renderer`` takes them.
+            device: warp's name of the device, ``cpu`` or ``cuda``; CUDA if there is one by default.
+        """
         super().__init__(scene, batch, image_size, camera)
-        self._device = device or ("cuda" if wp.is_cuda_available() else "cpu")
+        self._device = device or default_device()
         with wp.ScopedDevice(self._device):
             self._model, self._data = mjw.put_model(scene.model), mjw.make_data(scene.model, nworld=batch.nsim)
-            for name in LOOK_FIELDS:
+            for name in APPEARANCE_FIELDS:
                 shared = getattr(self._model, name)
                 setattr(self._model, name, wp.empty(dtype=shared.dtype, shape=(batch.nsim, *shared.shape[1:])))
-        sources = {name: batch.expand(name) for name in LOOK_FIELDS} | {name: batch.bind(name) for name in POSE_FIELDS}
-        targets = {name: getattr(self._model, name) for name in LOOK_FIELDS}
+        sources = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS)
+        targets = {name: getattr(self._model, name) for name in APPEARANCE_FIELDS}
         self._mirror = Mirror(sources, targets | {name: getattr(self._data, name) for name in POSE_FIELDS})
 
     @functools.cached_property
-    def _color(self) -> mjw.RenderContext:
+    def _color_context(self) -> mjw.RenderContext:
         return self._context(color=True)
 
     @functools.cached_property
-    def _survey(self) -> mjw.RenderContext:
+    def _ids_and_depth_context(self) -> mjw.RenderContext:
         return self._context(color=False)
 
     def rgb(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
-        self._render(self._color, ids)
-        packed = self._color.rgb_data[: len(ids)].numpy()  # (n, H * W) 0xAARRGGBB
+        self._render(self._color_context, ids)
+        packed = self._color_context.rgb_data[: len(ids)].numpy()  # (n, H * W) 0xAARRGGBB
         pixels = packed.view(np.uint8).reshape(len(ids), self.image_size, self.image_size, 4)
         return np.ascontiguousarray(pixels[..., 2::-1])
 
     def segmentation(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) int32 geom ids, -1 where nothing is, of worlds ``ids`` (n,)."""
-        self._render(self._survey, ids)
-        labels = self._survey.seg_data[: len(ids)].numpy()[..., 0].copy()  # the next call writes over the original
+        """Return (n, H, W) int32 geom ids of worlds ``ids`` (n,), -1 for a miss."""
+        self._render(self._ids_and_depth_context, ids)
+        labels = (
+            self._ids_and_depth_context.seg_data[: len(ids)].numpy()[..., 0].copy()
+        )  # the next call overwrites the original
         return labels.reshape(len(ids), self.image_size, self.image_size)
 
     def depth(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) float32 depth along the camera's axis [m], 0 where nothing is, of worlds ``ids`` (n,)."""
-        self._render(self._survey, ids)
-        return self._survey.depth_data[: len(ids)].numpy().reshape(len(ids), self.image_size, self.image_size).copy()
+        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
+        self._render(self._ids_and_depth_context, ids)
+        return (
+            self._ids_and_depth_context.depth_data[: len(ids)]
+            .numpy()
+            .reshape(len(ids), self.image_size, self.image_size)
+            .copy()
+        )
 
     def _context(self, *, color: bool) -> mjw.RenderContext:
         with wp.ScopedDevice(self._device):
@@ -103,7 +116,7 @@ class WarpRenderer(Renderer):
         self._data.nworld = len(ids)
         with wp.ScopedDevice(self._device):
             mjw.refit_bvh(self._model, self._data, context)
-            # the tree was laid out for the compiled scene; one laid out for this frame is cheap and a fifth faster
+            # the hierarchy was built for the compiled scene; rebuilding it for this frame is cheap and a fifth faster
             context.bvh.rebuild()
             wp.launch(_find_roots, dim=len(ids), inputs=[context.bvh.id, context.group_root])
             mjw.render(self._model, self._data, context)

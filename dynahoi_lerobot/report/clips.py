@@ -1,15 +1,19 @@
-"""GIFs that stand in a result folder, embedded."""
+"""The GIFs of result folders, embedded in the page."""
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from dynahoi_lerobot.report.entries import Entry
 
 MOST_CLIPS = 12
 """Clips shown of one folder, the first by name; a page with more is too heavy to open."""
+
+LARGEST_CLIP_BYTES = 20_000_000
+GIF_HEADERS = (b"GIF87a", b"GIF89a")
 
 
 @dataclass(frozen=True)
@@ -28,9 +32,17 @@ def find_clips(entries: Sequence[Entry]) -> list[Clips]:
 
 
 def _clips_of(entry: Entry) -> Clips:
-    paths = sorted(entry.results.folder.glob("*.gif"))
+    paths = [path for path in sorted(entry.results.folder.glob("*.gif")) if _is_gif(path)]
     shown = tuple((path.stem, _data_uri(path.read_bytes())) for path in paths[:MOST_CLIPS])
     return Clips(entry.label, shown, len(paths) - len(shown))
+
+
+def _is_gif(path: Path) -> bool:
+    """Tell whether this is a GIF of reasonable size that stands in the folder itself: a link may show any file."""
+    if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_CLIP_BYTES:
+        return False
+    with path.open("rb") as file:
+        return file.read(len(GIF_HEADERS[0])) in GIF_HEADERS
 
 
 def _data_uri(gif: bytes) -> str:

@@ -1,4 +1,4 @@
-"""The evaluations of one report, each with a short unique label and a colour of its own."""
+"""The evaluations of one report, each with a short unique label and a colour."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.results import Results, read_results
-from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
-"""Okabe and Ito's palette without black and yellow, legible on light and dark, and told apart by most eyes."""
+"""Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
 
 LABEL_LENGTH = 32
 
-GENERIC_PARTS = {"checkpoints", "last", "pretrained_model"}
-"""Folders of every LeRobot training run, which tell nothing about the policy."""
+GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model"}
+"""Folder names that every LeRobot training run has, and that do not identify the policy."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def read_entries(folders: Sequence[Path]) -> list[Entry]:
 
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
-    """Return a label per result: the policy and its delay, with the folder, then a number, where that is not unique."""
+    """Return a label per result: policy and delay; folder, then a number, are added where it is not unique."""
     labels = [_delayed(short_name(result.info.policy), result.info.extra.get("delay_ms")) for result in results]
     labels = [
         clip(f"{label} ({result.folder.name})") if _is_repeated(label, labels) else label
@@ -82,10 +82,10 @@ def unique_labels(results: Sequence[Results]) -> list[str]:
 
 
 def short_name(policy: str) -> str:
-    """Return the telling part of a policy's name: of a path to a checkpoint, the name of the training run."""
+    """Return the distinctive part of a policy's name: for a path to a checkpoint, the name of the training run."""
     parts = [part for part in re.split(r"[\\/]", policy) if part.strip()]
-    telling = [part for part in parts if part not in GENERIC_PARTS and not part.isdigit()]
-    return clip((telling or parts or ["?"])[-1])
+    distinctive = [part for part in parts if part not in GENERIC_FOLDERS and not part.isdigit()]
+    return clip((distinctive or parts or ["?"])[-1])
 
 
 def clip(text: str, length: int = LABEL_LENGTH) -> str:

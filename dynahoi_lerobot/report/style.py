@@ -1,4 +1,4 @@
-"""How figures look: thin lines, no frame, and ink that follows the reader's light or dark page."""
+"""Style of the figures: thin lines, no frame, and a text colour that follows the page's light or dark scheme."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dynahoi_lerobot.report.entries import Entry
 
 INK = "#0a0b0c"
-"""The colour that stands for ink while drawing; the page's own ink replaces it in the SVG."""
+"""Placeholder for the text colour while drawing; in the SVG the page's text colour replaces it."""
 
 WIDTH = 12.0
 """Width of every figure [inch], which is the width of the page's column."""

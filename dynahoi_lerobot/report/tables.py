@@ -1,4 +1,4 @@
-"""The report's tables as data: cells with a text, a number to sort by and a mark, ready for the template."""
+"""The report's tables as data for the template: cells with a text, a sort key and a CSS class."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Cell:
         text: what is printed.
         detail: a smaller line under it.
         key: the number to sort by; None sorts by the text.
-        mark: a class of the style sheet.
+        mark: CSS class.
     """
 
     text: str
@@ -63,7 +63,7 @@ def stratum_tables(entries: Sequence[Entry], stratum: str) -> list[Table]:
 
 
 def glossary() -> Table:
-    """Return every registered metric: unit, direction, kind and definition."""
+    """Return the definition of every registered metric: unit, direction, condition, formula and source."""
     arrows = {"higher": "↑ higher", "lower": "↓ lower"}
     rows = tuple(
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,9 +11,8 @@ from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.captures import CaptureRule, Track
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import open_hand, reference_grasp
+from dynahoi_lerobot.features import FEATURES, frame_features
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -41,44 +41,26 @@ class Job:
         return cls(index, spec, spec.window_frames + spec.length_frames, stop_settled=True)
 
 
-COLUMNS = (
-    "state",
-    "fingertips",
-    "phase",
-    "target_pose",
-    "target_velocity",
-    "target_contacts",
-    "palm_distance",
-    "fingertip_distance",
-    "localized",
-    "touch",
-    "palm_force",
-    "other_contacts",
-)
-"""What is copied of every frame."""
+MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {
+    "target_pose": lambda batch: batch.target_pose,
+    "target_velocity": lambda batch: batch.target_velocity,
+    "target_contacts": lambda batch: batch.touching(),
+    "palm_distance": lambda batch: batch.palm_distance.copy(),
+    "fingertip_distance": lambda batch: np.maximum(batch.tip_distance().min(axis=1), 0.0),
+    "localized": lambda batch: batch.localized.copy(),
+}
+"""How each privileged feature of a frame is measured, (N, ...) of all worlds; the others are in the observation."""
 
-VERDICT_COLUMNS = ("palm_force", "other_contacts")
-"""Those that only the capture rule's verdict needs; the others are arrays of ``Episode`` by their names."""
+CONTACTS = ("finger_force_n", "palm_force_n", "others")
+"""Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces as ``touch``."""
 
 
 def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
-    """Return ``COLUMNS`` of all N worlds at this frame, (N, ...) each."""
-    tips = batch.tip_distance()
-    values = (
-        observation.state,
-        observation.fingertips,
-        observation.phase,
-        batch.target_pose,
-        batch.target_velocity,
-        batch.touching(),
-        batch.palm_distance.copy(),
-        np.maximum(tips.min(axis=1), 0.0),
-        batch.localized.copy(),
-        batch.contacts.finger_force_n.copy(),
-        batch.contacts.palm_force_n.copy(),
-        batch.contacts.others.copy(),
-    )
-    return dict(zip(COLUMNS, values, strict=True))
+    """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
+    features = frame_features(None, contact_sensors=batch.rule.uses_contact_sensors)
+    columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
+    columns |= {name: measure(batch) for name, measure in MEASURED.items()}
+    return columns | {name: getattr(batch.contacts, name).copy() for name in CONTACTS}
 
 
 @dataclass
@@ -86,20 +68,26 @@ class WorldRecorder:
     """Collects one world's frames: ``add_frame`` before each step, ``add_action`` after it."""
 
     job: Job
-    frames: list[tuple[np.ndarray, ...]] = field(default_factory=list)
-    pictures: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    frames: list[dict[str, np.ndarray]] = field(default_factory=list)
+    images: dict[str, list[np.ndarray]] = field(default_factory=dict)
     actions: list[np.ndarray] = field(default_factory=list)
     localized_frames: int = 0
 
-    def add_frame(self, columns: dict[str, np.ndarray], i: int, pictures: dict[str, np.ndarray]) -> None:
-        """Record what world ``i`` looks like at this frame; ``pictures`` are (N, H, W, 3) of each view."""
-        self.frames.append(tuple(columns[name][i] for name in COLUMNS))
+    def add_frame(self, columns: dict[str, np.ndarray], i: int, images: dict[str, np.ndarray]) -> None:
+        """Record world ``i`` at this frame.
+
+        Args:
+            columns: what ``frame_columns`` returned.
+            i: the world.
+            images: (N, H, W, 3) uint8 of each view; empty to record none.
+        """
+        self.frames.append({name: values[i] for name, values in columns.items()})
         self.localized_frames += bool(columns["localized"][i])
-        for view, images in pictures.items():
-            self.pictures.setdefault(view, []).append(images[i])
+        for view, pixels in images.items():
+            self.images.setdefault(view, []).append(pixels[i])
 
     def add_action(self, executed: np.ndarray) -> None:
-        """Record the command (18,) that was executed from this frame on."""
+        """Record the command (18,) that was executed from this frame on, palm [m] world and joints [rad]."""
         self.actions.append(executed.copy())
 
     def settled(self, rule: CaptureRule) -> bool:
@@ -121,29 +109,25 @@ class WorldRecorder:
         track = self._track(columns)
         captured = np.zeros(len(self.frames), bool)
         captured[spec.window_frames :] = rule.captured(track)
-        touch, localized = columns.pop("touch"), columns.pop("localized")
-        floats = {name: values.astype(np.float32) for name, values in columns.items() if name not in VERDICT_COLUMNS}
-        views = {view: np.stack(images) for view, images in self.pictures.items()}
+        columns |= {
+            "action": np.stack(self.actions),
+            "captured": captured,
+            "intercept_position": spec.intercept_pos_w,
+            "open_joints": track.open_joints,
+            "reference_joints": track.reference_joints,
+        }
         return Episode(
             meta=_meta(self.job, rule.name, actor),
-            images=views.pop(EGO_CAMERA, None),
-            action=np.stack(self.actions).astype(np.float32),
-            localized=localized,
-            captured=captured,
-            intercept_position=spec.intercept_pos_w.astype(np.float32),
+            images={view: np.stack(frames) for view, frames in self.images.items()},
             intercept_time=spec.intercept_time_s,
-            open_joints=track.open_joints.astype(np.float32),
-            reference_joints=track.reference_joints.astype(np.float32),
             success=rule.success(track),
             stage=rule.stage(track),
-            touch=touch.astype(np.float32) if rule.uses_contact_sensors else None,
-            views=views,
-            **floats,
+            **{name: columns[name].astype(feature.dtype) for name, feature in FEATURES.items() if name in columns},
         )
 
     def _columns(self) -> dict[str, np.ndarray]:
-        stacked = [np.stack(values) for values in zip(*self.frames, strict=True)]
-        return dict(zip(COLUMNS, stacked, strict=True))
+        """Everything recorded besides images, (T, ...) each."""
+        return {name: np.stack([frame[name] for frame in self.frames]) for name in self.frames[0]}
 
     def _track(self, columns: dict[str, np.ndarray]) -> Track:
         """What the capture rule judges: the control phase."""
@@ -151,10 +135,10 @@ class WorldRecorder:
         control = slice(spec.window_frames, None)
         return Track(
             joints=columns["state"][control, PALM_DOF:],
-            open_joints=open_hand(),
-            reference_joints=reference_grasp(spec),
+            open_joints=spec.open_joints,
+            reference_joints=spec.reference_joints,
             localized=columns["localized"][control],
-            contacts=TargetContacts(*(columns[name][control] for name in ("touch", "palm_force", "other_contacts"))),
+            contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
             palm_distance=columns["palm_distance"][control],
             palm_pos_w=columns["state"][control, :PALM_DOF],
         )

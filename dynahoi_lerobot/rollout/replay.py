@@ -15,7 +15,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
 
 Resimulate = Callable[[EpisodeMeta, np.ndarray], tuple[np.ndarray, dict[str, np.ndarray]]]
-"""Plays (T, 18) actions in the episode's world; returns (T, 18) states and (T, H, W, 3) pictures by view."""
+"""Plays (T, 18) actions in the episode's world; returns (T, 18) states and (T, H, W, 3) images by view."""
 
 
 class Player(Agent):
@@ -50,7 +50,7 @@ def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
 
     def resimulate(meta: EpisodeMeta, actions: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         episode = replay(played, meta.seed, actions, attempt=meta.attempts, images=images)
-        return episode.state, episode.pictures
+        return episode.state, episode.images
 
     return resimulate
 

@@ -75,7 +75,7 @@ class Session:
             raise RuntimeError("observe before the first step")
         checked, ids = self.batch.check(commands), self.playing
         columns = frame_columns(self.batch, self.observation)
-        images = self.observation.pictures if self.record_images else {}
+        images = self.observation.images if self.record_images else {}
         for i, recorder in self._recorders.items():
             recorder.add_frame(columns, i, images)
         self.batch.step(checked[ids], ids)

@@ -1,1 +1,1 @@
-"""From a recipe and a seed to an EpisodeSpec: the benchmark, its splits, and every random draw of an episode."""
+"""From a recipe and a seed to an EpisodeSpec: the benchmark and its splits, and what is drawn before a hand moves."""

@@ -1,9 +1,11 @@
-"""What code made a dataset: a hash of the sources and versions that decide its bytes."""
+"""The code fingerprint: a hash of the sources and library versions that decide the bytes of a dataset."""
 
 from __future__ import annotations
 
 import hashlib
 import platform
+import sys
+from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -13,41 +15,62 @@ import dynahoi_lerobot
 LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "pillow")
 """Libraries whose versions may change states, pixels or files."""
 
-READERS = (
-    "cli.py",
-    "env.py",
-    "evaluate/",
-    "listing.py",
-    "metrics/",
-    "quickstart.py",
-    "report/",
-    "view.py",
-    "generate/checks/",
-    "generate/command.py",
-    "generate/datatrove_steps.py",
-    "generate/executors/",
-    "generate/outliers.py",
-    "generate/replay.py",
-    "generate/resimulate.py",
-    "generate/verify",
-    "generate/workers.py",
+DECIDING = (
+    "*.py",
+    "foundation/**/*.py",
+    "objects/**/*.py",
+    "motions/**/*.py",
+    "hands/**/*.py",
+    "scene/**/*.py",
+    "renderers/**/*.py",
+    "captures/**/*.py",
+    "experts/**/*.py",
+    "world/**/*.py",
+    "sampling/**/*.py",
+    "rollout/**/*.py",
+    "dataset/**/*.py",
+    "generate/plan.py",
+    "generate/shard.py",
 )
-"""Parts of the package that read datasets, play policies or spread work; they decide no byte of a dataset."""
+"""The sources that decide what is in a dataset; all others read datasets, play policies or spread work."""
 
 
 @cache
 def code_fingerprint() -> str:
-    """Return 16 hexadecimal digits that change with the generating sources, library versions or processor kind."""
-    package = Path(dynahoi_lerobot.__file__).parent
+    """Return 16 hexadecimal digits that change with the deciding sources, library versions and processor kind."""
     digest = hashlib.sha256(platform.machine().encode())
-    for path in sorted(package.rglob("*.py")):
-        name = path.relative_to(package).as_posix()
-        if not name.startswith(READERS):
-            digest.update(name.encode())
-            digest.update(path.read_bytes())
+    digest.update(hash_sources(Path(dynahoi_lerobot.__file__).parent))
     for library in LIBRARIES:
         digest.update(f"{library}={_version(library)}".encode())
     return digest.hexdigest()[:16]
+
+
+def extension_fingerprint(classes: Iterable[type]) -> str:
+    """Return hashes of the files outside this package that define some of ``classes``; empty if there are none."""
+    modules = {entry.__module__ for entry in classes}
+    return "".join(_module_hash(module) for module in sorted(modules) if not module.startswith("dynahoi_lerobot."))
+
+
+@cache
+def _module_hash(module: str) -> str:
+    path = getattr(sys.modules[module], "__file__", None)  # none for classes typed into a console
+    source = Path(path).read_bytes() if path else b""
+    return hashlib.sha256(module.encode() + source).hexdigest()[:16]
+
+
+def hash_sources(package: Path) -> bytes:
+    """Return the sha256 of the names and contents of the deciding sources below ``package``."""
+    digest = hashlib.sha256()
+    for path in sorted(deciding_sources(package)):
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.digest()
+
+
+def deciding_sources(package: Path) -> Iterator[Path]:
+    """Yield the deciding sources below ``package``."""
+    for pattern in DECIDING:
+        yield from package.glob(pattern)
 
 
 def _version(library: str) -> str:

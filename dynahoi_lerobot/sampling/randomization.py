@@ -1,7 +1,7 @@
-"""Stronger randomisation of appearance, each kind a switch of the recipe; it changes nothing but pictures.
+"""Stronger randomisation of appearance, each by a name that a recipe may list; it changes nothing but pictures.
 
-Every switch draws from a stream of its own, so an episode keeps its motion, its instruction and what the other switches
-drew. They answer to what the paper names as its first limitation, that scenes look alike.
+Each draws from random numbers of its own, seeded with the episode, so the episode keeps its motion, its instruction and
+what the other randomisations drew. They address the first limitation that the paper names, that its scenes look alike.
 """
 
 from __future__ import annotations
@@ -13,24 +13,25 @@ import numpy as np
 
 from dynahoi_lerobot.appearance import Appearance, Distractor, hsv
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.scene.scene import DISTRACTORS
+from dynahoi_lerobot.scene.model import DISTRACTORS
 
 BEHIND_M = 0.35
 """Distractors stand at least this far behind the farthest point of the target's path, so that they hide nothing."""
-STREAM = 0xA99EA
+SEED_PREFIX = 0xA99EA
+"""Keeps these random numbers apart from those that episodes are sampled from."""
 
 
-def randomize_appearance(spec: EpisodeSpec, switches: Sequence[str]) -> EpisodeSpec:
-    """Return the episode with another appearance: what each of ``switches`` draws for its seed."""
-    for number, (name, draw) in enumerate(SWITCHES.items()):
-        if name in switches:
-            rng = np.random.default_rng([STREAM, number, spec.seed])
+def randomize_appearance(spec: EpisodeSpec, names: Sequence[str]) -> EpisodeSpec:
+    """Return the episode with the appearance that each of ``names`` in ``RANDOMIZATIONS`` draws for its seed."""
+    for number, (name, draw) in enumerate(RANDOMIZATIONS.items()):
+        if name in names:
+            rng = np.random.default_rng([SEED_PREFIX, number, spec.seed])
             spec = replace(spec, appearance=draw(spec, rng))
     return spec
 
 
 def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
-    """Any colour anywhere: pale targets, saturated walls, a hand of metal or plastic."""
+    """Any colour on target, surroundings and hand, from pale to saturated."""
     return replace(
         spec.appearance,
         target_rgb=hsv(rng.random(), rng.uniform(0.0, 1.0), rng.uniform(0.25, 1.0)),
@@ -42,7 +43,7 @@ def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
 
 
 def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
-    """Dim to glaring, warm to cold, from any side above."""
+    """Light from dim to glaring, slightly coloured, from any direction above."""
     angle, slant = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 1.5)
     return replace(
         spec.appearance,
@@ -53,17 +54,17 @@ def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
 
 
 def _specular(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
-    """Dull to polished surfaces."""
+    """Surfaces from dull to polished."""
     return replace(spec.appearance, gloss=rng.uniform(0.0, 0.9))
 
 
 def _transparency(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
-    """Targets as clear as coloured glass, or solid."""
+    """A target from opaque to two thirds transparent."""
     return replace(spec.appearance, target_alpha=rng.uniform(0.35, 1.0))
 
 
 def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
-    """Up to four coloured things that stand or float behind the target's path and do not move."""
+    """One to four coloured solids that stand or float behind the target's path and do not move."""
     begin = max(float(spec.oracle_path[:, 0].max()), float(spec.home_pos_w[0])) + BEHIND_M
     chosen = rng.permutation(list(DISTRACTORS))[: rng.integers(1, len(DISTRACTORS) + 1)]
     things = [
@@ -82,22 +83,22 @@ def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     return replace(spec.appearance, distractors=tuple(things))
 
 
-SWITCHES: dict[str, Callable[[EpisodeSpec, np.random.Generator], Appearance]] = {
+RANDOMIZATIONS: dict[str, Callable[[EpisodeSpec, np.random.Generator], Appearance]] = {
     "materials": _materials,
     "lights": _lights,
     "specular": _specular,
     "transparency": _transparency,
     "distractors": _distractors,
 }
-"""By the name it has in a recipe. The order decides the streams: append, do not insert."""
+"""By the name that a recipe lists. The order decides the random numbers: append, do not insert."""
 
 
 def check_appearance(names: Sequence[str]) -> None:
-    """Refuse switches that do not exist.
+    """Refuse names that are not in ``RANDOMIZATIONS``.
 
     Raises:
-        ValueError: naming the switch received and the ones there are.
+        ValueError: naming the one received and those there are.
     """
     for name in names:
-        if name not in SWITCHES:
-            raise ValueError(f"unknown appearance {name!r}; known: {', '.join(SWITCHES)}")
+        if name not in RANDOMIZATIONS:
+            raise ValueError(f"unknown appearance {name!r}; known: {', '.join(RANDOMIZATIONS)}")

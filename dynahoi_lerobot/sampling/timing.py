@@ -1,13 +1,14 @@
-"""How long episodes last and how far the hand travels: the paper's two histograms, met by all kinds together.
+"""How long episodes last and how far the hand travels: drawn so that all kinds together give the paper's histograms.
 
-Short-lived kinds (a throw lasts under a second) cannot fill the long bins, so the others must. The joint table of
-kind, duration bin and travel bin is the one closest to independence that meets all three margins (iterative
-proportional fitting).
+Motions that end soon (a throw lasts under a second) cannot fill the long bins, so the others must. The joint table of
+kind, duration bin and travel bin is the one closest to independence whose three margins are those of the benchmark
+(iterative proportional fitting).
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,25 +16,18 @@ import numpy as np
 from dynahoi_lerobot.foundation.conventions import (
     CONTROL_DT,
     HAND_SPEED_M_S,
-    LOCALIZATION_RADIUS_M,
     MIN_WINDOW_FRAMES,
-    UNIT_M,
     WINDOW_FRACTION,
 )
-from dynahoi_lerobot.motions import MOTIONS, benchmark_motions
-
-DURATION_EDGES = (20, 40, 60, 80, 120, 160)
-"""Bins of L [frames] (Figure 3c); the last is open in the paper and ends at 160 here."""
-DURATION_SHARES = (0.202, 0.361, 0.195, 0.139, 0.101)
-TRAVEL_EDGES_M = (LOCALIZATION_RADIUS_M, 0.5 * UNIT_M, 2.0 * UNIT_M, 4.0 * UNIT_M, 6.0 * UNIT_M)
-"""Bins of the hand's travel (Figure 3d); below 3 cm standing still would do, above 6 u nobody goes here."""
-TRAVEL_SHARES = (0.2260, 0.5080, 0.1830, 0.0830)
-"""The paper's 20.1, 47.7, 16.4 and 5.8 % leave 10 % unassigned; the bins share it so that none strays 3 points: the
-third gets least, as episodes that are redrawn because the hand finds no home add a point to it."""
+from dynahoi_lerobot.motions import MOTIONS, Motion
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 MIN_APPROACH_FRAMES = 5
-"""No intercept before this: fingers need 0.25 s to close."""
-MIN_HOLD_FRAMES = 6
+"""Earliest intercept after the control start: the fingers need 0.25 s to close."""
+MIN_GRASP_FRAMES = 6
+"""Shortest recording after the intercept."""
+FITTING_SWEEPS = 400
+BENCHMARK_KINDS = BENCHMARK.splits["train"].motions
 
 
 @dataclass(frozen=True)
@@ -41,10 +35,10 @@ class Timing:
     """Frames and travel of one episode.
 
     Attributes:
-        length_frames: L.
-        window_frames: observation window, 0 for ``direct_act``.
-        approach_frames: from control start to the intercept.
-        travel_m: from home to the intercept.
+        length_frames: L, length of the expert's recording.
+        window_frames: length of the observation window, 0 for ``direct_act``.
+        approach_frames: from the control start to the intercept.
+        travel_m: straight distance from the hand's home to the intercept.
     """
 
     length_frames: int
@@ -52,48 +46,76 @@ class Timing:
     approach_frames: int
     travel_m: float
 
+    @property
+    def intercept_frame(self) -> int:
+        """Frame of the intercept, counted from the start of the episode."""
+        return self.window_frames + self.approach_frames
+
+    @property
+    def path_frames(self) -> int:
+        """Frames over which the target's path must be known: the window, L control steps and the last state."""
+        return self.window_frames + self.length_frames + 1
+
 
 def window_frames(length_frames: int) -> int:
-    """Return the first 20 % of the frames, at least 8."""
+    """Return the length of the observation window: the first 20 % of the frames, at least 8."""
     return max(MIN_WINDOW_FRAMES, int(np.ceil(WINDOW_FRACTION * length_frames)))
 
 
 def approach_frames(travel_m: float) -> int:
-    """Return how many frames the hand needs for ``travel_m`` at its fixed speed, at least 5."""
+    """Return how many frames the hand needs for ``travel_m`` [m] at its fixed speed, at least 5."""
     return max(MIN_APPROACH_FRAMES, int(np.ceil(travel_m / (HAND_SPEED_M_S * CONTROL_DT) - 1e-9)))
 
 
 def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
-    """Draw duration and travel for one episode of ``kind``."""
+    """Draw duration and travel of one episode.
+
+    Args:
+        kind: kind of motion.
+        protocol: ``observe_before_act`` or ``direct_act``.
+        rng: source of the random numbers.
+    """
     table = kind_table(kind)
     duration, travel = np.unravel_index(rng.choice(table.size, p=table.ravel()), table.shape)
-    farthest = MOTIONS[kind].max_approach_frames * HAND_SPEED_M_S * CONTROL_DT
-    travel_m = rng.uniform(TRAVEL_EDGES_M[travel], min(TRAVEL_EDGES_M[travel + 1], farthest))
+    travel_m = _draw_travel(MOTIONS[kind], int(travel), rng)
     approach = approach_frames(travel_m)
-    shortest = next(n for n in range(DURATION_EDGES[duration], 10_000) if _fits(n, approach))
-    longest = min(DURATION_EDGES[duration + 1], MOTIONS[kind].max_frames + 1)
-    length = int(rng.integers(shortest, max(longest, shortest + 1)))
+    length = _draw_length(MOTIONS[kind], int(duration), approach, rng)
     window = window_frames(length) if protocol == "observe_before_act" else 0
-    return Timing(length, window, approach, float(travel_m))
+    return Timing(length, window, approach, travel_m)
+
+
+def _draw_travel(motion: type[Motion], travel_bin: int, rng: np.random.Generator) -> float:
+    """Travel [m], uniform in its bin up to what the hand can cover before the motion's latest intercept."""
+    low, high = BENCHMARK.travels.edges[travel_bin : travel_bin + 2]
+    return float(rng.uniform(low, min(high, motion.max_approach_frames * HAND_SPEED_M_S * CONTROL_DT)))
+
+
+def _draw_length(motion: type[Motion], duration_bin: int, approach: int, rng: np.random.Generator) -> int:
+    """L, uniform in its bin between what window, approach and grasp need and what the motion allows."""
+    low, high = (int(edge) for edge in BENCHMARK.durations.edges[duration_bin : duration_bin + 2])
+    shortest = next(length for length in itertools.count(low) if _fits(length, approach))
+    return int(rng.integers(shortest, max(min(high, motion.max_frames + 1), shortest + 1)))
 
 
 def kind_table(kind: str) -> np.ndarray:
-    """Return (5, 4), the probabilities of duration and travel bins for one kind."""
-    names = benchmark_motions()
-    if kind in names:
-        table = _fitted_table()[names.index(kind)]
+    """Return (D, T) probabilities of the duration and travel bins for one kind of motion.
+
+    A kind outside the benchmark's 22 gets the benchmark's shares over the bins that it can fill.
+    """
+    if kind in BENCHMARK_KINDS:
+        table = _fitted_table()[BENCHMARK_KINDS.index(kind)]
     else:
-        table = _feasible(kind) * np.outer(DURATION_SHARES, TRAVEL_SHARES)
+        table = _feasible(kind) * np.outer(BENCHMARK.durations.shares, BENCHMARK.travels.shares)
     return table / table.sum()
 
 
 @functools.cache
 def _fitted_table() -> np.ndarray:
-    """(22, 5, 4) joint table whose margins are equal kinds, the durations and the travels of the paper."""
-    names = benchmark_motions()
-    table = np.stack([_feasible(name) for name in names]).astype(float)
-    margins = (np.full(len(names), 1 / len(names)), _normalized(DURATION_SHARES), _normalized(TRAVEL_SHARES))
-    for _ in range(400):
+    """(22, D, T) joint table whose margins are equal kinds and the benchmark's durations and travels."""
+    table = np.stack([_feasible(kind) for kind in BENCHMARK_KINDS]).astype(float)
+    kinds = np.full(len(BENCHMARK_KINDS), 1 / len(BENCHMARK_KINDS))
+    margins = (kinds, _normalized(BENCHMARK.durations.shares), _normalized(BENCHMARK.travels.shares))
+    for _ in range(FITTING_SWEEPS):
         for axis, margin in enumerate(margins):
             others = tuple(a for a in range(3) if a != axis)
             table *= np.expand_dims(margin / table.sum(axis=others), others)
@@ -101,20 +123,20 @@ def _fitted_table() -> np.ndarray:
 
 
 def _feasible(kind: str) -> np.ndarray:
-    """(5, 4) bool: which bins the kind can fill."""
-    limit = MOTIONS[kind]
-    possible = np.zeros((len(DURATION_SHARES), len(TRAVEL_SHARES)), bool)
+    """(D, T) bool: which bins the kind can fill."""
+    motion, durations, travels = MOTIONS[kind], BENCHMARK.durations.edges, BENCHMARK.travels.edges
+    possible = np.zeros((len(durations) - 1, len(travels) - 1), bool)
     for d, t in np.ndindex(possible.shape):
-        longest = min(DURATION_EDGES[d + 1] - 1, limit.max_frames)
-        nearest = approach_frames(TRAVEL_EDGES_M[t])
-        roomy = approach_frames(TRAVEL_EDGES_M[t + 1])
-        tight = min(roomy, limit.max_approach_frames)
-        possible[d, t] = longest >= DURATION_EDGES[d] and nearest < limit.max_approach_frames and _fits(longest, tight)
+        longest = min(int(durations[d + 1]) - 1, motion.max_frames)
+        nearest, farthest = approach_frames(travels[t]), approach_frames(travels[t + 1])
+        approach = min(farthest, motion.max_approach_frames)
+        in_time = nearest < motion.max_approach_frames
+        possible[d, t] = longest >= durations[d] and in_time and _fits(longest, approach)
     return possible
 
 
 def _fits(length: int, approach: int) -> bool:
-    return window_frames(length) + approach + MIN_HOLD_FRAMES <= length
+    return window_frames(length) + approach + MIN_GRASP_FRAMES <= length
 
 
 def _normalized(shares: tuple[float, ...]) -> np.ndarray:

@@ -1,4 +1,8 @@
-"""What the camera of the waiting hand sees: what lies in its view and not behind the hand."""
+"""Which points the camera of the waiting hand sees: those in its field of view that the hand does not hide.
+
+Homes are chosen for one reference hand, whatever hand the recipe plays, so that every hand starts at the same place in
+the same episodes. All hands carry the same camera at the same place; only what of the view they hide differs.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +11,18 @@ import functools
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.scene.scene import compile_scene
+from dynahoi_lerobot.scene.scene import Scene, compile_scene
 
+REFERENCE_HAND = "capsule"
 VIEW_MARGIN = 0.92
-"""Share of the half view that a point in sight may use."""
-NEAREST_M = 0.05
+"""Share of the half field of view, from its middle, in which a point counts as seen."""
+MIN_DEPTH_M = 0.05
 SILHOUETTE_SIZE = 96
-"""Rays along each side of the view that measure how far away the hand is."""
+"""Rays along each side of the view with which the hand's silhouette is measured."""
 
 
-def in_sight(points: np.ndarray) -> np.ndarray:
-    """Tell which points the open hand's camera sees.
+def visible(points: np.ndarray) -> np.ndarray:
+    """Tell which points the camera of the open reference hand sees.
 
     Args:
         points: (..., 3) relative to the palm centre [m], world axes.
@@ -27,16 +32,16 @@ def in_sight(points: np.ndarray) -> np.ndarray:
     """
     pos, rotation, half = _camera()
     local = (points - pos) @ rotation  # x right, y up, z backwards
-    depth = np.maximum(-local[..., 2], NEAREST_M)
+    depth = np.maximum(-local[..., 2], MIN_DEPTH_M)
     plane = local[..., :2] / (half * depth[..., None])  # -1 to 1 across the view
-    in_view = (-local[..., 2] > NEAREST_M) & (np.abs(plane) < VIEW_MARGIN).all(axis=-1)
+    in_view = (-local[..., 2] > MIN_DEPTH_M) & (np.abs(plane) < VIEW_MARGIN).all(axis=-1)
     column, row = np.moveaxis(((np.clip(plane, -1, 1) + 1) / 2 * (SILHOUETTE_SIZE - 1)).round().astype(int), -1, 0)
     return in_view & (np.linalg.norm(local, axis=-1) < _hand_distance()[row, column])
 
 
 def _camera() -> tuple[np.ndarray, np.ndarray, float]:
-    """Position (3,) in the palm's frame [m], rotation (3, 3) to that frame, and tangent of half the view."""
-    scene = compile_scene()
+    """Position (3,) [m] and rotation (3, 3) of the camera in the palm's frame, and tangent of half its view."""
+    scene = compile_scene(REFERENCE_HAND)
     model, camera = scene.model, scene.camera
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.cam_quat[camera])
@@ -45,13 +50,9 @@ def _camera() -> tuple[np.ndarray, np.ndarray, float]:
 
 @functools.cache
 def _hand_distance() -> np.ndarray:
-    """(K, K) how far the open hand is from the camera [m], infinite beside it; rows upwards, columns rightwards."""
-    scene = compile_scene()
-    data = mujoco.MjData(scene.model)
-    data.qpos[scene.hand_qpos[:3]] = (0.0, 0.0, 1.0)
-    data.qpos[scene.hand_qpos[3:]] = scene.hand.open_joints()
-    data.qpos[scene.target_qpos : scene.target_qpos + 3] = (0.0, 0.0, 100.0)  # out of the way
-    mujoco.mj_forward(scene.model, data)
+    """(K, K) distance of the open hand from the camera [m], infinite beside it; rows upwards, columns rightwards."""
+    scene = compile_scene(REFERENCE_HAND)
+    data = _open_hand(scene)
     _, rotation, half = _camera()
     across = np.linspace(-half, half, SILHOUETTE_SIZE)
     x, y = np.meshgrid(across, across)
@@ -64,3 +65,14 @@ def _hand_distance() -> np.ndarray:
     )  # fmt: skip
     hit = np.isin(geom, scene.hand_geoms) & (distance >= 0)
     return np.where(hit, distance, np.inf).reshape(SILHOUETTE_SIZE, SILHOUETTE_SIZE)
+
+
+def _open_hand(scene: Scene) -> mujoco.MjData:
+    """Kinematics of the open hand 1 m above the floor, with the target out of its view."""
+    assert scene.hand is not None
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos[:3]] = (0.0, 0.0, 1.0)
+    data.qpos[scene.hand_qpos[3:]] = scene.hand.open_joints()
+    data.qpos[scene.target_qpos : scene.target_qpos + 3] = (0.0, 0.0, 100.0)
+    mujoco.mj_forward(scene.model, data)
+    return data

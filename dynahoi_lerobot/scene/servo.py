@@ -55,7 +55,7 @@ class Servo:
         return np.clip(command, self.low, self.high)
 
     def within_reach(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
-        """Return (n, 18) commands that a hand at ``previous`` (n, 18) can meet within one frame, towards ``command``."""
+        """Return (n, 18) commands towards ``command`` that a hand at ``previous`` (n, 18) can meet within one frame."""
         return self.within_range(previous + self._limits.cut(command - previous))
 
     def set_points(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
@@ -69,9 +69,13 @@ def check_command(command: np.ndarray, count: int) -> np.ndarray:
     """Return ``command`` as (count, 18) float64.
 
     Raises:
-        ValueError: if the shape is wrong or a value is not finite; the message names the world, the key and the value.
+        ValueError: if the shape is wrong, or a value is not a real number or not finite; the message names the world,
+            the key and the value.
     """
-    values = np.asarray(command, dtype=np.float64)
+    given = np.asarray(command)
+    if given.dtype.kind not in "fiu":
+        raise ValueError(f"action must hold real numbers, got dtype {given.dtype}")
+    values = given.astype(np.float64)
     if values.shape != (count, HAND_DOF):
         raise ValueError(f"action must have shape ({count}, {HAND_DOF}), got {values.shape}")
     bad = np.argwhere(~np.isfinite(values))

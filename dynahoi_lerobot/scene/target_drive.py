@@ -13,7 +13,7 @@ import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.motions import Motion, PhysicalMotion, PrescribedMotion
-from dynahoi_lerobot.motions.base import GRAVITY_M_S2
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 from dynahoi_lerobot.objects import TargetObject
 
 GRAVITY_W = np.array([0.0, 0.0, -GRAVITY_M_S2])

@@ -8,9 +8,11 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.appearance import Appearance, Distractor
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
-from dynahoi_lerobot.motions.base import Box, Launch, Striker, Tether, yaw_quat
+from dynahoi_lerobot.motions.geometry import yaw_quat
+from dynahoi_lerobot.motions.launch import Box, Launch, Striker, Tether
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.scene.scene import CONTACT_RATE_RAD_S, HIDDEN_POS, Scene
+from dynahoi_lerobot.scene.model import CONTACT_RATE_RAD_S, HIDDEN_POS
+from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.target_drive import TargetDrive
 
 HIDDEN_SIZE = (1e-4, 1e-4, 1e-4)
@@ -135,9 +137,7 @@ class WorldFields:
         fields["geom_size"][i, geoms] = HIDDEN_SIZE
         fields["geom_pos"][i, geoms] = 0.0
         fields["geom_rgba"][i, geoms, 3] = 0.0
-        free = {shape: list(ids) for shape, ids in self._scene.slots.items()}
-        for primitive in target.primitives:
-            geom = free[primitive.shape].pop(0)
+        for geom, primitive in zip(self._scene.slots_of(target), target.primitives, strict=True):
             fields["geom_size"][i, geom] = primitive.half_size
             fields["geom_pos"][i, geom], fields["geom_quat"][i, geom] = primitive.pos, primitive.quat
             fields["geom_rgba"][i, geom, 3] = 1.0

@@ -1,1 +1,1 @@
-"""Whether a dataset on disk is what it says: checks of files, tables and pictures, and re-simulation."""
+"""Verification of a dataset on disk: checks of files, tables and pictures, replay of actions, outliers."""

@@ -1,4 +1,4 @@
-"""``dynahoi verify``: every promise about a dataset on disk; exit 1 and say what is broken."""
+"""``dynahoi verify``: run every check on a dataset on disk and print the findings."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
@@ -14,10 +15,12 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.features import CAMERA_KEY
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
-from dynahoi_lerobot.verify.resimulation import Resimulate
-from dynahoi_lerobot.verify.verify import DECODED, verify
+from dynahoi_lerobot.verify.runner import DECODED, verify
 
-SOUND, BROKEN, BAD_INPUT = 0, 1, 2
+if TYPE_CHECKING:
+    from dynahoi_lerobot.rollout.replay import Resimulate
+
+PASSED, FAILED, BAD_INPUT = 0, 1, 2
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,14 +32,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> int:
-    """Carry the command out.
+    """Verify a dataset and print the findings.
 
     Args:
-        args: what ``add_arguments`` declares.
-        resimulate: plays actions again, this project's simulator by default.
+        args: the parsed arguments of ``add_arguments``.
+        resimulate: plays (T, 18) actions in the world of an episode; this project's simulator by default.
 
     Returns:
-        The exit code: 0 sound, 1 broken, 2 bad input.
+        The exit code: 0 no findings, 1 findings, 2 bad input.
     """
     try:
         decoded = _decoded(args.decode)
@@ -53,10 +56,10 @@ def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> in
         findings = verify(args.root, decoded=decoded, resimulate=simulator, replayed=args.replay, progress=show)
     for finding in findings:
         print(finding)
-    print(f"{args.root}: {len(findings)} findings" if findings else f"{args.root}: {episodes} episodes, all sound")
+    print(f"{args.root}: {len(findings)} findings" if findings else f"{args.root}: {episodes} episodes, no findings")
     if args.json:
         args.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
-    return BROKEN if findings else SOUND
+    return FAILED if findings else PASSED
 
 
 def _decoded(text: str) -> int | None:

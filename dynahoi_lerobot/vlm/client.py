@@ -1,50 +1,45 @@
-"""Asking an OpenAI-compatible endpoint, with bounds on time, size and retries, and an account of everything."""
+"""A client for an OpenAI-compatible endpoint, bounded in time and size, with an account of its requests."""
 
 from __future__ import annotations
 
 import json
-import os
+import math
 import threading
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dynahoi_lerobot.vlm.account import Account
+from dynahoi_lerobot.vlm.completion import Usage, read_envelope, read_text, read_usage
+from dynahoi_lerobot.vlm.deadline import Deadline
+from dynahoi_lerobot.vlm.endpoint import api_key, connect
+from dynahoi_lerobot.vlm.failures import Cause, RequestFailure
 from dynahoi_lerobot.vlm.prompt import HORIZON, answer_schema, messages
-from dynahoi_lerobot.vlm.reply import ReplyError, parse_reply
+from dynahoi_lerobot.vlm.redaction import Redactor
+from dynahoi_lerobot.vlm.reply import parse_reply
 
-KEY_VARIABLE = "OPENAI_API_KEY"
-NO_KEY = "none"
-"""Local servers ask for none."""
-LARGEST_BODY = 1 << 20
 MAX_TOKENS = 4096
+MAX_TIMEOUT_S = 86_400.0
+MAX_PRICE = 1e6
+MAX_LOGGED = 16_384
+"""Characters of an answer that are written to the log file."""
+FORMAT_REFUSED = (400, 422)
+"""HTTP status codes with which servers refuse structured output."""
 
 
 @dataclass
-class Account:
-    """What the requests of a run came to.
+class _Attempt:
+    """One request: the commands if its answer is valid, else the cause and what was wrong."""
 
-    Attributes:
-        decisions: chunks that were asked for.
-        failed: decisions without any usable answer; the hand held still.
-        requests: including retries.
-        refused: answers that could not be played.
-        errors: requests without an answer.
-        prompt_tokens, completion_tokens: as the server counts them.
-        cost: of the tokens, in the currency of the prices.
-        seconds: spent waiting, summed over requests.
-    """
-
-    decisions: int = 0
-    failed: int = 0
-    requests: int = 0
-    refused: int = 0
-    errors: int = 0
-    prompt_tokens: int = 0
-    completion_tokens: int = 0
-    cost: float = 0.0
+    commands: np.ndarray | None = None
+    cause: Cause | None = None
+    problem: str = ""
+    status: int | None = None
+    text: str | None = None
+    usage: Usage | None = None
     seconds: float = 0.0
 
 
@@ -61,112 +56,116 @@ class VlmClient:
         prices: tuple[float, float] = (0.0, 0.0),
         audit: Path | None = None,
     ) -> None:
-        """Connect to ``base_url`` (OpenAI's if None); the key comes from ``OPENAI_API_KEY`` alone.
+        """Prepare requests to ``base_url``; the API key is read from the environment variable ``OPENAI_API_KEY``.
 
         Args:
             model: its name at the endpoint.
-            base_url: of the endpoint, ending in ``/v1`` as a rule.
-            timeout_s: of one request.
-            retries: further requests after an unusable answer or none.
-            prices: of a million prompt and completion tokens.
-            audit: a JSON-lines file to which every raw answer is appended.
+            base_url: of the endpoint, usually ending in ``/v1``; None is OpenAI's.
+            timeout_s: for one decision [s], all its requests included.
+            retries: further requests after a failed one, as long as time is left.
+            prices: of a million prompt and completion tokens, in any currency.
+            audit: a JSON-lines file to which a line is appended for every request, with the text of the answer.
 
         Raises:
-            ValueError: if the endpoint is OpenAI's and there is no key, or the client is not installed.
+            ValueError: for a number out of range, an invalid URL or key, if the endpoint is OpenAI's and there is no
+                key, or if the ``openai`` package is not installed.
         """
+        _check_numbers(timeout_s, retries, prices)
         self.account, self._prices, self._retries = Account(), prices, retries
         self._model, self._audit, self._lock = model, audit, threading.Lock()
-        self._structured = True
-        self._client = _connect(base_url, timeout_s)
+        self._timeout_s, self._structured = timeout_s, True
+        self._redact = Redactor(api_key(base_url))
+        self._redact.watch_loggers()
+        self._client = connect(base_url, self._redact)
 
     def plan(self, task: str, state: np.ndarray, image: np.ndarray) -> np.ndarray | None:
-        """Return the (10, 18) commands that the model answers with, or None if no answer can be played.
+        """Return the commands for the next frames, or None if the server gives no valid answer in time.
+
+        Nothing that a server does raises an exception here; the failure is counted by its cause.
 
         Args:
             task: the instruction.
             state: (18,) palm centre position [m] world and joint angles [rad].
-            image: (H, W, 3) uint8 RGB.
+            image: (H, W, 3) uint8 RGB of the hand's camera.
+
+        Returns:
+            (10, 18) palm centre position [m] world and joint angles [rad], one row for each frame of 0.05 s.
         """
-        request = messages(task, state, image)
-        for _ in range(1 + self._retries):
-            commands = self._ask(request, task)
-            if commands is not None:
-                break
+        attempt = self._attempts(messages(task, state, image), task)
         with self._lock:
-            self.account.decisions += 1
-            self.account.failed += commands is None
-        return commands
+            self.account.add_decision(attempt.cause)
+        return attempt.commands
 
     def report(self) -> dict[str, Any]:
-        """Return the account so far, as JSON values."""
+        """Return the model's name and the account so far, as JSON values."""
         with self._lock:
-            return {"model": self._model, **asdict(self.account)}
+            return {"model": self._redact(self._model), "structured_output": self._structured, **self.account.report()}
 
-    def _ask(self, request: list[dict[str, Any]], task: str) -> np.ndarray | None:
-        import openai
+    def _attempts(self, request: list[dict[str, Any]], task: str) -> _Attempt:
+        """Ask until an answer is valid, no retry is left or the deadline has passed; return the last attempt."""
+        deadline, left = Deadline(self._timeout_s), 1 + self._retries
+        while True:
+            structured = self._structured
+            attempt = self._ask(request, deadline, structured)
+            self._record(task, attempt)
+            if structured and attempt.status in FORMAT_REFUSED:
+                self._structured = False  # many servers offer none; this does not count as a retry
+            else:
+                left -= 1
+            if attempt.commands is not None or left == 0 or deadline.passed:
+                return attempt
 
-        start, text, problem, commands, usage = time.monotonic(), None, "", None, None
+    def _ask(self, request: list[dict[str, Any]], deadline: Deadline, structured: bool) -> _Attempt:
+        attempt, start = _Attempt(), time.monotonic()
         try:
-            answer = self._complete(request)
-            usage = answer.usage
-            text = answer.choices[0].message.content if answer.choices else None
-            commands = parse_reply(text)
-        except ReplyError as error:
-            problem = str(error)
-        except (openai.OpenAIError, ValueError, AttributeError, TypeError) as error:
-            problem = f"{type(error).__name__}: {error}"[:300]
-        self._enter(task, text, problem, usage, time.monotonic() - start)
-        return commands
+            envelope = read_envelope(self._post(request, deadline, structured))
+            attempt.usage = read_usage(envelope)
+            attempt.text = read_text(envelope)
+            attempt.commands = parse_reply(attempt.text)
+        except RequestFailure as failure:
+            attempt.cause, attempt.problem, attempt.status = failure.cause, str(failure), failure.status
+        except Exception as error:  # whatever a server provokes must not end an evaluation of hours
+            attempt.cause, attempt.problem = Cause.UNEXPECTED, f"{type(error).__name__}: {error}"
+        attempt.seconds = time.monotonic() - start
+        return attempt
 
-    def _complete(self, request: list[dict[str, Any]]) -> Any:
-        """Ask with structured output until the server refuses it, then without."""
-        import openai
-
+    def _post(self, request: list[dict[str, Any]], deadline: Deadline, structured: bool) -> str:
         options: dict[str, Any] = {"model": self._model, "messages": request, "max_tokens": MAX_TOKENS}
-        if self._structured:
+        if structured:
             schema = {"name": "hand_motion", "schema": answer_schema(HORIZON)}
-            try:
-                return self._client.chat.completions.create(
-                    **options, response_format={"type": "json_schema", "json_schema": schema}
-                )
-            except (openai.BadRequestError, openai.UnprocessableEntityError):
-                self._structured = False
-        return self._client.chat.completions.create(**options)
+            options["response_format"] = {"type": "json_schema", "json_schema": schema}
+        create = self._client.chat.completions.with_raw_response.create  # the body is parsed in completion.py
+        return create(**options, timeout=deadline.remaining()).http_response.text
 
-    def _enter(self, task: str, text: str | None, problem: str, usage: Any, seconds: float) -> None:
-        prompt = int(getattr(usage, "prompt_tokens", 0) or 0)
-        completion = int(getattr(usage, "completion_tokens", 0) or 0)
+    def _record(self, task: str, attempt: _Attempt) -> None:
+        line = {
+            "task": self._redact(task),
+            "seconds": round(attempt.seconds, 3),
+            "cause": attempt.cause,
+            "problem": self._redact(attempt.problem)[:300],
+            "usage": attempt.usage,
+            "answer": attempt.text and self._redact(attempt.text)[:MAX_LOGGED],
+        }
         with self._lock:
-            account = self.account
-            account.requests += 1
-            account.seconds += seconds
-            account.refused += bool(problem) and text is not None
-            account.errors += bool(problem) and text is None
-            account.prompt_tokens += prompt
-            account.completion_tokens += completion
-            account.cost += (prompt * self._prices[0] + completion * self._prices[1]) / 1e6
+            self.account.add_request(attempt.cause, attempt.usage, self._prices, attempt.seconds)
+            self.account.unlogged += not self._log(json.dumps(line))
+
+    def _log(self, line: str) -> bool:
+        """Append a line to the log file; return whether that worked, as a full disk must not end an evaluation."""
+        try:
             if self._audit:
-                line = {"task": task, "seconds": round(seconds, 3), "problem": problem, "answer": text}
                 with self._audit.open("a") as stream:
-                    stream.write(json.dumps(line) + "\n")
+                    stream.write(line + "\n")
+        except OSError:
+            return False
+        return True
 
 
-def _connect(base_url: str | None, timeout_s: float) -> Any:
-    try:
-        import httpx2 as httpx
-        import openai
-    except ImportError as error:
-        raise ValueError(f"a VLM needs the openai client ({error}); install dynahoi_lerobot[vlm]") from error
-    from dynahoi_lerobot.vlm.bounded import BoundedTransport
-
-    key = os.environ.get(KEY_VARIABLE)
-    if base_url is None and not key:
-        raise ValueError(f"without --base-url the endpoint is OpenAI's and {KEY_VARIABLE} must be set; it is not")
-    transport = BoundedTransport(httpx.HTTPTransport(), max_bytes=LARGEST_BODY, max_s=timeout_s)
-    return openai.OpenAI(
-        api_key=key or NO_KEY,
-        base_url=base_url,
-        timeout=timeout_s,
-        max_retries=0,
-        http_client=httpx.Client(transport=transport, timeout=timeout_s),
-    )
+def _check_numbers(timeout_s: float, retries: int, prices: tuple[float, float]) -> None:
+    if not 0 < timeout_s <= MAX_TIMEOUT_S:
+        raise ValueError(f"the timeout is {timeout_s} s; it must be above 0 and at most {MAX_TIMEOUT_S:.0f} s")
+    if retries < 0:
+        raise ValueError(f"the number of retries is {retries}; it must not be negative")
+    for price in prices:
+        if not (math.isfinite(price) and 0 <= price <= MAX_PRICE):
+            raise ValueError(f"the price of a million tokens is {price}; it must be from 0 to {MAX_PRICE:.0f}")

@@ -1,4 +1,4 @@
-"""What a vision-language model is asked (Appendix "Details for Evaluating VLMs"), and the shape of a valid answer."""
+"""The prompt for a vision-language model (appendix "Details for Evaluating VLMs") and the schema of its answer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from PIL import Image
 from dynahoi_lerobot.foundation.conventions import HAND_DOF, HAND_NAMES
 
 HORIZON = 10
-"""T, the frames that one answer commands."""
+"""T, the number of frames of 0.05 s that one answer commands."""
 SKILLS = ("WAIT", "APPROACH", "INTERCEPT", "GRASP", "LIFT", "ADJUST")
 
 SYSTEM = "You are a Vision-Language-Action agent for dynamic hand-object interaction."
@@ -30,13 +30,13 @@ Return only the following JSON:
 
 
 def messages(task: str, state: np.ndarray, image: np.ndarray, horizon: int = HORIZON) -> list[dict[str, Any]]:
-    """Return the chat messages of one request.
+    """Return the chat messages of one request: system, then user with text and a JPEG image.
 
     Args:
         task: the instruction.
         state: (18,) palm centre position [m] world and joint angles [rad].
-        image: (H, W, 3) uint8 RGB.
-        horizon: T [frames].
+        image: (H, W, 3) uint8 RGB of the hand's camera.
+        horizon: T, the number of frames to command.
     """
     text = REQUEST.format(
         task=task,
@@ -50,7 +50,7 @@ def messages(task: str, state: np.ndarray, image: np.ndarray, horizon: int = HOR
 
 
 def answer_schema(horizon: int = HORIZON) -> dict[str, Any]:
-    """Return the JSON schema of an answer, for servers that offer structured output."""
+    """Return the JSON schema of an answer with ``horizon`` frames, for servers that offer structured output."""
     skill = {
         "type": "object",
         "properties": {

@@ -1,29 +1,40 @@
-"""Reading an answer strictly: anything but what was asked for is refused, with the reason."""
+"""Strict parsing of the model's answer: anything that differs from the requested format is refused, with the reason."""
 
 from __future__ import annotations
 
-import json
 import math
 from typing import Any
 
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
+from dynahoi_lerobot.vlm.bounded_json import decode_json
+from dynahoi_lerobot.vlm.failures import Cause, RequestFailure
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS
 
-LARGEST_ANSWER = 64 * 1024
-"""Characters. Ten frames of 18 numbers take about 3,000."""
+MAX_ANSWER = 64 << 10
+"""Characters; ten frames of 18 numbers take about 3,000."""
 FENCE = "```"
 
 
-class ReplyError(ValueError):
-    """An answer that cannot be played; the message says why."""
+class ReplyError(RequestFailure):
+    """An answer that is not in the requested format; the message says why."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(Cause.UNPLAYABLE, message)
 
 
 def parse_reply(text: str | None, horizon: int = HORIZON) -> np.ndarray:
-    """Return the (horizon, 18) commands of an answer.
+    """Return the commands of an answer.
 
-    A Markdown fence around the JSON is tolerated, nothing else is.
+    A Markdown fence around the JSON is accepted, no other text is.
+
+    Args:
+        text: of the answer.
+        horizon: number of frames that must be commanded.
+
+    Returns:
+        (horizon, 18) float64, palm centre position [m] world and joint angles [rad], finite but not clipped.
 
     Raises:
         ReplyError: for a refusal, broken or oversized JSON, missing keys, unknown skills, durations that do not sum to
@@ -31,8 +42,8 @@ def parse_reply(text: str | None, horizon: int = HORIZON) -> np.ndarray:
     """
     if not text or not text.strip():
         raise ReplyError("the answer is empty")
-    if len(text) > LARGEST_ANSWER:
-        raise ReplyError(f"the answer has {len(text)} characters, more than {LARGEST_ANSWER}")
+    if len(text) > MAX_ANSWER:
+        raise ReplyError(f"the answer has {len(text)} characters, more than {MAX_ANSWER}")
     answer = _decode(text)
     _check_program(_item(answer, "action_sequence", list), horizon)
     motion = _item(answer, "predicted_motion", list)
@@ -46,9 +57,9 @@ def _decode(text: str) -> dict[str, Any]:
     if body.startswith(FENCE):
         body = body.removeprefix(FENCE).removeprefix("json").removesuffix(FENCE)
     try:
-        answer = json.loads(body)
-    except (ValueError, RecursionError) as error:
-        raise ReplyError(f"the answer is not JSON ({type(error).__name__}): {body[:80]!r}") from error
+        answer = decode_json(body)
+    except ValueError as error:
+        raise ReplyError(f"the answer is not JSON ({error}): {body[:80]!r}") from error
     if not isinstance(answer, dict):
         raise ReplyError(f"the answer is a JSON {type(answer).__name__}, not an object")
     return answer

@@ -73,7 +73,7 @@ class WorldBatch:
             control: the control class.
             hand: the hand.
             image_size: side of the images [px].
-            views: what is rendered besides the hand's camera, see ``renderers.views``.
+            views: what is rendered besides the hand's camera, see `renderers/camera_views.py`.
             renderer: one of the renderers.
             threads: for physics, 0 for all cores; without influence on the result.
             disturbance_m: spread of the disturbance injection [m].
@@ -222,16 +222,14 @@ class WorldBatch:
             images: whether to render the views; without, they cost nothing.
             ids: the worlds to render (default: all); the images of the others are black.
         """
-        rendered = {view: self.cameras.render(ids, view) for view in self._views} if images else {}
         sensed = self.rule.uses_contact_sensors
         return Observation(
-            images=rendered.pop(EGO_CAMERA, None),
+            images={view: self.cameras.render(ids, view) for view in self._views} if images else {},
             state=self.state.astype(np.float32),
             fingertips=self._fingertips.poses().astype(np.float32),
             phase=self.accepting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
-            views=rendered,
         )
 
     def world_state(self, observation: Observation) -> WorldState:

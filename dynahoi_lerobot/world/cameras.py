@@ -9,7 +9,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
-from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.scene.scene import Scene
 
 

@@ -12,7 +12,8 @@ from mujoco.batch import Batch
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, SUBSTEPS
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.scene.scene import ENVIRONMENT, compile_scene
+from dynahoi_lerobot.scene.model import ENVIRONMENT
+from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.target_drive import drive_for
 from dynahoi_lerobot.scene.world_fields import WorldFields
 

@@ -1,6 +1,6 @@
 """Export a checkpoint for acting alone, with a model card that holds its results.
 
-python recipes/train/export.py outputs/obact_cpu/checkpoints/last/pretrained_model results/obact_cpu docs/obact_cpu
+python recipes/train/export.py outputs/obact_cpu/checkpoints/last/pretrained_model results/obact_cpu OUT
 """
 
 from __future__ import annotations

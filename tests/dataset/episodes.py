@@ -10,25 +10,28 @@ import numpy as np
 
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.features import frame_features
 from tests.synthetic import synthetic_episode
 
 
 def varied_episode(seed: int, image_size: int | None = 32, views: Sequence[str] = ()) -> Episode:
-    """A synthetic episode whose length, task and pictures depend on its seed."""
+    """A synthetic episode whose length, task and images depend on its seed."""
     episode = synthetic_episode(seed, frames=20 + seed % 7, image_size=image_size)
     meta = dataclasses.replace(episode.meta, task=f"Catch the {('red', 'blue')[seed % 2]} ball.")
-    images = episode.images
-    if images is not None:
-        images = images + np.uint8(seed % 5)
-        images[:, :4, :4] = np.random.default_rng(seed).integers(0, 255, (4, 4, 3), np.uint8)
-    shown = {} if images is None else {view: images[:, ::-1] // (2 + n) for n, view in enumerate(views)}
-    return dataclasses.replace(episode, meta=meta, images=images, views=shown)
+    images = {}
+    if image_size is not None:
+        ego = episode.images["ego"] + np.uint8(seed % 5)
+        ego[:, :4, :4] = np.random.default_rng(seed).integers(0, 255, (4, 4, 3), np.uint8)
+        images = {"ego": ego} | {view: ego[:, ::-1] // (2 + n) for n, view in enumerate(views)}
+    return dataclasses.replace(episode, meta=meta, images=images)
 
 
-def write(root: Path, seeds: range | list[int], image_size: int | None = 32, **options) -> Path:
+def write(
+    root: Path, seeds: range | list[int], image_size: int | None = 32, views: Sequence[str] = (), **options
+) -> Path:
     """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter``."""
-    writer = DatasetWriter(root, image_size, **options)
+    writer = DatasetWriter(root, frame_features(image_size, views), **options)
     for seed in seeds:
-        writer.add(varied_episode(seed, image_size, options.get("views", ())))
+        writer.add(varied_episode(seed, image_size, views))
     writer.finish()
     return root

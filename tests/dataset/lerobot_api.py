@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, content_arrays, info_features
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, info_features
+from dynahoi_lerobot.dataset.episode_arrays import content_arrays, features_of
 from dynahoi_lerobot.episode import Episode
 
 logging.disable(logging.WARNING)
@@ -27,12 +28,12 @@ def open_dataset(root: Path, **options) -> LeRobotDataset:
 
 def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobotDataset:
     """The same episodes through LeRobot's own recording interface."""
-    size = episodes[0].images.shape[1]
-    features = {key: ft for key, ft in info_features(size, encoding).items() if key not in BOOKKEEPING}
+    described = info_features(features_of(episodes[0]), encoding)
+    features = {key: feature for key, feature in described.items() if key not in BOOKKEEPING}
     for feature in features.values():
         feature.pop("info", None)
         feature["shape"] = tuple(feature["shape"])
-    codec = encoding.kind
+    codec = encoding.make_codec()
     encoder = RGBEncoderConfig(
         vcodec="h264", crf=codec.chosen_crf, preset=codec.chosen_preset, g=encoding.gop,
         fast_decode=int(encoding.fast_decode),
@@ -50,7 +51,7 @@ def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobot
         arrays = content_arrays(episode)
         for frame in range(len(episode)):
             row = {key: np.asarray(values[frame]) for key, values in arrays.items()}
-            dataset.add_frame(row | {"observation.images.ego": episode.images[frame], "task": episode.meta.task})
+            dataset.add_frame(row | {"observation.images.ego": episode.images["ego"][frame], "task": episode.meta.task})
         dataset.save_episode()
     dataset.finalize()
     return dataset

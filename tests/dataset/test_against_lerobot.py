@@ -9,6 +9,7 @@ import pytest
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.features import frame_features
 from tests.dataset.episodes import varied_episode
 from tests.dataset.lerobot_api import open_dataset, write_with_lerobot
 
@@ -20,7 +21,7 @@ def pair(request, tmp_path_factory) -> tuple[Path, Path]:
     """The same episodes written by us and by LeRobot."""
     folder, encoding = tmp_path_factory.mktemp("pair"), Encoding(codec=request.param)
     episodes = [varied_episode(seed) for seed in SEEDS]
-    writer = DatasetWriter(folder / "ours", 32, encoding)
+    writer = DatasetWriter(folder / "ours", frame_features(32), encoding)
     for episode in episodes:
         writer.add(episode)
     writer.finish()

@@ -19,7 +19,7 @@ def hwc(tensor) -> np.ndarray:
 
 def check_images(dataset, index: int, seed: int, frame: int) -> None:
     image = hwc(dataset[index]["observation.images.ego"])
-    assert np.abs(image - varied_episode(seed).images[frame]).mean() < 6
+    assert np.abs(image - varied_episode(seed).images["ego"][frame]).mean() < 6
 
 
 def test_opens(dataset):
@@ -39,7 +39,7 @@ def test_windows_over_time(dataset):
     item = opened[LENGTHS[0] + 12]
     expected = varied_episode(1)
     np.testing.assert_array_equal(item["action"], expected.action[12:15])
-    assert np.abs(hwc(item["observation.images.ego"]) - expected.images[[2, 7, 12]]).mean() < 6
+    assert np.abs(hwc(item["observation.images.ego"]) - expected.images["ego"][[2, 7, 12]]).mean() < 6
     last = opened[LENGTHS[0] - 1]
     assert last["action_is_pad"].tolist() == [False, True, True]
 
@@ -67,7 +67,7 @@ def test_streams(dataset, monkeypatch):
     item = next(item for item in stream if int(item["episode_index"]) == 1 and int(item["frame_index"]) == 3)
     expected = varied_episode(1)
     np.testing.assert_array_equal(item["action"], expected.action[3:5])
-    assert np.abs(hwc(item["observation.images.ego"]) - expected.images[2:4]).mean() < 6
+    assert np.abs(hwc(item["observation.images.ego"]) - expected.images["ego"][2:4]).mean() < 6
 
 
 def edit(root: Path, output: Path, **operation):
@@ -102,7 +102,8 @@ def test_merge(dataset, tmp_path, concatenate):
     assert merged.meta.episodes["seed"] == list(range(9))
     check_images(merged, sum(LENGTHS) + 4, 6, 4)
     episode = list(read_episodes(tmp_path / "merged"))[7]
-    np.testing.assert_allclose(episode.palm_distance, varied_episode(7).palm_distance)
+    for name in ("palm_distance", "state", "target_pose", "localized", "intercept_position"):
+        np.testing.assert_allclose(getattr(episode, name), getattr(varied_episode(7), name), err_msg=name)
     assert episode.meta == varied_episode(7).meta
 
 

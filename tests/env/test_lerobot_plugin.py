@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import draccus
 import pytest
@@ -18,7 +19,8 @@ from lerobot_env_dynahoi.configuration_dynahoi import kinds_of
 from lerobot_env_dynahoi.task_env import policy_name
 
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.motions import CATEGORIES, benchmark_motions
+from dynahoi_lerobot.motions import CATEGORIES
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 SMALL = {"image_size": 32, "split": "test_small"}
 
@@ -82,7 +84,7 @@ def test_one_suite_per_category_one_task_per_kind(config_class: type[EnvConfig])
     suites = config_class(**SMALL).create_envs(1)
     assert set(suites) == set(CATEGORIES)
     tasks = [env.task for suite in suites.values() for env in suite.values()]
-    assert sorted(tasks) == benchmark_motions()
+    assert sorted(tasks) == list(BENCHMARK.splits["test"].motions)
     assert all(sorted(suite) == list(range(len(suite))) for suite in suites.values())
 
 
@@ -110,6 +112,29 @@ def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig])
     }
 
 
+def test_touch_is_a_feature_where_the_capture_rule_uses_contact_sensors(config_class: type[EnvConfig]) -> None:
+    config = config_class(**SMALL, capture="contact")
+    assert config.features["touch"].shape == (5,)
+    assert config.features_map["touch"] == "observation.touch"
+    assert "touch" not in config_class(**SMALL).features
+
+
+@pytest.mark.parametrize(
+    ("option", "sentence"),
+    [
+        ({"renderer": "tilez"}, r"unknown renderer 'tilez' \(did you mean 'tiles'\?\); known: "),
+        ({"hand": "claw"}, "unknown hand 'claw'; known: "),
+        ({"capture": "magnet"}, "unknown capture rule 'magnet'"),
+        ({"views": ("top",)}, "unknown view 'top'"),
+    ],
+)
+def test_unknown_names_are_refused_by_the_config(
+    config_class: type[EnvConfig], option: dict[str, Any], sentence: str
+) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        config_class(**SMALL, **option)
+
+
 def test_further_views_reach_the_policy(config_class: type[EnvConfig], tmp_path: Path) -> None:
     config = config_class(**SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path))
     wanted = {"observation.images.ego", "observation.images.side", "observation.images.ego_depth"}
@@ -135,7 +160,7 @@ def test_config_comes_from_the_command_line(config_class: type[EnvConfig]) -> No
 
 
 def test_tasks_are_kinds_or_categories() -> None:
-    known = benchmark_motions()
+    known = list(BENCHMARK.splits["test"].motions)
     assert kinds_of("pendulum", known) == ["conical", "damped", "planar"]
     assert kinds_of("ramp, lob", known) == ["lob", "ramp"]
     with pytest.raises(ValueError, match="unknown task 'loop'; known kinds and categories: accelerating"):

@@ -47,7 +47,7 @@ def test_the_border_tells_the_phase(tmp_path: Path):
 
 
 def test_enlarged_pixels_stay_crisp(tmp_path: Path):
-    (page, *_) = pages(write_gif(tmp_path / "a.gif", FRAMES[:1], scale=3))
+    (page, *_) = pages(write_gif(tmp_path / "a.gif", FRAMES[:1], min_width=33))
     pixels = np.asarray(page)
     assert pixels.shape == (36, 48, 3)
     assert (pixels[0:3, 0:3] == pixels[0, 0]).all()

@@ -15,8 +15,8 @@ import pytest
 
 from dynahoi_lerobot.evaluate.intervals import wilson
 from dynahoi_lerobot.evaluate.results import (
-    Recorder,
     ResultsError,
+    ResultsRecorder,
     RunInfo,
     read_results,
     summarise,
@@ -85,7 +85,7 @@ def test_actions_npz_holds_what_replay_needs(folder: Path):
 
 
 def test_reading_gives_back_what_was_written(folder: Path):
-    written = Recorder()
+    written = ResultsRecorder()
     written.extend(episodes())
     expected = written.write(folder.parent / "again", RunInfo(**RUN, extra={"n_obs_frames": 5}))
     found = read_results(folder)
@@ -104,11 +104,11 @@ def test_the_same_episodes_give_the_same_bytes(folder: Path):
 
 def test_a_stopped_run_goes_on_where_it_ended(tmp_path: Path):
     every = list(episodes())
-    assert len(Recorder.resume(tmp_path / "part", RunInfo(**RUN))) == 0
-    first = Recorder()
+    assert len(ResultsRecorder.resume(tmp_path / "part", RunInfo(**RUN))) == 0
+    first = ResultsRecorder()
     first.extend(every[:2])
     first.write(tmp_path / "part", RunInfo(**RUN))
-    second = Recorder.resume(tmp_path / "part", RunInfo(**RUN))
+    second = ResultsRecorder.resume(tmp_path / "part", RunInfo(**RUN))
     assert second.seeds == {0, 1}
     second.extend(episode for episode in every if episode.meta.seed not in second.seeds)
     second.write(tmp_path / "part", RunInfo(**RUN))
@@ -130,11 +130,11 @@ def test_a_stopped_run_goes_on_where_it_ended(tmp_path: Path):
 )
 def test_a_run_does_not_go_on_with_the_results_of_another(folder: Path, change: dict[str, Any], sentence: str):
     with pytest.raises(ResultsError, match=sentence):
-        Recorder.resume(folder, RunInfo(**{**RUN, **change}))
+        ResultsRecorder.resume(folder, RunInfo(**{**RUN, **change}))
 
 
 def test_images_are_not_kept():
-    recorder = Recorder()
+    recorder = ResultsRecorder()
     recorder.extend([synthetic_episode(image_size=16)])
     assert all(not isinstance(value, np.ndarray) for value in recorder._rows[0].values())
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from dynahoi_lerobot.evaluate.episode_row import episode_row
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
-from dynahoi_lerobot.evaluate.rows import episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, summarise_by
 from dynahoi_lerobot.evaluate.table import heading, printed, results_table, stratum_table
 from tests.synthetic import synthetic_episode

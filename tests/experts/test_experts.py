@@ -71,7 +71,7 @@ def test_evaluated_episodes_are_consistent_records(expert_episodes: list[Episode
         for name in ("state", "fingertips", "action", "target_pose", "target_velocity"):
             assert getattr(episode, name).dtype == np.float32
             assert np.isfinite(getattr(episode, name)).all(), name
-        assert episode.images is None
+        assert episode.images == {}
         # what was commanded at a frame is where the hand is at the next, to a millimetre and a degree
         assert np.abs(episode.action[:-1, :3] - episode.state[1:, :3]).max() < 1e-3
         assert np.abs(episode.action[:-1, 3:] - episode.state[1:, 3:]).max() < 0.02

@@ -16,10 +16,10 @@ from pathlib import Path
 
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import Plan
+from dynahoi_lerobot.generate.plan import GenerationPlan
 from tests.generate.recorder import FakeRecipe, record_slowly
 
-PLAN = Plan(FakeRecipe(), 5, shard_episodes=2)
+PLAN = GenerationPlan(FakeRecipe(), 5, shard_episodes=2)
 
 
 def start(root: Path) -> int:

@@ -4,6 +4,7 @@ import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -15,12 +16,12 @@ import pytest
 from dynahoi_lerobot.dataset.files import link, temporary_sibling
 from dynahoi_lerobot.dataset.manifest import hash_files
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import Plan
+from dynahoi_lerobot.generate.plan import GenerationPlan
 from tests.generate.recorder import FakeRecipe, record
 from tests.generate.test_command import run
 
 REPOSITORY = Path(__file__).parents[2]
-PLAN = Plan(FakeRecipe(), 5, shard_episodes=2)
+PLAN = GenerationPlan(FakeRecipe(), 5, shard_episodes=2)
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +31,7 @@ def undisturbed(tmp_path_factory) -> dict[str, str]:
     return hash_files(root)
 
 
+@pytest.mark.slow
 def test_killed_at_twenty_random_instants(undisturbed, tmp_path):
     command = [sys.executable, "-m", "tests.generate.killer", str(tmp_path), "20"]
     output = subprocess.run(command, check=True, cwd=REPOSITORY, capture_output=True, timeout=120).stdout
@@ -41,24 +43,33 @@ def test_killed_at_twenty_random_instants(undisturbed, tmp_path):
         assert finished["leftovers"] == []
 
 
-def test_workers_leave_when_their_parent_is_killed(undisturbed, tmp_path):
-    code = (
-        "from tests.generate.test_interruption import *\n"
-        "from tests.generate.recorder import record_slowly\n"
-        "if __name__ == '__main__':\n"
-        "    plan = Plan(FakeRecipe(), 400, shard_episodes=2)\n"
-        f"    generate(plan, Path({str(tmp_path / 'd')!r}), record=record_slowly, workers=2)"
-    )
-    script = tmp_path / "script.py"
-    script.write_text(code)
+SCRIPT = """
+import sys
+from tests.generate.test_command import run
+from tests.generate.recorder import record_slowly
+if __name__ == "__main__":
+    run("--episodes", 4000, "--shard-episodes", 2, *sys.argv[1:], record=record_slowly)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("words", [("--workers", "2"), ("--executor", "local", "--tasks", "2", "--workers", "2")])
+def test_workers_end_with_their_parent(tmp_path, words, ending):
+    (tmp_path / "script.py").write_text(SCRIPT)
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
-    parent = subprocess.Popen([sys.executable, str(script)], cwd=REPOSITORY, env=environment)
+    command = [sys.executable, str(tmp_path / "script.py"), "--root", str(tmp_path / "d"), *words]
+    parent = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
     wait_until(lambda: len(list((tmp_path / "d.partial").glob("shard-*"))) > 2)
     children = children_of(parent.pid)
     assert len(children) >= 2
-    parent.send_signal(signal.SIGKILL)
+    parent.send_signal(ending)
     parent.wait()
-    wait_until(lambda: not any(alive(child) for child in children))
+    try:
+        wait_until(lambda: not any(alive(child) for child in children), timeout_s=2)
+    finally:
+        for child in filter(alive, children):
+            os.kill(child, signal.SIGKILL)
     assert not (tmp_path / "d").exists()
 
 
@@ -124,7 +135,7 @@ def test_file_system_that_stops_writing(undisturbed, tmp_path, capsys, largest_b
 
 
 def test_video_cut_short_by_a_full_disk_is_noticed(tmp_path, monkeypatch):
-    from dynahoi_lerobot.generate import video
+    from dynahoi_lerobot.dataset import video
     from tests.dataset.episodes import write
 
     monkeypatch.setattr(video, "count_frames", lambda path: 7)
@@ -133,7 +144,9 @@ def test_video_cut_short_by_a_full_disk_is_noticed(tmp_path, monkeypatch):
 
 
 def test_folders_appear_whole_or_not_at_all(tmp_path):
-    (tmp_path / ".d.elsewhere-1.tmp").mkdir()
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    (tmp_path / f".d.{socket.gethostname()}.{ended.pid}.0123abcd.tmp").mkdir()
 
     def fail() -> None:
         with temporary_sibling(tmp_path / "d") as folder:

@@ -11,15 +11,16 @@ from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate import workers
-from dynahoi_lerobot.generate.pipeline import generate, workspace_path
-from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, Plan, shard_size
+from dynahoi_lerobot.generate.pipeline import generate
+from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, GenerationPlan, shard_size
+from dynahoi_lerobot.generate.workspace import workspace_path
 from tests.dataset.episodes import write
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
 
 
-def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -> Plan:
-    return Plan(FakeRecipe(**recipe), episodes, seed, shard_episodes=shard_episodes)
+def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -> GenerationPlan:
+    return GenerationPlan(FakeRecipe(**recipe), episodes, seed, shard_episodes=shard_episodes)
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +119,7 @@ def test_a_recorder_that_gives_other_seeds_is_caught(tmp_path):
         generate(plan(), tmp_path / "d", record=wrong)
 
 
+@pytest.mark.slow
 def test_a_dead_worker_is_replaced(tmp_path):
     marker = plan(name=str(tmp_path / "marker"))
     generate(marker, tmp_path / "died", record=recorder.record_and_die_once, workers=2)

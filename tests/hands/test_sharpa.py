@@ -15,6 +15,7 @@ from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT, SharpaHand, menagerie_m
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch, record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.scene import scene
 from dynahoi_lerobot.scene.scene import compile_scene
 from tests.menagerie import ARMATURE, TORQUE_NM
 
@@ -77,14 +78,14 @@ def test_its_episodes_are_the_same_in_any_batch() -> None:
     (alone,) = record(Recipe(hand="sharpa", image_size=32), [5])
     together = list(record(Recipe(hand="sharpa", image_size=32), [4, 5, 6]))
     np.testing.assert_array_equal(alone.state, together[1].state)
-    np.testing.assert_array_equal(alone.images, together[1].images)
+    np.testing.assert_array_equal(alone.images["ego"], together[1].images["ego"])
 
 
 def test_without_menagerie_one_sentence_says_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setenv(MENAGERIE_ROOT, str(tmp_path))
-    compile_scene.cache_clear()
+    scene._compile.cache_clear()
     words = ["--policy", "hold", "--hand", "sharpa", "--split", "test_small", "--episodes", "1"]
     assert cli.main(["evaluate", *words]) == 2
     message = capsys.readouterr().err

@@ -52,10 +52,14 @@ def test_a_metric_says_what_it_is(name: str):
     metric = METRICS[name]
     assert metric.name == name
     assert metric.direction in ("higher", "lower")
-    assert metric.kind in ("rate", "mean")
+    assert metric.aggregation in ("rate", "mean")
     assert metric.unit in ("fraction", "u", "score")
     assert metric.summary.endswith((".", "``."))
-    assert "\n" in metric.doc, "the formula or the source is missing"
+    assert f"``{name} = " in metric.doc, "the formula is missing"
+    assert f"{metric.direction} is better" in metric.doc
+    unit = {"fraction": "Fraction of", "u": "In u (0.1 m)", "score": f"Score in [{metric.bounds[0]:g}, "}[metric.unit]
+    assert unit in metric.doc
+    assert any(source in metric.doc for source in ("Paper: ", "Source: ", "Ours")), "the source is missing"
 
 
 @settings(max_examples=60, deadline=None)
@@ -71,7 +75,7 @@ def test_values_are_in_range_or_none_where_conditional(seed: int):
         assert math.isfinite(value), name
         low, high = metric.bounds
         assert low <= value <= high, name
-        assert metric.kind == "mean" or value in (0.0, 1.0)
+        assert metric.aggregation == "mean" or value in (0.0, 1.0)
 
 
 @settings(max_examples=20, deadline=None)

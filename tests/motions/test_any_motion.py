@@ -3,38 +3,32 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 
 import numpy as np
 import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
-from dynahoi_lerobot.motions import CATEGORIES, MOTIONS, PrescribedMotion, benchmark_motions
-from dynahoi_lerobot.scene.scene import ARENA_HALF_M
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PHYSICS_DT
+from dynahoi_lerobot.motions import CATEGORIES, MOTIONS, PrescribedMotion
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.scene.model import ARENA_HALF_M
 from tests.drawing import draw_motion
 
 KINDS = MOTIONS.names()
 PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, PrescribedMotion)]
 SEEDS = range(5)
-KINDS_PER_CATEGORY = {
-    "straight_line": 3,
-    "simple_harmonic": 3,
-    "circular_arc": 3,
-    "projectile": 3,
-    "pendulum": 3,
-    "inclined_rolling": 2,
-    "impact_response": 2,
-    "hybrid": 3,
-}
 STEP_S = 1e-5
 """Of central differences: short enough for the kinks that a third derivative may have, long enough for rounding."""
-LEAST_PATH_M = 0.015
+MIN_PATH_M = 0.015
 """Path from the start to the intercept: what the slowest accelerating line covers in its shortest episode."""
 
 
-def test_the_benchmark_has_22_kinds_in_8_categories():
-    assert Counter(MOTIONS[name].category for name in benchmark_motions()) == KINDS_PER_CATEGORY
+def sampled(kind: str) -> list[EpisodeSpec]:
+    """Two episodes of a kind, in a split that may play it."""
+    split = "ood_motion" if kind in BENCHMARK.splits["ood_motion"].motions else "val"
+    return sample_specs(Recipe(split=split, motions=(kind,)), range(2))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -79,21 +73,21 @@ def test_velocity_and_acceleration_are_the_exact_derivatives(kind: str):
 
 
 @pytest.mark.parametrize("kind", PRESCRIBED)
-def test_prescribed_paths_stay_in_the_arena_between_frames_too(kind: str, specs: list[EpisodeSpec]):
-    for spec in specs:
-        if spec.motion.name == kind:
-            assert isinstance(spec.motion, PrescribedMotion)
-            _assert_in_arena(spec.motion.position(np.arange(0.0, spec.horizon_frames * 0.05, PHYSICS_DT)))
+def test_prescribed_paths_stay_in_the_arena_between_frames_too(kind: str):
+    for spec in sampled(kind):
+        assert isinstance(spec.motion, PrescribedMotion)
+        _assert_in_arena(spec.motion.position(np.arange(0.0, spec.horizon_frames * CONTROL_DT, PHYSICS_DT)))
 
 
-def test_every_sampled_path_is_finite_inside_the_arena_and_moving(specs: list[EpisodeSpec]):
-    assert {spec.motion.name for spec in specs} == set(benchmark_motions())
-    for spec in specs:
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_sampled_path_is_finite_inside_the_arena_and_moving(kind: str):
+    for spec in sampled(kind):
+        assert spec.motion.name == kind
         assert len(spec.oracle_path) == spec.window_frames + spec.length_frames + 1
         _assert_in_arena(spec.oracle_path)
         until_met = spec.oracle_path[: spec.intercept_frame + 1]
         path_m = np.linalg.norm(np.diff(until_met, axis=0), axis=1).sum()
-        assert path_m > LEAST_PATH_M, f"{spec.motion.name} of seed {spec.seed} covers only {path_m:.4f} m"
+        assert path_m > MIN_PATH_M, f"{spec.motion.name} of seed {spec.seed} covers only {path_m:.4f} m"
 
 
 def _assert_in_arena(path: np.ndarray) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.motions.base import GRAVITY_M_S2
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 from dynahoi_lerobot.motions.struck import Struck
 from dynahoi_lerobot.motions.wall_rebound import WallRebound
 from tests.drawing import draw_motion

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.motions.base import GRAVITY_M_S2, heading
+from dynahoi_lerobot.motions.geometry import heading
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 from dynahoi_lerobot.motions.rolling import RollingMotion, rolling_acceleration
 from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M
 from tests.drawing import draw_motion

@@ -8,7 +8,7 @@ import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.renderers import RENDERERS
-from dynahoi_lerobot.scene.scene import SHOWN_GROUP
+from dynahoi_lerobot.scene.model import SHOWN_GROUP
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 

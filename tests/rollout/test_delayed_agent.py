@@ -28,7 +28,7 @@ class Clock(Agent):
 
 def observation(phase: tuple[int, int] = (1, 1)) -> Observation:
     phases = np.array(phase, np.float32)[:, None]
-    return Observation(None, np.full((2, 18), -1, np.float32), np.zeros((2, 30)), phases, ("", ""))
+    return Observation({}, np.full((2, 18), -1, np.float32), np.zeros((2, 30)), phases, ("", ""))
 
 
 @pytest.mark.parametrize(("delay_ms", "frames"), [(0, 0), (1, 1), (50, 1), (51, 2), (150, 3), (370, 8)])

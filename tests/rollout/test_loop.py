@@ -19,7 +19,7 @@ from tests.world.playing import digest
 
 QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=32)
 SEEDS = (0, 1, 2, 5, 4, 10)
-ALLOWED = {"images", "state", "fingertips", "phase", "tasks", "touch", "views"}
+ALLOWED = {"images", "state", "fingertips", "phase", "tasks", "touch"}
 
 
 class Clumsy(Expert):
@@ -86,9 +86,9 @@ def test_recordings_are_the_same_whatever_the_batch():
 def test_recordings_have_the_stated_length_and_images():
     for episode in record(QUICK, range(3), threads=1):
         assert len(episode) == episode.meta.length_frames
-        assert episode.images is not None
-        assert episode.images.shape == (len(episode), 32, 32, 3)
-        assert episode.images.dtype == np.uint8
+        assert list(episode.images) == ["ego"]
+        assert episode.images["ego"].shape == (len(episode), 32, 32, 3)
+        assert episode.images["ego"].dtype == np.uint8
 
 
 def test_a_short_hold_ends_the_same_episodes_early():
@@ -161,9 +161,9 @@ def test_an_agent_is_shown_observations_and_nothing_else(specs: list[EpisodeSpec
         assert type(shown) is Observation
         assert shown.state.shape == (2, 18)
         assert shown.fingertips.shape == (2, 30)
-        assert (shown.images is not None) == sees_images
+        assert list(shown.images) == ["ego"] * sees_images
         assert shown.tasks == (specs[0].task, specs[1].task)
-    assert all((episode.images is not None) == sees_images for episode in episodes)
+    assert all(list(episode.images) == ["ego"] * sees_images for episode in episodes)
     assert {episode.meta.agent for episode in episodes} == {"remembering"}
 
 
@@ -172,11 +172,10 @@ def test_an_agent_cannot_change_the_world_through_what_it_is_shown(specs: list[E
     batch.reset([0], specs[:1])
     before = batch._batch.state.copy()
     observation = batch.observe(images=True)
-    for values in (observation.state, observation.fingertips, observation.phase, observation.images):
-        assert values is not None
+    for values in (observation.state, observation.fingertips, observation.phase, observation.images["ego"]):
         values[:] = 7
     np.testing.assert_array_equal(batch._batch.state, before)
-    assert not (batch.observe(images=True).images == 7).all()
+    assert not (batch.observe(images=True).images["ego"] == 7).all()
 
 
 def test_what_an_agent_does_in_one_world_is_nothing_to_another(specs: list[EpisodeSpec]):

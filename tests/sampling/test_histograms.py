@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.foundation.conventions import UNIT_M
-from dynahoi_lerobot.motions import benchmark_motions
+from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.timing import draw_timing, kind_table
@@ -28,18 +29,19 @@ def assert_reproduces(lengths: list[int], travels_m: list[float], points: float)
 
 
 def test_ten_thousand_timings_are_within_three_points():
-    kinds, rng = benchmark_motions(), np.random.default_rng(0)
+    kinds, rng = BENCHMARK.splits["train"].motions, np.random.default_rng(0)
     timings = [draw_timing(kinds[i % len(kinds)], "observe_before_act", rng) for i in range(10_000)]
     assert_reproduces([t.length_frames for t in timings], [t.travel_m for t in timings], points=3.0)
 
 
+@pytest.mark.slow
 def test_440_whole_episodes_are_within_nine_points():
     """Three standard deviations of a share of 36 % in 440 draws are 6.9 points; travels have up to 3 on top."""
     specs = sample_specs(Recipe(), range(440))
     assert_reproduces([s.length_frames for s in specs], [s.travel_m for s in specs], points=9.0)
 
 
-@pytest.mark.parametrize("kind", benchmark_motions())
+@pytest.mark.parametrize("kind", MOTIONS.names())
 def test_a_kind_is_drawn_only_in_bins_it_can_fill(kind: str):
     table = kind_table(kind)
     assert table.sum() == pytest.approx(1.0)

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
-from dynahoi_lerobot.motions import PhysicalMotion, benchmark_motions
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.motions import PhysicalMotion
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.candidate import MIN_OBSERVED_S
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import MIN_OBSERVED_S, sample_spec, sample_specs
+from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES
-from dynahoi_lerobot.sampling.visibility import in_sight
+from dynahoi_lerobot.sampling.visibility import REFERENCE_HAND, visible
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.untouched_path import roll_ahead
 
@@ -52,7 +55,7 @@ def test_what_is_drawn_does_not_depend_on_how_it_is_shown(specs: list[EpisodeSpe
 
 
 def test_the_22_kinds_take_turns(specs: list[EpisodeSpec]):
-    assert [spec.motion.name for spec in specs] == benchmark_motions() * 2
+    assert [spec.motion.name for spec in specs] == list(BENCHMARK.splits["test"].motions) * 2
     chosen = sample_specs(Recipe(motions=("vertical", "constant"), split="val"), range(3))
     assert [spec.motion.name for spec in chosen] == ["vertical", "constant", "vertical"]
 
@@ -90,12 +93,21 @@ def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpe
         right, up, back = ((seen - model.cam_pos[camera]) @ axes.reshape(3, 3)).T
         in_view = (back < 0) & (np.abs(right) < -back * slope) & (np.abs(up) < -back * slope)
         assert in_view.mean() >= 0.9
-        assert in_sight(seen).mean() >= 0.9
+        assert visible(seen).mean() >= 0.9
+
+
+@pytest.mark.parametrize("hand", [name for name in HANDS.names() if name != REFERENCE_HAND])
+def test_every_hand_plays_the_same_episodes_from_the_same_homes(hand: str, specs: list[EpisodeSpec]):
+    for other, spec in zip(sample_specs(replace(TEST, hand=hand), range(22)), specs, strict=False):
+        assert other.hand == hand
+        assert_same(replace(other, hand=spec.hand, fingerprint=spec.fingerprint), spec)
+        assert other.reference_joints.shape == other.open_joints.shape == (FINGER_DOF,)
+        assert not np.array_equal(other.reference_joints, spec.reference_joints)
 
 
 def test_the_hand_hides_what_is_behind_it():
     points = np.array([[0.1, 0.0, 0.05], [0.03, 0.05, -0.17], [1.0, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.2, 0.9, 0.0]])
-    np.testing.assert_array_equal(in_sight(points), [True, False, True, False, False])
+    np.testing.assert_array_equal(visible(points), [True, False, True, False, False])
 
 
 def test_what_is_let_go_is_seen_moving_before_control_starts(specs: list[EpisodeSpec]):

@@ -7,17 +7,19 @@ import json
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion, benchmark_motions
-from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.sampling.recipe import OOD_TEMPO, SPLITS, Recipe
+from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import split_seeds
 from tests.drawing import Drawn, draw_motion
 
 QUICK = ("constant", "lateral", "horizontal_circle", "line_then_arc")
 IN_DISTRIBUTION = ("train", "val", "test")
-HELD_OUT_MOTIONS = {name for name, kind in MOTIONS.items() if kind.held_out}
-HELD_OUT_OBJECTS = {name for name, kind in OBJECTS.items() if kind.held_out}
+KINDS = BENCHMARK.splits["train"].motions
+HELD_OUT_MOTIONS = set(BENCHMARK.splits["ood_motion"].motions)
+HELD_OUT_OBJECTS = set(BENCHMARK.splits["ood_object"].objects)
+FAST = BENCHMARK.splits["ood_speed"].speed_scale
 
 
 def test_splits_are_disjoint_streams():
@@ -37,16 +39,16 @@ def test_a_split_of_the_same_name_is_the_same_stream():
     assert [s.motion for s in once] == [s.motion for s in again]
 
 
-@pytest.mark.parametrize("split", SPLITS)
+@pytest.mark.parametrize("split", BENCHMARK.streams)
 def test_only_its_own_split_contains_what_is_held_out(split: str):
     recipe = Recipe(split=split)
     assert HELD_OUT_MOTIONS
     assert HELD_OUT_OBJECTS
     assert bool(HELD_OUT_MOTIONS & set(recipe.motion_names)) == (split == "ood_motion")
     assert bool(HELD_OUT_OBJECTS & set(recipe.object_names)) == (split == "ood_object")
-    assert (recipe.tempo > 1) == (split == "ood_speed")
+    assert (recipe.speed_scale > 1) == (split == "ood_speed")
     if split in IN_DISTRIBUTION:
-        assert recipe.motion_names == benchmark_motions()
+        assert recipe.motion_names == list(KINDS)
 
 
 def test_ood_motion_has_only_held_out_kinds_and_ood_object_only_held_out_objects():
@@ -64,22 +66,21 @@ def test_every_sampled_object_is_one_that_its_motion_and_split_allow(split: str)
 
 def test_every_kind_can_be_sampled_at_the_speed_of_ood_speed():
     specs = sample_specs(Recipe(split="ood_speed"), range(22))
-    assert [spec.motion.name for spec in specs] == benchmark_motions()
+    assert [spec.motion.name for spec in specs] == list(KINDS)
 
 
-@pytest.mark.parametrize("kind", benchmark_motions())
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_draw_of_ood_speed_lies_outside_training(kind: str):
     """Each has some feature that no draw of training has: a speed, a rate, a steepness, a distance thrown."""
     train = _features([draw_motion(kind, seed) for seed in range(200)])
-    beyond = _features([draw_motion(kind, seed, tempo=OOD_TEMPO) for seed in range(60)])
+    beyond = _features([draw_motion(kind, seed, speed_scale=FAST) for seed in range(60)])
     outside = [(beyond[name] > train[name].max()) | (beyond[name] < train[name].min()) for name in train]
     assert np.any(outside, axis=0).all(), f"{kind} of ood_speed may be one of train"
 
 
-@pytest.mark.parametrize("split", [s for s in SPLITS if s != "train"])
+@pytest.mark.parametrize("split", BENCHMARK.streams[1:])
 def test_evaluation_splits_have_enough_of_every_kind(split: str):
-    names = Recipe(split=split).motion_names
-    assert len(split_seeds(split)) >= 10 * len(names)
+    assert len(split_seeds(split)) >= 10 * len(Recipe(split=split).motion_names)
 
 
 def _features(drawn: list[Drawn]) -> dict[str, np.ndarray]:

@@ -18,9 +18,9 @@ from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import VideoWriter, decode
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import Plan
+from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.verify.checks.base import CHECKS, stratified
-from dynahoi_lerobot.verify.verify import verify
+from dynahoi_lerobot.verify.runner import verify
 from tests.dataset.episodes import varied_episode, write
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
@@ -34,7 +34,7 @@ VIDEO = "videos/observation.images.ego/chunk-000/file-{}.mp4"
 def sound(tmp_path_factory) -> Path:
     """Six episodes in two video files."""
     root = tmp_path_factory.mktemp("sound") / "d"
-    generate(Plan(FakeRecipe(image_size=32), 6, shard_episodes=3), root, record=recorder.record)
+    generate(GenerationPlan(FakeRecipe(image_size=32), 6, shard_episodes=3), root, record=recorder.record)
     return root
 
 
@@ -230,7 +230,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str, str]] = {
 }  # fmt: skip
 
 
-def test_every_sound_dataset_is_found_sound(sound, tmp_path):
+def test_intact_datasets_have_no_findings(sound, tmp_path):
     assert verify(sound, decoded=None) == []
     assert verify(write(tmp_path / "images", range(3), encoding=Encoding("images"))) == []
     assert verify(write(tmp_path / "blind", range(3), None)) == []
@@ -252,7 +252,7 @@ def test_damage_is_named(damaged, name):
 
 
 def test_an_episode_recorded_twice_is_named(tmp_path):
-    generate(Plan(FakeRecipe(), 4), tmp_path / "d", record=recorder.record_one_twice)
+    generate(GenerationPlan(FakeRecipe(), 4), tmp_path / "d", record=recorder.record_one_twice)
     assert [str(finding) for finding in verify(tmp_path / "d")] == [
         "duplicates: episodes 1 and 2 have the same trajectory"
     ]
@@ -296,7 +296,7 @@ def test_replay_compares_states_and_pictures(sound):
     def honest(meta, actions):
         episode = varied_episode(meta.seed)
         np.testing.assert_array_equal(actions, episode.action)
-        return episode.state, episode.pictures
+        return episode.state, episode.images
 
     def other_states(meta, actions):
         states, pictures = honest(meta, actions)
@@ -323,7 +323,9 @@ def test_replay_compares_states_and_pictures(sound):
 def test_samples_take_turns_among_kinds():
     rows = [{"motion": kind} for kind in "aaaaaaaabbc"]
     assert stratified(rows, 3) == [0, 8, 10]
-    assert stratified(rows, 6) == [0, 7, 8, 9, 10] or len(stratified(rows, 6)) == 6
+    assert stratified(rows, 5) == [0, 7, 8, 9, 10]
+    assert stratified(rows, 6) == [0, 4, 7, 8, 9, 10]
+    assert all(len(set(stratified(rows, count))) == count for count in range(12))
     assert stratified(rows, 100) == list(range(11))
 
 

@@ -46,8 +46,13 @@ def digest(episode: Episode) -> str:
     sha = hashlib.sha256(repr(replace(episode.meta, fingerprint="")).encode())
     for field in fields(episode):
         value = getattr(episode, field.name)
-        if field.name != "meta":
-            sha.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+        if isinstance(value, np.ndarray):
+            sha.update(value.tobytes())
+        elif field.name == "images":
+            for view, images in value.items():
+                sha.update(view.encode() + images.tobytes())
+        elif field.name != "meta":
+            sha.update(repr(value).encode())
     return sha.hexdigest()
 
 

@@ -125,7 +125,9 @@ def tiny_gemma(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "PaliGemmaForConditionalGenerationWithPiGemma", shrunk)
 
 
-@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "act" else pytest.mark.slow) for name in SMALL]
+)
 @pytest.mark.usefixtures("tiny_gemma")
 def test_two_steps_and_an_episode(
     name: str, models: dict[str, str], data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -44,9 +44,8 @@ class Encoding:
         if self.crf is not None and self.crf < 0:
             raise ValueError(f"crf is {self.crf}; it must be 0 or more")
 
-    @property
-    def kind(self) -> Codec:
-        """The codec these settings are for."""
+    def make_codec(self) -> Codec:
+        """Return the codec of that name with these settings."""
         return CODECS[self.codec](self)
 
 

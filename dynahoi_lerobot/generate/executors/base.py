@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynahoi_lerobot.foundation.registry import Registry
-from dynahoi_lerobot.generate.pipeline import finished, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationError, Plan, Record
+from dynahoi_lerobot.generate.pipeline import finished
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
+from dynahoi_lerobot.generate.workspace import open_workspace, workspace_path
 
 EXECUTORS: Registry[type[Executor]] = Registry("executor", "dynahoi_lerobot.generate.executors")
 
 
 @dataclass(frozen=True)
-class Fleet:
-    """What a cluster shall give.
+class ClusterResources:
+    """The resources that generation asks a cluster for.
 
     Attributes:
         tasks: number of tasks; each makes every tasks-th shard. None for one shard per task.
@@ -39,7 +40,7 @@ class Fleet:
     activate: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse fleets of nothing.
+        """Refuse requests that no cluster can grant.
 
         Raises:
             ValueError: if a number is not positive.
@@ -52,28 +53,29 @@ class Fleet:
 class Executor(ABC):
     """Runs the two steps of a plan. datatrove marks finished tasks below the workspace and skips them."""
 
-    def __init__(self, plan: Plan, root: Path, record: Record, fleet: Fleet) -> None:
+    def __init__(self, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources) -> None:
         """Prepare to make ``plan`` at ``root``; nothing is written yet."""
-        self.plan, self.root, self.fleet = plan, root.absolute(), fleet
+        self.plan, self.root, self.resources = plan, root.absolute(), resources
         self.maker = ShardMaker(plan, workspace_path(self.root), record)
-        self.tasks = min(fleet.tasks or plan.shards, plan.shards)
+        self.tasks = min(resources.tasks or plan.shards, plan.shards)
         self.logs = self.maker.folder / "logs"
 
     def run(self) -> bool:
         """Make the dataset, or hand it to a queue.
 
         Returns:
-            True if the dataset is whole now, False if it will be when the queue has done its work.
+            True if the dataset is complete now, False if a queue will complete it.
 
         Raises:
             FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
-            GenerationError: if tasks failed.
+            GenerationError: if tasks failed, or another process is making this dataset.
         """
         if finished(self.plan, self.root) is not None:
             return True
-        open_workspace(self.plan, self.root)
-        self._forget_lost_work()
-        return self.launch()
+        with open_workspace(self.plan, self.root):
+            self.maker.discard_damaged()
+            self._forget_lost_work()
+            return self.launch()
 
     @abstractmethod
     def launch(self) -> bool:

@@ -26,11 +26,11 @@ class Ray(Executor):
 
     def describe(self) -> str:
         """Say what the cluster would be asked for."""
-        fleet = self.fleet
-        memory_gb = fleet.mem_per_cpu_gb * fleet.cpus_per_task
+        resources = self.resources
+        memory_gb = resources.mem_per_cpu_gb * resources.cpus_per_task
         return (
             f"{self.plan.shards} shards of up to {self.plan.shard_episodes} episodes in {self.tasks} Ray tasks of "
-            f"{fleet.cpus_per_task} CPUs, {fleet.gpus_per_task} GPUs and {memory_gb} GB, "
+            f"{resources.cpus_per_task} CPUs, {resources.gpus_per_task} GPUs and {memory_gb} GB, "
             f"merged into {self.root}"
         )
 
@@ -40,9 +40,9 @@ class Ray(Executor):
         return RayPipelineExecutor(
             [step],
             tasks=tasks,
-            workers=self.fleet.workers,
+            workers=self.resources.workers,
             logging_dir=str(self.logs / name),
-            cpus_per_task=self.fleet.cpus_per_task,
-            gpus_per_task=self.fleet.gpus_per_task,
-            mem_per_cpu_gb=self.fleet.mem_per_cpu_gb,
+            cpus_per_task=self.resources.cpus_per_task,
+            gpus_per_task=self.resources.gpus_per_task,
+            mem_per_cpu_gb=self.resources.mem_per_cpu_gb,
         )

@@ -45,18 +45,18 @@ class Slurm(Executor):
     def _job(self, step: Any, name: str, tasks: int, **options: Any) -> Any:
         from datatrove.executor import SlurmPipelineExecutor
 
-        fleet = self.fleet
+        resources = self.resources
         return SlurmPipelineExecutor(
             [step],
             tasks=tasks,
-            time=fleet.time,
-            partition=fleet.partition,
-            cpus_per_task=fleet.cpus_per_task,
-            mem_per_cpu_gb=fleet.mem_per_cpu_gb,
-            gpus_per_task=fleet.gpus_per_task,
-            workers=fleet.workers,
+            time=resources.time,
+            partition=resources.partition,
+            cpus_per_task=resources.cpus_per_task,
+            mem_per_cpu_gb=resources.mem_per_cpu_gb,
+            gpus_per_task=resources.gpus_per_task,
+            workers=resources.workers,
             job_name=f"dynahoi-{name}-{self.root.name}",
-            env_command=fleet.activate or f"source {sys.prefix}/bin/activate",
+            env_command=resources.activate or f"source {sys.prefix}/bin/activate",
             logging_dir=str(self.logs / name),
             **options,
         )

@@ -1,1 +1,1 @@
-"""Ray casting by tiles, as warp kernels for CPU and CUDA."""
+"""Tile-based ray casting as warp kernels, for CPU and CUDA."""

@@ -1,8 +1,8 @@
-"""Where a ray meets a shape, and what is painted there; everything in the shape's own frame.
+"""Ray intersection, surface normal and texture coordinates of MuJoCo's primitive geoms, in the geom's own frame.
 
-Rays are ``origin + t * direction``; only the point where a ray enters a shape counts, so a camera inside one does not
-see it. What a ray does not enter has a negative t. Nothing here branches on the ray, so that a compiler can try many
-rays at once. Texture coordinates are MuJoCo's.
+Rays are ``o + t * d`` with the origin ``o`` [m] and a direction ``d`` of any length; ``size`` holds MuJoCo's half-sizes
+[m]. Only the point where a ray enters a shape counts, so a camera inside one does not see it; a negative t means that
+the ray does not enter. Nothing here branches on the ray, so that a compiler can vectorise over rays.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ELLIPSOID = wp.constant(int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
 CYLINDER = wp.constant(int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 BOX = wp.constant(int(mujoco.mjtGeom.mjGEOM_BOX))
 
-KINDS = frozenset((PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX))
+GEOM_TYPES = frozenset((PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX))
 
 MISS = wp.constant(-1.0)
 TINY = wp.constant(1.0e-15)
@@ -27,7 +27,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def enter_plane(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return where a ray meets the front of a rectangle."""
+    """Return t where a ray enters the front of a rectangle (the +z side)."""
     t = -o[2] / wp.min(d[2], -TINY)
     inside = wp.abs(o[0] + t * d[0]) <= size[0] and wp.abs(o[1] + t * d[1]) <= size[1]
     return wp.where(inside and d[2] < -TINY, t, MISS)
@@ -35,45 +35,46 @@ def enter_plane(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
 
 @wp.func
 def enter_sphere(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return where a ray enters a ball of radius ``size[0]``."""
+    """Return t where a ray enters a sphere of radius ``size[0]``."""
     return _first_root(wp.dot(d, d), wp.dot(o, d), wp.dot(o, o) - size[0] * size[0])
 
 
 @wp.func
 def enter_ellipsoid(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return where a ray enters an ellipsoid."""
+    """Return t where a ray enters an ellipsoid."""
     return enter_sphere(wp.vec3(1.0), wp.cw_div(o, size), wp.cw_div(d, size))
 
 
 @wp.func
 def enter_capsule(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return where a ray enters a capsule: beyond an end of the endless cylinder, only that end's ball can be met."""
+    """Return t where a ray enters a capsule: where it meets the infinite cylinder beyond an end, only that
+    end's sphere can be entered."""
     a, b, c = d[0] * d[0] + d[1] * d[1], o[0] * d[0] + o[1] * d[1], o[0] * o[0] + o[1] * o[1] - size[0] * size[0]
     inside = b * b - a * c
     t = (-b - wp.sqrt(wp.max(inside, 0.0))) / wp.max(a, TINY)
     z = o[2] + t * d[2]
     above = o[2] - wp.clamp(z, -size[1], size[1])
-    ball = _first_root(a + d[2] * d[2], b + above * d[2], c + above * above)
-    return wp.where(inside < TINY, MISS, wp.where(wp.abs(z) <= size[1], t, ball))
+    sphere = _first_root(a + d[2] * d[2], b + above * d[2], c + above * above)
+    return wp.where(inside < TINY, MISS, wp.where(wp.abs(z) <= size[1], t, sphere))
 
 
 @wp.func
 def enter_cylinder(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return where a ray enters a cylinder: inside the endless one and between its ends."""
+    """Return t where a ray enters a cylinder: inside the infinite cylinder and between its caps."""
     a, b = wp.max(d[0] * d[0] + d[1] * d[1], TINY), o[0] * d[0] + o[1] * d[1]
     inside = b * b - a * (o[0] * o[0] + o[1] * o[1] - size[0] * size[0])
     root = wp.sqrt(wp.max(inside, 0.0))
-    t = wp.max((-b - root) / a, _reach(o[2], d[2], -size[1]))
-    end = wp.min((-b + root) / a, _reach(o[2], d[2], size[1]))
+    t = wp.max((-b - root) / a, _slab_exit(o[2], d[2], -size[1]))
+    end = wp.min((-b + root) / a, _slab_exit(o[2], d[2], size[1]))
     return wp.where(inside < TINY or t > end, MISS, t)
 
 
 @wp.func
 def enter_box(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return where a ray enters a box: inside all three slabs."""
-    x, y, z = _reach(o[0], d[0], -size[0]), _reach(o[1], d[1], -size[1]), _reach(o[2], d[2], -size[2])
+    """Return t where a ray enters a box: inside all three slabs."""
+    x, y, z = _slab_exit(o[0], d[0], -size[0]), _slab_exit(o[1], d[1], -size[1]), _slab_exit(o[2], d[2], -size[2])
     t = wp.max(x, wp.max(y, z))
-    x, y, z = _reach(o[0], d[0], size[0]), _reach(o[1], d[1], size[1]), _reach(o[2], d[2], size[2])
+    x, y, z = _slab_exit(o[0], d[0], size[0]), _slab_exit(o[1], d[1], size[1]), _slab_exit(o[2], d[2], size[2])
     return wp.where(t > wp.min(x, wp.min(y, z)), MISS, t)
 
 
@@ -85,8 +86,8 @@ def _first_root(a: float, b: float, c: float) -> float:
 
 
 @wp.func
-def _reach(o: float, d: float, half: float) -> float:
-    """Where a ray leaves the slab of this half thickness; where it enters it, for a negative one."""
+def _slab_exit(o: float, d: float, half: float) -> float:
+    """t where a ray leaves the slab of this half thickness; where it enters, for a negative one."""
     along = wp.where(wp.abs(d) < TINY, TINY, d)
     return half / wp.abs(along) - o / along
 
@@ -99,7 +100,7 @@ def normal_plane(size: wp.vec3, p: wp.vec3) -> wp.vec3:
 
 @wp.func
 def normal_sphere(size: wp.vec3, p: wp.vec3) -> wp.vec3:
-    """Return the outward unit normal at a point of a ball."""
+    """Return the outward unit normal at a point of a sphere."""
     return p / wp.length(p)
 
 
@@ -138,7 +139,7 @@ def normal_box(size: wp.vec3, p: wp.vec3) -> wp.vec3:
 
 @wp.func
 def _face(size: wp.vec3, p: wp.vec3) -> int:
-    """The axis across the box's face on which p lies."""
+    """The axis normal to the box's face on which p lies."""
     x, y, z = wp.abs(p[0]) - size[0], wp.abs(p[1]) - size[1], wp.abs(p[2]) - size[2]
     return wp.where(z >= x and z >= y, 2, wp.where(x >= y, 0, 1))
 
@@ -159,42 +160,42 @@ def uv_box(size: wp.vec3, p: wp.vec3) -> wp.vec2:
     """Return the texture coordinates of a point of a box, 0 to 1 on each face."""
     x, y, z = 0.5 * p[0] / size[0], 0.5 * p[1] / size[1], 0.5 * p[2] / size[2]
     face = _face(size, p)
-    across = wp.where(face == 2, x, wp.where(face == 0, wp.sign(p[0]) * y, -wp.sign(p[1]) * x))
-    return wp.vec2(0.5 + across, 0.5 - wp.where(face == 2, wp.sign(p[2]) * y, z))
+    along_u = wp.where(face == 2, x, wp.where(face == 0, wp.sign(p[0]) * y, -wp.sign(p[1]) * x))
+    return wp.vec2(0.5 + along_u, 0.5 - wp.where(face == 2, wp.sign(p[2]) * y, z))
 
 
 @wp.func
 def uv_sphere(size: wp.vec3, p: wp.vec3) -> wp.vec2:
-    """Return the texture coordinates of a point of a ball: longitude and latitude."""
+    """Return the texture coordinates of a point of a sphere: longitude and latitude."""
     q = p / wp.length(p)
-    return wp.vec2(_turn(q), 0.5 - wp.asin(wp.clamp(q[2], -1.0, 1.0)) / wp.pi)
+    return wp.vec2(_azimuth(q), 0.5 - wp.asin(wp.clamp(q[2], -1.0, 1.0)) / wp.pi)
 
 
 @wp.func
 def uv_ellipsoid(size: wp.vec3, p: wp.vec3) -> wp.vec2:
-    """Return the texture coordinates of a point of an ellipsoid: those of the ball it is made of."""
+    """Return the texture coordinates of a point of an ellipsoid: those of the sphere it is scaled from."""
     return uv_sphere(size, wp.cw_div(p, size))
 
 
 @wp.func
 def uv_capsule(size: wp.vec3, p: wp.vec3) -> wp.vec2:
-    """Return the texture coordinates of a point of a capsule; its ends repeat the pattern of its side."""
+    """Return the texture coordinates of a point of a capsule; its ends repeat the texture of its side."""
     beyond = wp.clamp((wp.abs(p[2]) - size[1]) / size[0], 0.0, 1.0)
     bend = wp.asin(beyond) * (2.0 / wp.pi)
     end = wp.where(p[2] > 0.0, 1.0 - bend, bend)
-    return wp.vec2(_turn(p), wp.where(beyond > 0.0, end, 0.5 - 0.5 * p[2] / size[1]))
+    return wp.vec2(_azimuth(p), wp.where(beyond > 0.0, end, 0.5 - 0.5 * p[2] / size[1]))
 
 
 @wp.func
 def uv_cylinder(size: wp.vec3, p: wp.vec3) -> wp.vec2:
     """Return the texture coordinates of a point of a cylinder."""
     cap = _on_cap(size, p)
-    u = wp.where(cap, 0.5 + 0.5 * p[0] / size[0], _turn(p))
+    u = wp.where(cap, 0.5 + 0.5 * p[0] / size[0], _azimuth(p))
     return wp.vec2(u, wp.where(cap, 0.5 + 0.5 * p[1] / size[0], 0.5 - 0.5 * p[2] / size[1]))
 
 
 @wp.func
-def _turn(p: wp.vec3) -> float:
+def _azimuth(p: wp.vec3) -> float:
     """Azimuth in full turns, 0 to 1."""
     turn = wp.atan2(p[1], p[0]) * (0.5 / wp.pi)
     return wp.where(turn < 0.0, turn + 1.0, turn)

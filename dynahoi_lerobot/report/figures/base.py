@@ -1,4 +1,4 @@
-"""What a figure of the report is: a drawing of the entries, or nothing where the data does not support it."""
+"""The interface of a figure: a drawing of the evaluations, or None where they hold nothing to draw."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ class ReportFigure:
     """One figure of the report.
 
     Attributes:
-        name: the anchor on the page. title: the heading on the page. place: figures appear in the order of
-        this number. draw: returns the drawing, or None where the entries hold nothing to draw; its docstring
-        is the caption.
+        name: the anchor on the page.
+        title: the heading on the page.
+        place: figures appear in the order of this number.
+        draw: returns the drawing, or None where the entries hold nothing to draw; its docstring is the caption.
     """
 
     name: str

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 @figure("travel", "Success by travel", place=60)
 def by_travel(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics by the hand's straight way to the intercept [u = 0.1 m] (Figure "Length-stratified performance").
+    """The metrics by the straight distance from palm to intercept [u = 0.1 m].
 
-    The bins are those of Figure "Data statistics", d.
+    Figure "Length-stratified performance"; the bins are those of Figure "Data statistics", d.
     """
     return stratified(entries, "travel")

@@ -1,4 +1,4 @@
-"""More training data, better policies?"""
+"""Scaling with the amount of training data."""
 
 from __future__ import annotations
 

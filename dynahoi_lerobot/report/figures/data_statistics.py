@@ -1,4 +1,4 @@
-"""What was played: the hierarchy of motions, durations and travels."""
+"""Statistics of the evaluated episodes: hierarchy of motions, durations and travels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.evaluate.rows import Row
+from dynahoi_lerobot.evaluate.episode_row import Row
 from dynahoi_lerobot.evaluate.strata import STRATA
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes
 from dynahoi_lerobot.report.figures.base import figure
@@ -23,7 +23,7 @@ PAPER_DURATION = {"20-40": 20.2, "40-60": 36.1, "60-80": 19.5, "80-120": 13.9, "
 PAPER_TRAVEL = {"0-0.5": 20.1, "0.5-2": 47.7, "2-4": 16.4, ">4": 5.8}
 """Shares [%] that the paper's Section "Diversity Analysis" gives; its travels add up to 90 %."""
 
-TIER_MAPS = {"kinematic": "Blues", "physical": "Oranges", "stochastic": "Greens", "other": "Greys"}
+TIER_MAPS = {"kinematic": "Blues", "physical": "Oranges", "stochastic": "Greens"}
 
 
 @figure("data", "The episodes", place=100)
@@ -39,7 +39,7 @@ def data_statistics(entries: Sequence[Entry]) -> Figure:
     _shares(durations, rows, "duration", PAPER_DURATION)
     _shares(travels, rows, "travel", PAPER_TRAVEL)
     durations.set(xlabel="recording [frames]", ylabel="episodes [%]")
-    travels.set(xlabel="straight way to the intercept [u]")
+    travels.set(xlabel="straight distance to the intercept [u]")
     return drawing
 
 
@@ -76,7 +76,7 @@ def _shade(name: tuple[str, ...], leaves: Sequence[tuple[str, str, str]], depth:
 
     siblings: list[tuple[str, ...]] = list(dict.fromkeys(leaf[:2] for leaf in leaves if leaf[0] == name[0]))
     step = siblings.index(name[:2]) / max(1, len(siblings) - 1) if depth > 1 else 0.5
-    return mpl.colormaps[TIER_MAPS[name[0]]](0.75 - 0.12 * (depth - 1) - 0.2 * step)
+    return mpl.colormaps[TIER_MAPS.get(name[0], "Greys")](0.75 - 0.12 * (depth - 1) - 0.2 * step)
 
 
 def _write(panel: Axes, wedge: Wedge, text: str, radius: float, *, outside: bool) -> None:

@@ -1,4 +1,4 @@
-"""How far the episodes got."""
+"""Failure stages."""
 
 from __future__ import annotations
 

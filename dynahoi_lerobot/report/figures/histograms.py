@@ -1,4 +1,4 @@
-"""Histograms of what was commanded, one outline an entry."""
+"""Histograms of the commanded motion, one outline per evaluation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the commands turn the joints."""
+"""Distribution of joint rotations per frame."""
 
 from __future__ import annotations
 

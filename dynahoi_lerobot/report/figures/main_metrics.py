@@ -1,4 +1,4 @@
-"""The main table as bars."""
+"""The main metrics as bars."""
 
 from __future__ import annotations
 

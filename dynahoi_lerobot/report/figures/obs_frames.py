@@ -1,4 +1,4 @@
-"""More observed frames, better interception?"""
+"""Ablation over the number of observed frames."""
 
 from __future__ import annotations
 

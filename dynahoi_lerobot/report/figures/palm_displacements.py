@@ -1,4 +1,4 @@
-"""How the commands move the palm."""
+"""Distribution of palm displacements per frame."""
 
 from __future__ import annotations
 

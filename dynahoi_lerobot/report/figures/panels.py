@@ -1,4 +1,4 @@
-"""Small multiples that several figures share: one panel a metric, one colour an entry."""
+"""Small multiples that several figures share: one panel per metric, one colour per evaluation."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 ACROSS = 4
 """Panels in a row."""
 
+LARGEST_ON_AXIS = 1e12
+
 
 def columns_of(entries: Sequence[Entry]) -> tuple[str, ...]:
-    """Return the paper's metrics, led by S_hold if anything was captured by contact."""
+    """Return the paper's metrics, led by S_hold if any evaluation uses the capture rule contact."""
     return columns_for([entry.results for entry in entries])
 
 
@@ -102,4 +104,5 @@ def _extra(entry: Entry, key: str) -> float:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    """Tell whether ``value`` is a number that an axis can show; JSON knows greater ones."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST_ON_AXIS

@@ -1,4 +1,4 @@
-"""Is the hand closed, frame by frame?"""
+"""Grasp success per frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Success by kind of motion."""
+"""Success by motion."""
 
 from __future__ import annotations
 

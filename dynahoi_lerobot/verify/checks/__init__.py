@@ -1,1 +1,1 @@
-"""What is verified about a dataset on disk: one file per promise."""
+"""The checks that ``dynahoi verify`` runs: one file per check, found by its decorator."""

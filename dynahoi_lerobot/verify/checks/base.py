@@ -1,8 +1,9 @@
-"""The check contract, and the dataset as checks see it."""
+"""The check contract, a finding, and the dataset under test."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,22 +11,19 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from dynahoi_lerobot.dataset.columns import numeric_keys
-from dynahoi_lerobot.dataset.dataset_stats import column_array
-from dynahoi_lerobot.dataset.episode_table import Row
+from dynahoi_lerobot.dataset.columns import column_array, numeric_keys
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.quality_control import Columns
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.foundation.registry import Registry
 
 CHECKS: Registry[type[Check]] = Registry("check", "dynahoi_lerobot.verify.checks")
 
-Columns = Mapping[str, np.ndarray]
-"""An episode's numeric columns by key, each (T, D)."""
-
 
 @dataclass(frozen=True)
 class Finding:
-    """One broken promise.
+    """Something wrong with a dataset.
 
     Attributes:
         check: name of the check that found it.
@@ -40,21 +38,17 @@ class Finding:
         return f"{self.check}: {self.message}"
 
 
-class Evidence(Store):
-    """A dataset on disk, with what several checks need of it.
-
-    Attributes:
-        sample: indices of the episodes whose pictures are decoded.
-    """
+class CheckedDataset(Store):
+    """A dataset on disk, with the tables that several checks share."""
 
     def __init__(self, root: Path, decoded: int | None) -> None:
-        """Look at the dataset below ``root``; ``decoded`` episodes' pictures are looked at, all of them if None."""
+        """Open the dataset below ``root``; the pictures of ``decoded`` episodes are decoded, of all if None."""
         super().__init__(root)
         self._decoded = decoded
 
     @cached_property
     def sample(self) -> list[int]:
-        """Episodes that take turns among the kinds of motion."""
+        """Indices of the episodes whose pictures are decoded, stratified by kind of motion."""
         return stratified(self.rows, len(self.rows) if self._decoded is None else self._decoded)
 
     @cached_property
@@ -68,11 +62,11 @@ class Evidence(Store):
         return Manifest.read(self.root)
 
     @cached_property
-    def stats_rows(self) -> list[Row]:
+    def stats_rows(self) -> list[EpisodeRow]:
         """The rows of the episode table with their statistics."""
         return list(self.full_rows())
 
-    def each_episode(self) -> Iterator[tuple[Row, Columns]]:
+    def each_episode(self) -> Iterator[tuple[EpisodeRow, Columns]]:
         """Yield every episode's row and columns, as many frames as carry its index, file by file."""
         keys = numeric_keys(self.features)
         rows = {row["episode_index"]: row for row in self.stats_rows}
@@ -88,28 +82,30 @@ class Evidence(Store):
 
 
 class Check:
-    """One promise about datasets. Messages are full sentences without a period; a check has either method or both."""
+    """One property that every dataset has. A check overrides either method or both; messages end without a period."""
 
-    def dataset(self, evidence: Evidence) -> Iterator[str]:
-        """Yield what is wrong with the dataset as a whole."""
+    def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
+        """Yield what is wrong with the dataset as a whole, once."""
         yield from ()
 
-    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
-        """Yield what is wrong with one episode."""
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
+        """Yield what is wrong with one episode: its row of the episode table and its (T, D) columns."""
         yield from ()
 
 
-def stratified(rows: list[Row], count: int) -> list[int]:
-    """Return ``count`` episode positions, taking turns among the kinds of motion, spread over each kind."""
+def stratified(rows: list[EpisodeRow], count: int) -> list[int]:
+    """Return ``count`` sorted row positions (all if there are fewer), divided evenly among the kinds of motion.
+
+    Where a kind has too few rows, the others give more; within a kind the positions are spread evenly.
+    """
     kinds: dict[str, list[int]] = {}
     for position, row in enumerate(rows):
         kinds.setdefault(row.get("motion", ""), []).append(position)
-    share = -(-count // max(1, len(kinds)))
-    spread = [_spread(positions, share) for _, positions in sorted(kinds.items())]
-    turns = [positions[turn] for turn in range(share) for positions in spread if turn < len(positions)]
-    return sorted(turns[:count])
+    turns = [(turn, kind) for kind, positions in kinds.items() for turn in range(len(positions))]
+    shares = Counter(kind for _, kind in sorted(turns)[:count])
+    return sorted(position for kind, share in shares.items() for position in _spread(kinds[kind], share))
 
 
 def _spread(positions: list[int], count: int) -> list[int]:
-    chosen = np.unique(np.linspace(0, len(positions) - 1, min(count, len(positions))).round().astype(int))
+    chosen = np.linspace(0, len(positions) - 1, count).round().astype(int)
     return [positions[choice] for choice in chosen]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 
-from dynahoi_lerobot.dataset.episode_table import Row
-from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 
 @CHECKS.register("duplicates")
@@ -17,19 +17,19 @@ class Duplicates(Check):
         """Start without any known trajectory."""
         self._known: dict[bytes, int] = {}
 
-    def dataset(self, evidence: Evidence) -> Iterator[str]:
+    def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield repeated or unexpected seeds."""
         known: dict[tuple[str, int], int] = {}
-        for number, row in enumerate(evidence.rows):
+        for number, row in enumerate(dataset.rows):
             key = (row["split"], row["seed"])
             if key in known:
                 yield f"episodes {known[key]} and {number} have the same seed, {row['seed']}"
             known.setdefault(key, number)
-        for number, (row, seed) in enumerate(zip(evidence.rows, evidence.manifest.seeds, strict=False)):
+        for number, (row, seed) in enumerate(zip(dataset.rows, dataset.manifest.seeds, strict=False)):
             if row["seed"] != seed:
                 yield f"episode {number} has seed {row['seed']}; the manifest says {seed}"
 
-    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield an episode whose trajectory was seen before."""
         digest = hashlib.sha256()
         for key in ("action", "observation.state", "target.pose"):

@@ -7,16 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.dataset.episode_table import Row
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
-from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 
 @CHECKS.register("episode_columns")
 class EpisodeColumns(Check):
     """Compares the per-episode columns with the frames."""
 
-    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield contradictions."""
         frames, window = len(columns["index"]), int((columns["observation.phase"] == 0).sum())
         intercept = float(columns["intercept.time"][0, 0])

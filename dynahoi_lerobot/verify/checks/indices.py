@@ -6,30 +6,30 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.dataset.episode_table import Row
-from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 
 @CHECKS.register("indices")
 class Indices(Check):
     """Checks ``episode_index``, ``frame_index``, ``index`` and the ranges in the episode table."""
 
-    def dataset(self, evidence: Evidence) -> Iterator[str]:
+    def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield gaps and overlaps between episodes."""
         start = 0
-        for position, row in enumerate(evidence.rows):
+        for position, row in enumerate(dataset.rows):
             if row["episode_index"] != position:
                 yield f"row {position} of the episode table is numbered {row['episode_index']}"
             span = (row["dataset_from_index"], row["dataset_to_index"])
             if span != (start, start + row["length"]):
                 yield f"episode {position} spans frames {span}; {(start, start + row['length'])} follows"
             start = span[1]
-        seen = {row["episode_index"] for row, _ in evidence.each_episode()}
-        for row in evidence.rows:
+        seen = {row["episode_index"] for row, _ in dataset.each_episode()}
+        for row in dataset.rows:
             if row["episode_index"] not in seen:
                 yield f"episode {row['episode_index']} has no frames in the data files"
 
-    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield wrong numbers within an episode."""
         number, frames = row["episode_index"], len(columns["index"])
         if frames != row["length"]:
@@ -40,5 +40,5 @@ class Indices(Check):
                 frame = int(wrong[0])
                 found, wanted = int(columns[key][frame, 0]), first + frame
                 yield f"episode {number}, frame {frame}: {key} is {found}; it is {wanted}"
-        if evidence.data_path(row) not in evidence.data_files():
-            yield f"episode {number} is said to lie in {evidence.data_path(row).name}, which does not exist"
+        if dataset.data_path(row) not in dataset.data_files():
+            yield f"episode {number} is said to lie in {dataset.data_path(row).name}, which does not exist"

@@ -1,18 +1,18 @@
-"""Every trajectory is one that a hand could move along."""
+"""Every stored trajectory passes the rules by which generation rejects recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from dynahoi_lerobot.dataset.episode_table import Row
-from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
-from dynahoi_lerobot.verify.plausibility import implausibilities
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.dataset.quality_control import trajectory_problems
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 
 @CHECKS.register("plausibility")
 class Plausibility(Check):
-    """Applies the rejection rules of generation to what is stored."""
+    """Applies ``dataset/quality_control.py`` to every stored episode."""
 
-    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
-        """Yield what no sound recording shows."""
-        yield from (f"episode {row['episode_index']}: {problem}" for problem in implausibilities(columns))
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
+        """Yield the rules that the episode breaks."""
+        yield from (f"episode {row['episode_index']}: {problem}" for problem in trajectory_problems(columns))

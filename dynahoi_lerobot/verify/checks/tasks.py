@@ -6,25 +6,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.dataset.episode_table import Row
-from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 
 @CHECKS.register("tasks")
 class Tasks(Check):
     """Compares ``task_index``, the task table and the episode table."""
 
-    def dataset(self, evidence: Evidence) -> Iterator[str]:
+    def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield instructions that occur twice or never."""
-        tasks = evidence.tasks
+        tasks = dataset.tasks
         if len(set(tasks)) != len(tasks):
             yield "the task table holds an instruction twice"
-        used = {row["task"] for row in evidence.rows}
+        used = {row["task"] for row in dataset.rows}
         yield from (f"no episode has the task {task!r}" for task in tasks if task not in used)
 
-    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield an episode whose frames have another instruction than its row."""
-        number, tasks = row["episode_index"], evidence.tasks
+        number, tasks = row["episode_index"], dataset.tasks
         for index in np.unique(columns["task_index"]):
             text = tasks[index] if 0 <= index < len(tasks) else None
             if text != row["task"] or row["tasks"] != [row["task"]]:

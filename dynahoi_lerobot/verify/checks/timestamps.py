@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.dataset.episode_table import Row
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
-from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Columns, Evidence
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 
 @CHECKS.register("timestamps")
 class Timestamps(Check):
     """Checks that ``timestamp`` [s] is the frame's number divided by the frame rate, to the last bit."""
 
-    def episode(self, evidence: Evidence, row: Row, columns: Columns) -> Iterator[str]:
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield the first wrong timestamp."""
         times = columns["timestamp"][:, 0]
         wanted = (np.arange(len(times)) / CONTROL_HZ).astype(np.float32)

@@ -9,38 +9,38 @@ from typing import Any
 import av
 from av.error import FFmpegError
 
-from dynahoi_lerobot.dataset.episode_table import Row
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
-from dynahoi_lerobot.verify.checks.base import CHECKS, Check, Evidence
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
 
 @CHECKS.register("videos")
 class Videos(Check):
     """Reads every packet of every video, without decoding: counts, times, key frames, size, rate and codec."""
 
-    def dataset(self, evidence: Evidence) -> Iterator[str]:
+    def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield what is wrong with each file."""
-        if not evidence.has_video:
+        if not dataset.has_video:
             return
-        for key in evidence.pictures:
-            yield from _view(evidence, key)
+        for key in dataset.pictures:
+            yield from _view(dataset, key)
 
 
-def _view(evidence: Evidence, key: str) -> Iterator[str]:
+def _view(dataset: CheckedDataset, key: str) -> Iterator[str]:
     """Yield what is wrong with the files of one view."""
-    files: dict[Path, list[Row]] = {}
-    for row in evidence.rows:
-        files.setdefault(evidence.video_path(row, key), []).append(row)
+    files: dict[Path, list[EpisodeRow]] = {}
+    for row in dataset.rows:
+        files.setdefault(dataset.video_path(row, key), []).append(row)
     for path, rows in files.items():
-        name = path.relative_to(evidence.root)
+        name = path.relative_to(dataset.root)
         yield from (f"{name} {problem}" for problem in _ranges(rows, key))
         try:
-            yield from (f"{name} {problem}" for problem in _stream(path, rows, evidence.features[key], key))
+            yield from (f"{name} {problem}" for problem in _stream(path, rows, dataset.features[key], key))
         except (OSError, FFmpegError, IndexError) as error:
             yield f"{name} cannot be read as a video: {error}"
 
 
-def _ranges(rows: list[Row], key: str) -> Iterator[str]:
+def _ranges(rows: list[EpisodeRow], key: str) -> Iterator[str]:
     """Yield gaps and overlaps between the episodes of one file."""
     start = 0
     for row in rows:
@@ -54,7 +54,7 @@ def _ranges(rows: list[Row], key: str) -> Iterator[str]:
         start += row["length"]
 
 
-def _stream(path: Path, rows: list[Row], feature: dict[str, Any], key: str) -> Iterator[str]:
+def _stream(path: Path, rows: list[EpisodeRow], feature: dict[str, Any], key: str) -> Iterator[str]:
     wanted = sum(row["length"] for row in rows)
     with av.open(str(path)) as container:
         stream = container.streams.video[0]

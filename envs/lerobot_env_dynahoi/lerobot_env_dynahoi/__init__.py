@@ -3,8 +3,12 @@
 LeRobot imports this package by its distribution name; importing it registers the config and the gymnasium ids.
 """
 
+from importlib.metadata import version
+
 from dynahoi_lerobot.env import register_envs
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
+
+__version__ = version("lerobot_env_dynahoi")
 
 register_envs()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -12,38 +12,17 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.features import ACTION, FINGERTIPS, PHASE, PICTURE_PREFIX, STATE, TOUCH, picture_feature
+from dynahoi_lerobot.features import Feature, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
-RAW_KEYS = {
-    **{f"pixels/{view}": PICTURE_PREFIX + view for view in VIEWS},
-    "agent_pos": STATE.key,
-    "fingertips": FINGERTIPS.key,
-    "phase": PHASE.key,
-    "touch": TOUCH.key,
-    "action": ACTION.key,
-}
-"""Keys of the gymnasium observations and actions, and what policies call them."""
-
-
-ENV_OPTIONS = (
-    "split",
-    "image_size",
-    "views",
-    "appearance",
-    "protocol",
-    "capture",
-    "hand",
-    "renderer",
-    "instructions",
-)
-"""What the config passes on to the env."""
+RECIPE_FIELDS = {field.name for field in fields(Recipe)}
+"""Fields of the config of these names go to the env."""
 
 
 @EnvConfig.register_subclass("dynahoi")
@@ -54,13 +33,14 @@ class DynahoiEnvConfig(EnvConfig):
     Attributes:
         task: one kind of motion, one category, several of either separated by commas, or None for all 22 kinds.
         split: ``test``, ``test_small``, ``val``, ``ood_speed``, ``ood_object``, ``ood_motion`` or ``train``. A seed is
-            the number of an episode within split and kind; fixed splits wrap around.
+            the number of an episode within split and kind of motion; fixed splits wrap around.
         image_size: side of the square images [px]; use the dataset's.
-        views: pictures besides those of the hand's camera, such as ``side`` or ``ego_depth``.
-        appearance: what of it is randomised more strongly, such as ``lights`` or ``distractors``.
+        views: views besides ``ego``, the hand's camera, such as ``side`` or ``ego_depth``.
+        appearance: what is randomised more strongly, such as ``lights`` or ``distractors``.
         protocol: ``observe_before_act`` or ``direct_act``.
-        capture: capture rule, ``attach`` or ``contact``.
-        renderer: ``warp`` or ``opengl``.
+        capture: capture rule, one of ``dynahoi list captures``.
+        hand: embodiment, one of ``dynahoi list hands``; the capture rule's own if empty.
+        renderer: one of ``dynahoi list renderers``.
         instructions: ``reveal``, ``neutral`` or ``mixed``.
         results_dir: where the metrics go; a new folder under ``outputs/dynahoi`` if None.
     """
@@ -78,29 +58,30 @@ class DynahoiEnvConfig(EnvConfig):
     instructions: str = "mixed"
     results_dir: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
-    features_map: dict[str, str] = field(default_factory=lambda: dict(RAW_KEYS))
+    features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in the features for the image size, and check the names at once.
+        """Fill in ``features`` (by Gymnasium key) and ``features_map`` (Gymnasium to policy key); check all names.
 
         Raises:
             ValueError: for an unknown name, naming the ones there are.
         """
-        kinds_of(self.task, self._recipe().motion_names)
-        pictures = [picture_feature(self.image_size, view) for view in ("ego", *self.views)]
-        touch = [TOUCH] if CAPTURES[self.capture].uses_contact_sensors else []
-        shapes = {feature.key: feature.shape for feature in (*pictures, STATE, FINGERTIPS, PHASE, *touch, ACTION)}
-        types = {picture.key: FeatureType.VISUAL for picture in pictures} | {ACTION.key: FeatureType.ACTION}
-        self.features = {
-            raw: PolicyFeature(type=types.get(key, FeatureType.STATE), shape=shapes[key])
-            for raw, key in RAW_KEYS.items()
-            if key in shapes
+        recipe = self._recipe()
+        kinds_of(self.task, recipe.motion_names)
+        _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
+        contact_sensors = CAPTURES[self.capture].uses_contact_sensors
+        shown = {
+            feature.gym_key: feature
+            for feature in frame_features(self.image_size, self.views, contact_sensors=contact_sensors)
+            if feature.gym_key is not None
         }
+        self.features = {key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()}
+        self.features_map = {key: feature.key for key, feature in shown.items()}
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the env."""
-        return {name: getattr(self, name) for name in ENV_OPTIONS}
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name in RECIPE_FIELDS}
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async."""
@@ -121,6 +102,12 @@ class DynahoiEnvConfig(EnvConfig):
         if self.results_dir is not None:
             return Path(self.results_dir)
         return Path("outputs") / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
+
+
+def _type(feature: Feature) -> FeatureType:
+    if feature.is_image:
+        return FeatureType.VISUAL
+    return FeatureType.STATE if feature.observed else FeatureType.ACTION
 
 
 def kinds_of(task: str | None, known: list[str]) -> list[str]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.results import Recorder, RunInfo
+from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -26,7 +26,7 @@ class ResultsLog:
     def __init__(self, folder: Path, split: str, recipe: Recipe) -> None:
         """Write episodes of ``recipe`` into ``folder`` whenever a task ends."""
         self.folder, self._split, self._recipe = folder, split, recipe
-        self._recorder = Recorder()
+        self._recorder = ResultsRecorder()
         self._known: set[tuple[str, int]] = set()
         self._unwritten = 0
         self._fingerprint = ""
@@ -60,6 +60,12 @@ class TaskEnv(DynahoiVectorEnv):
         """Take the log and the arguments of ``DynahoiVectorEnv``."""
         super().__init__(num_envs, on_episode=log.add, **options)
         self._log = log
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made from: the log and the arguments of ``DynahoiVectorEnv``."""
+        state = super().__getstate__()
+        options = {name: value for name, value in state["options"].items() if name != "on_episode"}
+        return state | {"options": options | {"log": self._log}}
 
     def close_extras(self, **kwargs: Any) -> None:
         """Write what has been played so far."""

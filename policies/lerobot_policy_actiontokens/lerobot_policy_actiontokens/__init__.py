@@ -1,9 +1,13 @@
-"""Actions as tokens of a vision-language model, as a LeRobot policy: ``lerobot-train --policy.type=actiontokens``."""
+"""Language models that predict actions, as LeRobot policies: ``--policy.type=actiontokens`` and ``=upvla``."""
+
+from importlib.metadata import version
 
 from .configuration_actiontokens import ActionTokensConfig
 from .modeling_actiontokens import ActionTokensPolicy
 from .processor_actiontokens import make_actiontokens_pre_post_processors
 from .upvla import UPVLAConfig, UPVLAPolicy, make_upvla_pre_post_processors
+
+__version__ = version("lerobot_policy_actiontokens")
 
 __all__ = [
     "ActionTokensConfig",

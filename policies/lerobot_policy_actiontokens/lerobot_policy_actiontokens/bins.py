@@ -1,4 +1,4 @@
-"""Numbers in [-1, 1] as tokens: 256 edges, and the last ids of the vocabulary (OpenVLA, Section 3.2)."""
+"""Discretises actions in [-1, 1] into tokens, the last 256 ids of the vocabulary (OpenVLA, Section 3.2)."""
 
 from __future__ import annotations
 
@@ -9,24 +9,29 @@ N_BINS = 256
 
 
 def encode(values: Tensor, vocabulary: int) -> Tensor:
-    """Return the token ids of ``values``, any shape; what lies outside [-1, 1] is clipped.
+    """Return the token id of each value; values outside [-1, 1] are clipped.
 
     Args:
-        values: normalised actions.
+        values: normalised actions, any shape.
         vocabulary: number of tokens of the tokenizer; the ids count down from it.
     """
     return vocabulary - torch.bucketize(values.float().clamp(-1, 1), _edges(values.device), right=True)
 
 
 def decode(ids: Tensor, vocabulary: int) -> Tensor:
-    """Return the middle of the bin of each id, in [-1, 1]."""
+    """Return the centre of the bin of each id, in [-1, 1].
+
+    Args:
+        ids: token ids, any shape.
+        vocabulary: number of tokens of the tokenizer.
+    """
     edges = _edges(ids.device)
-    middles = (edges[:-1] + edges[1:]) / 2
-    return middles[(vocabulary - ids - 1).clamp(0, N_BINS - 2)]
+    centres = (edges[:-1] + edges[1:]) / 2
+    return centres[(vocabulary - ids - 1).clamp(0, N_BINS - 2)]
 
 
 def token_ids(vocabulary: int) -> range:
-    """Return the ids that mean an action."""
+    """Return the ids of the action tokens, given the number of tokens of the tokenizer."""
     return range(vocabulary - N_BINS, vocabulary)
 
 

@@ -1,4 +1,4 @@
-"""The config of ``--policy.type=actiontokens``."""
+"""Configuration of ``--policy.type=actiontokens``."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from .chunks import ChunkConfig
 @PreTrainedConfig.register_subclass("actiontokens")
 @dataclass
 class ActionTokensConfig(ChunkConfig):
-    """A vision-language model that writes actions.
+    """A vision-language model that predicts actions as tokens.
 
     Attributes:
-        vlm_name: Folder or Hub name of any image-text model of `transformers`, with its processor, or of OpenVLA.
-        unnorm_key: Dataset among an OpenVLA checkpoint's ``norm_stats`` by whose percentiles actions are normalised;
-            none for those of the data that is trained on.
-        freeze_vision: Leave the vision tower as it is.
+        vlm_name: folder or Hub name of any image-text model of `transformers` with its processor, or of an OpenVLA
+            checkpoint.
+        unnorm_key: dataset in an OpenVLA checkpoint's ``norm_stats`` whose percentiles normalise the actions; None uses
+            those of the training data.
+        freeze_vision: whether the vision tower is excluded from training.
     """
 
     vlm_name: str = "HuggingFaceTB/SmolVLM2-500M-Video-Instruct"
@@ -28,9 +29,9 @@ class ActionTokensConfig(ChunkConfig):
 
     @property
     def observation_delta_indices(self) -> None:
-        """The current frame alone."""
+        """None: the policy sees the current frame only."""
         return
 
     def get_scheduler_preset(self) -> None:
-        """Keep the learning rate, as OpenVLA does."""
+        """Return None: the learning rate is constant, as in OpenVLA."""
         return

@@ -1,4 +1,4 @@
-"""Make a LeRobot policy of an OpenVLA checkpoint, to evaluate it or go on training.
+"""Convert an OpenVLA checkpoint into a LeRobot policy, to evaluate or fine-tune it.
 
     python -m lerobot_policy_actiontokens.import_openvla CHECKPOINT --unnorm-key DATASET --out FOLDER
 
@@ -21,18 +21,18 @@ from .processor_actiontokens import action_stats, make_actiontokens_pre_post_pro
 
 
 def import_openvla(checkpoint: str, unnorm_key: str, out: Path, *, camera: str, image_size: int, dtype: str) -> None:
-    """Write the policy with its pre- and postprocessor.
+    """Write the policy and its pre- and postprocessor to a folder.
 
     Args:
         checkpoint: folder or Hub name.
-        unnorm_key: dataset in its ``norm_stats``, which also tells how long an action is.
+        unnorm_key: dataset in its ``norm_stats``, which also determines the size of an action.
         out: folder to write.
-        camera: key of the images it sees.
-        image_size: their side [px].
-        dtype: of the weights, "float32" or "bfloat16".
+        camera: key of the images.
+        image_size: side of the images [px].
+        dtype: data type of the weights, "float32" or "bfloat16".
 
     Raises:
-        ValueError: for a dataset that the checkpoint does not know.
+        ValueError: if the checkpoint has no statistics of that dataset.
     """
     size = len(action_stats(checkpoint, unnorm_key)["q01"])
     config = ActionTokensConfig(
@@ -55,9 +55,9 @@ def main() -> int:
     parser.add_argument("checkpoint", help="folder or Hub name, e.g. openvla/openvla-7b")
     parser.add_argument("--unnorm-key", required=True, help="dataset in the checkpoint's norm_stats")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
-    parser.add_argument("--camera", default="observation.images.ego", help="key of the images it sees")
-    parser.add_argument("--image-size", type=int, default=224, help="their side [px]")
-    parser.add_argument("--dtype", default="bfloat16", help="float32 or bfloat16")
+    parser.add_argument("--camera", default="observation.images.ego", help="key of the images")
+    parser.add_argument("--image-size", type=int, default=224, help="side of the images [px]")
+    parser.add_argument("--dtype", default="bfloat16", help="data type of the weights: float32 or bfloat16")
     args = parser.parse_args()
     try:
         import_openvla(

@@ -1,41 +1,40 @@
-"""The policy: images and instruction in, action tokens out, one after the other."""
+"""OpenVLA-style policy: autoregressive action tokens from an image and an instruction."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import torch
-from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
 from torch import Tensor
 from transformers import AutoModelForImageTextToText, AutoProcessor, LogitsProcessor
 
 from .bins import N_BINS, decode, encode, token_ids
-from .chunks import Chunks, instructions, open_model, within
+from .chunks import ChunkPolicy, instructions, open_model, unpadded
 from .configuration_actiontokens import ActionTokensConfig
 
 PROMPT = "{image}In: What action should the robot take to {instruction}?\nOut: "
 VISION = ("vision_model", "vision_tower", "vision_backbone", "visual")
-"""What models of `transformers` call the part that sees."""
+"""Names of the vision tower in models of `transformers`."""
 
 
-class ActionTokensPolicy(Chunks, PreTrainedPolicy):
-    """A vision-language model that writes each action dimension as one of 256 tokens (OpenVLA, Section 3).
+class ActionTokensPolicy(ChunkPolicy):
+    """A vision-language model that predicts each action dimension as one of 256 tokens (OpenVLA, Section 3).
 
     Args:
-        config: The policy's config, with its features filled in.
-        **kwargs: What else LeRobot may pass, unused.
+        config: the policy's config, with its features filled in.
+        **kwargs: what else LeRobot may pass, unused.
 
     Raises:
-        ValueError: If the tokenizer has too few tokens to give 256 of them another meaning.
+        ValueError: if the vocabulary is too small to reuse 256 of its tokens for actions.
     """
 
     config_class = ActionTokensConfig
     name = "actiontokens"
+    config: ActionTokensConfig
 
     def __init__(self, config: ActionTokensConfig, **kwargs: Any) -> None:
         super().__init__(config)
-        config.validate_features()
         self.vlm = open_model(AutoModelForImageTextToText, config.vlm_name, config)
         self.processor = AutoProcessor.from_pretrained(config.vlm_name)
         self.processor.tokenizer.padding_side = "left"  # actions follow the prompt without a gap
@@ -44,7 +43,6 @@ class ActionTokensPolicy(Chunks, PreTrainedPolicy):
             raise ValueError(f"{config.vlm_name} has {self.vocabulary} tokens, but must have more than {N_BINS}.")
         if config.freeze_vision:
             self._vision().requires_grad_(False)
-        self.reset()
 
     def forward(self, batch: dict[str, Any], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
         """Return the cross-entropy of the action tokens.
@@ -55,42 +53,42 @@ class ActionTokensPolicy(Chunks, PreTrainedPolicy):
         """
         prompt = self._prompt(batch)
         actions = batch[ACTION].reshape(len(batch[ACTION]), self.config.chunk_size, -1)  # (B, H, A)
-        written = encode(actions, self.vocabulary).flatten(1)  # (B, H*A)
-        mask = torch.cat([prompt["attention_mask"], torch.ones_like(written)], dim=1)
-        inputs = {**prompt, "input_ids": torch.cat([prompt["input_ids"], written], dim=1), "attention_mask": mask}
+        action_ids = encode(actions, self.vocabulary).flatten(1)  # (B, H*A)
+        mask = torch.cat([prompt["attention_mask"], torch.ones_like(action_ids)], dim=1)
+        inputs = {**prompt, "input_ids": torch.cat([prompt["input_ids"], action_ids], dim=1), "attention_mask": mask}
         logits = self.vlm(**inputs, position_ids=(mask.cumsum(1) - 1).clamp_min(0)).logits
-        logits = logits[:, -written.shape[1] - 1 : -1].float()  # (B, H*A, V): each position tells the next token
-        losses = torch.nn.functional.cross_entropy(logits.transpose(1, 2), written, reduction="none")  # (B, H*A)
-        kept = within(batch, ACTION, actions[..., 0]).repeat_interleave(actions.shape[2], dim=1)  # (B, H*A)
+        logits = logits[:, -action_ids.shape[1] - 1 : -1].float()  # (B, H*A, V): each position predicts the next token
+        losses = torch.nn.functional.cross_entropy(logits.transpose(1, 2), action_ids, reduction="none")  # (B, H*A)
+        kept = unpadded(batch, ACTION, actions[..., 0]).repeat_interleave(actions.shape[2], dim=1)  # (B, H*A)
         losses = (losses * kept).mean(1)  # (B,)
         return (losses if reduction == "none" else losses.mean()), {}
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
-        """Return a chunk, shape ``(B, H, A)``, normalised; greedy, and of action tokens alone."""
+        """Return a chunk, normalised, shape ``(B, H, A)``, by greedy decoding constrained to action tokens."""
         self.eval()
-        size = self.config.action_feature.shape[0]
+        size = self.config.action_dim
         count = self.config.chunk_size * size
         prompt = self._prompt(batch)
-        written = self.vlm.generate(
+        action_ids = self.vlm.generate(
             **prompt,
             min_new_tokens=count,
             max_new_tokens=count,
             do_sample=False,
             logits_processor=[_ActionsOnly(self.vocabulary)],
         )[:, -count:]
-        return decode(written, self.vocabulary).reshape(len(written), -1, size)
+        return decode(action_ids, self.vocabulary).reshape(len(action_ids), -1, size)
 
     def _prompt(self, batch: dict[str, Any]) -> dict[str, Tensor]:
-        """Return the model's inputs: one image and one instruction per sample."""
+        """Return the processed inputs of the model: one image and one instruction per sample."""
         images = batch[self.camera]  # (B, 3, H, W) in [0, 1]
-        pictures = [[image] for image in (images.clamp(0, 1) * 255).round().to(torch.uint8).cpu()]
+        images_uint8 = [[image] for image in (images.clamp(0, 1) * 255).round().to(torch.uint8).cpu()]
         token = str(getattr(self.processor, "image_token", "<image>"))
         texts = [
             PROMPT.format(image=token, instruction=task.rstrip(".").lower())
             for task in instructions(batch, len(images))
         ]
-        inputs = self.processor(images=pictures, text=texts, padding=True, return_tensors="pt")
+        inputs = self.processor(images=images_uint8, text=texts, padding=True, return_tensors="pt")
         inputs["pixel_values"] = inputs["pixel_values"].to(self.vlm.dtype)
         return {key: value.to(images.device) for key, value in inputs.items()}
 
@@ -100,14 +98,14 @@ class ActionTokensPolicy(Chunks, PreTrainedPolicy):
 
 
 class _ActionsOnly(LogitsProcessor):
-    """Forbids every token that is not an action."""
+    """Masks the scores of all tokens but those of actions."""
 
     def __init__(self, vocabulary: int) -> None:
         ids = token_ids(vocabulary)
         self._allowed = slice(ids.start, ids.stop)
 
     def __call__(self, input_ids: Tensor, scores: Tensor) -> Tensor:
-        """Return the scores with everything else at minus infinity."""
+        """Return the scores ``(B, V)`` with those of all other tokens at minus infinity."""
         masked = torch.full_like(scores, -torch.inf)
         masked[:, self._allowed] = scores[:, self._allowed]
         return masked

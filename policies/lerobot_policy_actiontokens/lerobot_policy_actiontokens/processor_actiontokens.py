@@ -1,4 +1,4 @@
-"""LeRobot's own pre- and postprocessing: actions to [-1, 1] by their 1st and 99th percentile, and back."""
+"""Pre- and postprocessing: LeRobot's defaults, which map the 1st and 99th percentile of actions to -1 and 1."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from .configuration_actiontokens import ActionTokensConfig
 def make_actiontokens_pre_post_processors(
     config: ActionTokensConfig, dataset_stats: dict[str, dict[str, torch.Tensor]] | None = None
 ) -> tuple[Any, Any]:
-    """Return the pipelines LeRobot runs before and after the policy, its defaults.
+    """Return the pipelines LeRobot runs before and after the policy.
+
+    Args:
+        config: the policy's config.
+        dataset_stats: LeRobot statistics of the training data by feature key.
 
     Raises:
         ValueError: if ``config.unnorm_key`` is not in the checkpoint.
@@ -28,13 +32,17 @@ def make_actiontokens_pre_post_processors(
 def action_stats(vlm_name: str, key: str) -> dict[str, torch.Tensor]:
     """Return the percentiles by which an OpenVLA checkpoint normalised the actions of the dataset ``key``.
 
-    What its mask leaves out was not normalised, so its percentiles are -1 and 1.
+    Dimensions that its mask excludes were not normalised: their percentiles are -1 and 1.
+
+    Args:
+        vlm_name: folder or Hub name of the checkpoint.
+        key: dataset in its ``norm_stats``.
 
     Returns:
-        ``q01`` and ``q99``, (A,) float32.
+        ``q01`` and ``q99``, shape ``(A,)``, float32, in the unit of the action.
 
     Raises:
-        ValueError: if there is no such dataset, naming those there are.
+        ValueError: if there is no such dataset; the message lists the known ones.
     """
     known = getattr(AutoConfig.from_pretrained(vlm_name), "norm_stats", None) or {}
     if key not in known:

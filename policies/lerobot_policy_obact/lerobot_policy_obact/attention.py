@@ -1,16 +1,16 @@
-"""Spatiotemporal attention: what the observed frames add to the current one.
+"""Spatiotemporal attention: fuses the observed frames into the current one.
 
 The paper (Section 4, ObAct) fuses ``s`` observed frames with the current frame by spatiotemporal attention
 and gives no equations; these are ours. With current tokens ``x`` (M of them) and frame tokens ``f_t``:
 
-    z_m = Attention(q = x_m, kv = {f_tm + phi(t)} over t)     time: how did the thing in token m move?
-    y   = z + Attention(q = z, kv = z)                        space: what does that mean for the other tokens?
+    z_m = Attention(q = x_m, kv = {f_tm + phi(t)} over t)     over time, each token by itself
+    y   = z + Attention(q = z, kv = z)                        over the tokens of the current frame
     x  <- x + tanh(g) y,   g = 0 at the start
 
 ``phi`` embeds the age of a frame in seconds, so that one set of weights serves any frame rate and stride. The
-gate makes the untrained block the identity: a policy with history starts as exactly the one without, and what
-history adds is learned on top. Time before space costs M T + M^2 instead of (M T)^2, and as keys and values of a
-frame do not depend on who asks, decisions that share a frame share them.
+gate makes the untrained block the identity: a policy with history starts as exactly the single-frame policy. The
+factorised attention costs M T + M^2 instead of (M T)^2. Keys and values of a frame do not depend on the decision that
+attends to it, so decisions that share a frame share them.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ def sinusoidal_features(x: Tensor, n_features: int, min_period: float, max_perio
     """Embed a real number as sines and cosines with geometrically spaced periods.
 
     Args:
-        x: Any shape ``(...)``.
-        n_features: Even number of features.
-        min_period: Shortest period, in the unit of ``x``.
-        max_period: Longest period, in the unit of ``x``.
+        x: any shape ``(...)``.
+        n_features: even number of features.
+        min_period: shortest period, in the unit of ``x``.
+        max_period: longest period, in the unit of ``x``.
 
     Returns:
         Shape ``(..., n_features)``, in [-1, 1].
@@ -50,9 +50,9 @@ class Attention(nn.Module):
     """Multi-head attention of queries over a memory, ``softmax(q k^T / sqrt(d)) v``.
 
     Args:
-        width: Token size of queries, memory and output.
-        n_heads: Heads; must divide ``width``.
-        dropout: Dropout probability on the attention weights.
+        width: token size of queries, memory and output.
+        n_heads: heads; must divide ``width``.
+        dropout: dropout probability on the attention weights.
     """
 
     def __init__(self, width: int, n_heads: int, dropout: float = 0.0) -> None:
@@ -64,7 +64,7 @@ class Attention(nn.Module):
         self.o_proj = nn.Linear(width, width)
 
     def forward(self, x: Tensor, memory: Tensor) -> Tensor:
-        """Let queries ``(B, Q, D)`` read a memory ``(B, K, D)``; shape ``(B, Q, D)``."""
+        """Attend from queries ``(B, Q, D)`` to a memory ``(B, K, D)``; returns ``(B, Q, D)``."""
         q, k, v = self._split(self.q_proj(x)), self._split(self.k_proj(memory)), self._split(self.v_proj(memory))
         out = F.scaled_dot_product_attention(q, k, v, dropout_p=self.dropout if self.training else 0.0)
         return self.o_proj(out.transpose(1, 2).flatten(2))  # (B, heads, Q, d) -> (B, Q, D)
@@ -74,22 +74,22 @@ class Attention(nn.Module):
 
 
 class TemporalAttention(Attention):
-    """Lets each token of each decision read its own past.
+    """Attention of each current token to the tokens at the same place in earlier frames.
 
-    Neighbouring decisions see mostly the same frames. All of them are therefore compared with all frames of the
-    sample at once, in small dense products, and each picks its window from the scores; copying every window's keys
-    and values would move ``W`` times as much memory. What the age of a frame adds to its keys and values is the same
-    for every frame of that age, and is compared apart.
+    The windows of neighbouring decisions overlap. The scores of all decisions with all frames of the sample are
+    therefore computed at once, in small dense products, and each decision gathers those of its window; copying the keys
+    and values of every window would move ``W`` times as much memory. The embedding of a frame's age is the same for
+    every frame of that age, so its scores are computed once per age.
     """
 
     def forward(self, x: Tensor, frames: Tensor, decisions: Decisions, age: tuple[Tensor, Tensor]) -> Tensor:
-        """Read a window of frames per decision.
+        """Attend to a window of frames per decision.
 
         Args:
-            x: Queries of the wanted decisions, shape ``(R, N, D)``.
-            frames: Tokens of every frame, shape ``(B, T, N, D)``.
-            decisions: Who may look where.
-            age: What a frame's place in the window adds to its keys and to its values, ``(W, D)`` each.
+            x: queries of the wanted decisions, shape ``(R, N, D)``.
+            frames: tokens of every frame, shape ``(B, T, N, D)``.
+            decisions: window and padding mask of each decision.
+            age: embedding of each age in the window, added to keys and to values, ``(W, D)`` each.
 
         Returns:
             Shape ``(R, N, D)``.
@@ -97,17 +97,19 @@ class TemporalAttention(Attention):
         q = self._tracks(decisions.spread(self.q_proj(x)))  # (B, N, heads, K, d)
         k, v = self._tracks(self.k_proj(frames)), self._tracks(self.v_proj(frames))  # (B, N, heads, T, d)
         age_k, age_v = (self._split(part) for part in age)  # (heads, W, d)
-        of_frames = q @ k.transpose(-1, -2)  # (B, N, heads, K, T)
-        of_ages = q @ age_k.transpose(-1, -2)  # (B, N, heads, K, W)
-        place = decisions.frame_index.expand(of_ages.shape)
-        scores = (of_frames.gather(-1, place) + of_ages) * q.shape[-1] ** -0.5
+        frame_scores = q @ k.transpose(-1, -2)  # (B, N, heads, K, T)
+        age_scores = q @ age_k.transpose(-1, -2)  # (B, N, heads, K, W)
+        index = decisions.frame_index.expand(age_scores.shape)
+        scores = (frame_scores.gather(-1, index) + age_scores) * q.shape[-1] ** -0.5
         scores = scores.masked_fill(~decisions.keep[:, None, None], float("-inf"))  # (B, 1, 1, K, W)
         weights = F.dropout(scores.softmax(-1), self.dropout, self.training).to(v.dtype)
-        read = torch.zeros_like(of_frames).scatter(-1, place, weights) @ v + weights @ age_v  # (B, N, heads, K, d)
-        return self.o_proj(decisions.pick(read.permute(0, 3, 1, 2, 4)).flatten(2))  # (R, N, heads, d) -> (R, N, D)
+        context = (
+            torch.zeros_like(frame_scores).scatter(-1, index, weights) @ v + weights @ age_v
+        )  # (B, N, heads, K, d)
+        return self.o_proj(decisions.pick(context.permute(0, 3, 1, 2, 4)).flatten(2))  # (R, N, heads, d) -> (R, N, D)
 
     def _tracks(self, x: Tensor) -> Tensor:
-        """Put the time of each token and head side by side, ``(B, T, N, D) -> (B, N, heads, T, d)``."""
+        """Group tokens by place and head, their times last but one, ``(B, T, N, D) -> (B, N, heads, T, d)``."""
         return x.unflatten(-1, (self.n_heads, -1)).permute(0, 2, 3, 1, 4)
 
 
@@ -118,12 +120,12 @@ def feed_forward(width: int, dropout: float = 0.0, expansion: int = 2) -> nn.Seq
 
 
 class AgeEmbedding(nn.Module):
-    """Embeds how long ago a frame was seen, as what it adds to the frame's keys and values.
+    """Embeds the age of a frame as vectors that are added to its keys and values.
 
     Args:
-        width: Token size.
-        min_period_s: Shortest resolved period [s].
-        max_period_s: Longest resolved period [s].
+        width: token size.
+        min_period_s: shortest resolved period [s].
+        max_period_s: longest resolved period [s].
     """
 
     def __init__(self, width: int, min_period_s: float = 0.1, max_period_s: float = 20.0) -> None:
@@ -133,18 +135,18 @@ class AgeEmbedding(nn.Module):
 
     def forward(self, age_s: Tensor) -> tuple[Tensor, Tensor]:
         """Map ages [s], shape ``(W,)``, to a key part and a value part, each ``(W, D)``."""
-        waves = sinusoidal_features(age_s, self.width, self.min_period_s, self.max_period_s)
-        key, value = self.mlp(torch.cat([age_s[:, None].float(), waves], dim=-1)).chunk(2, dim=-1)
+        features = sinusoidal_features(age_s, self.width, self.min_period_s, self.max_period_s)
+        key, value = self.mlp(torch.cat([age_s[:, None].float(), features], dim=-1)).chunk(2, dim=-1)
         return key, value
 
 
 class SpatioTemporalBlock(nn.Module):
-    """One block of the module's equations, then a feed-forward network on the current tokens.
+    """Temporal attention, spatial attention and a feed-forward network, see the equations of the module.
 
     Args:
-        width: Token size.
-        n_heads: Attention heads.
-        dropout: Dropout probability.
+        width: token size.
+        n_heads: attention heads.
+        dropout: dropout probability.
     """
 
     def __init__(self, width: int, n_heads: int, dropout: float = 0.0) -> None:
@@ -160,30 +162,30 @@ class SpatioTemporalBlock(nn.Module):
         self.ff = feed_forward(width, dropout)
 
     def forward(self, x: Tensor, frames: Tensor, decisions: Decisions) -> Tensor:
-        """Let the current tokens of each wanted decision read its window.
+        """Update the current tokens of each wanted decision from its window.
 
         Args:
-            x: Current tokens, shape ``(R, N, D)``.
-            frames: Tokens of every frame, shape ``(B, T, N, D)``.
-            decisions: Who may look where.
+            x: current tokens, shape ``(R, N, D)``.
+            frames: tokens of every frame, shape ``(B, T, N, D)``.
+            decisions: window and padding mask of each decision.
 
         Returns:
             Current tokens, shape ``(R, N, D)``.
         """
-        moved = self.time(self.norm_query(x), self.norm_frames(frames), decisions, self.age(decisions.age_s))
-        h = self.norm_read(moved)
-        x = x + torch.tanh(GATE_GAIN * self.gate) * (moved + self.space(h, h))
+        z = self.time(self.norm_query(x), self.norm_frames(frames), decisions, self.age(decisions.age_s))
+        h = self.norm_read(z)
+        x = x + torch.tanh(GATE_GAIN * self.gate) * (z + self.space(h, h))
         return x + self.ff(self.norm_ff(x))
 
 
 class SpatioTemporalAttention(nn.Module):
-    """A stack of `SpatioTemporalBlock`: the frames stay as they are, the current tokens are refined.
+    """A stack of `SpatioTemporalBlock`, which updates the current tokens and leaves those of the frames unchanged.
 
     Args:
-        width: Token size.
-        n_layers: Number of blocks.
-        n_heads: Attention heads.
-        dropout: Dropout probability.
+        width: token size.
+        n_layers: number of blocks.
+        n_heads: attention heads.
+        dropout: dropout probability.
     """
 
     def __init__(self, width: int, n_layers: int, n_heads: int, dropout: float = 0.0) -> None:
@@ -195,11 +197,11 @@ class SpatioTemporalAttention(nn.Module):
         """Fuse the window of each wanted decision into its current frame.
 
         Args:
-            frames: Tokens of every frame, shape ``(B, T, N, D)``.
-            decisions: Who may look where.
+            frames: tokens of every frame, shape ``(B, T, N, D)``.
+            decisions: window and padding mask of each decision.
 
         Returns:
-            Tokens of each current frame, aware of the others, shape ``(R, N, D)``.
+            Fused tokens of each current frame, shape ``(R, N, D)``.
         """
         x = decisions.current(frames)
         for block in self.blocks:

@@ -1,18 +1,31 @@
-"""Image augmentation, the same draw for every frame of a sample so that motion stays motion."""
+"""Image augmentation with the same random parameters for all frames of a sample, which preserves apparent motion."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .configuration_obact import ObActConfig
+from .observation import Observation
+
+
+def augmented(observation: Observation, config: ObActConfig) -> Observation:
+    """Return the observation with randomly shifted and colour-jittered images, as the config says."""
+    shape = observation.images.shape
+    images = observation.images.flatten(1, 2)  # (B, T, C, 3, H, W) -> (B, T*C, 3, H, W): one draw per sample
+    images = jitter_colors(shift_images(images, config.random_shift_px), config.color_jitter)
+    return replace(observation, images=images.reshape(shape))
+
 
 def shift_images(images: Tensor, max_shift_px: int) -> Tensor:
-    """Move each sample by a random whole number of pixels, repeating the border.
+    """Shift each sample by a random whole number of pixels, replicating the border.
 
     Args:
-        images: Shape ``(B, T, 3, H, W)``.
-        max_shift_px: Largest shift along each axis [px].
+        images: shape ``(B, T, 3, H, W)``.
+        max_shift_px: largest shift along each axis [px].
     """
     if max_shift_px == 0:
         return images
@@ -24,8 +37,11 @@ def shift_images(images: Tensor, max_shift_px: int) -> Tensor:
 
 
 def jitter_colors(images: Tensor, max_change: float) -> Tensor:
-    """Scale each sample's contrast and brightness by up to ``1 +- max_change``; images ``(B, T, 3, H, W)`` in
-    [0, 1].
+    """Scale the contrast and brightness of each sample by a random factor.
+
+    Args:
+        images: in [0, 1], shape ``(B, T, 3, H, W)``.
+        max_change: largest relative change: factors are within ``1 +- max_change``.
     """
     if max_change == 0:
         return images

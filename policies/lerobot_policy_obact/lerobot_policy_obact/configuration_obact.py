@@ -1,4 +1,4 @@
-"""What an ObAct policy is made of, as a LeRobot policy config."""
+"""Configuration of ObAct, ``--policy.type=obact``."""
 
 from __future__ import annotations
 
@@ -20,46 +20,45 @@ class ObActConfig(PreTrainedConfig):
     """Observe before act: a short observed history, spatiotemporal attention and a generative action head.
 
     Attributes:
-        n_obs_frames: Observed frames before the current one, the paper's ``s``; 0 is the single-frame
+        n_obs_frames: observed frames before the current one, the paper's ``s``; 0 is the single-frame
             control.
-        obs_stride: Distance between observed frames [frames].
-        fps: Frame rate of the data [Hz]; taken from the dataset when training starts.
-        image_size: Side to which every image is resized [px]; 0 keeps the size of the dataset.
-        horizon: Actions in a predicted chunk.
-        n_action_steps: Actions of a chunk that are executed before the policy plans again.
-        latency_frames: Frames between an observation and the execution of the action that answers it. A chunk begins
-            at its observation, so that many of its actions are past when it is ready, and are skipped.
-        replan_key: Observation whose rise (0 -> 1) drops the rest of the chunk; "" never does. Chunks planned
-            before the rise are never executed, so none are learned from.
+        obs_stride: distance between observed frames [frames].
+        fps: frame rate of the data [Hz]; taken from the dataset when training starts.
+        image_size: side to which every image is resized [px]; 0 keeps the size of the dataset.
+        horizon: actions in a predicted chunk, ``H``.
+        n_action_steps: actions of a chunk that are executed before the policy replans.
+        latency_frames: delay between an observation and the execution of the action predicted from it [frames]. That
+            many leading actions of a chunk lie in the past when it is ready, and are skipped.
+        replan_key: observation whose rise (0 -> 1) triggers replanning and drops the rest of the chunk; "" disables
+            this. Chunks predicted before the rise are never executed, so they are masked in the loss.
         action_frame: "absolute", "relative" (the first `relative_dims` actions are predicted as displacements
             from the same entries of the current ``observation.state``) or "auto" (relative where the
             dataset's statistics show that action and state are the same quantity).
-        relative_dims: Leading action dimensions that "relative" concerns.
-        relative_weight: Weight of those dimensions in the loss. Three of them are easily drowned by fifteen
-            fingers that move as one.
-        n_decisions: Moments per training sample at which the loss is taken, see `windows.py`.
-        decision_stride: Distance between those moments [frames].
-        backbone: Name of the image encoder, one file each in ``backbones/``.
-        backbone_options: Keyword options of that encoder.
-        head: Name of the action head, one file each in ``heads/``.
-        head_options: Keyword options of that head.
-        width: Size of every token.
-        n_attention_layers: Spatiotemporal attention blocks.
-        n_attention_heads: Heads of every attention.
-        dropout: Dropout probability in attention blocks and head.
-        ema_decay: Decay of the averaged weights used for acting; 0 turns the average off.
-        privileged_key: Column of the dataset with a position in the coordinates of ``observation.state`` that the
-            encoder learns to see in every frame, here "target.pose"; "" learns from actions alone.
-        privileged_weight: Weight of that loss.
-        random_shift_px: Augmentation, largest image shift, the same for all frames of a sample [px].
-        color_jitter: Augmentation, largest relative change of brightness and contrast.
-        noise_seed: Seed of the noise that a chunk starts from while acting, None draws from the global
-            generator.
-        noise_scale: Spread of that noise: 1 samples a chunk, 0 starts from the noise's mean, which comes close to
-            the mean of all good chunks and keeps its mind from one plan to the next.
-        compile_model: Compile backbone, attention and head with ``torch.compile``.
-        compile_backend: Backend of ``torch.compile``.
-        rtc_config: Real-time chunking, set by LeRobot's rollout.
+        relative_dims: leading action dimensions that "relative" concerns.
+        relative_weight: weight of those dimensions in the loss over that of the others; at 1 the three palm
+            dimensions are few beside fifteen correlated finger joints.
+        n_decisions: decisions per training sample at which the loss is computed, see `windows.py`.
+        decision_stride: distance between those decisions [frames].
+        backbone: name of the image encoder, one file each in ``backbones/``.
+        backbone_options: keyword options of that encoder.
+        head: name of the action head, one file each in ``heads/``.
+        head_options: keyword options of that head.
+        width: size of every token, ``D``.
+        n_attention_layers: spatiotemporal attention blocks.
+        n_attention_heads: heads of every attention.
+        dropout: dropout probability in attention blocks and head.
+        ema_decay: decay of the exponential moving average of the weights, which is used for acting; 0 disables it.
+        privileged_key: column of the dataset with a position in the coordinates of ``observation.state``, such as
+            "target.pose", which an auxiliary loss on the visual encoder predicts in every frame; "" disables it.
+        privileged_weight: weight of that loss.
+        random_shift_px: augmentation, largest image shift, the same for all frames of a sample [px].
+        color_jitter: augmentation, largest relative change of brightness and contrast.
+        noise_seed: seed of the noise that a chunk is sampled from while acting; None draws from the global generator.
+        noise_scale: standard deviation of that noise: 1 samples a chunk; 0 starts from the mean of the noise, which
+            gives about the mean chunk and makes consecutive chunks consistent.
+        compile_model: compile backbone, attention and head with ``torch.compile``.
+        compile_backend: backend of ``torch.compile``.
+        rtc_config: real-time chunking, set by LeRobot's rollout.
     """
 
     n_obs_frames: int = 5
@@ -153,7 +152,7 @@ class ObActConfig(PreTrainedConfig):
 
     @property
     def reward_delta_indices(self) -> None:
-        """Imitation needs no reward."""
+        """None: imitation learning uses no rewards."""
         return
 
     @property
@@ -162,12 +161,22 @@ class ObActConfig(PreTrainedConfig):
         vectors = (FeatureType.STATE, FeatureType.ENV)
         return [key for key, feature in (self.input_features or {}).items() if feature.type in vectors]
 
+    @property
+    def state_dim(self) -> int:
+        """Size of all vector observations together, ``S``."""
+        inputs = self.input_features or {}
+        return sum(inputs[key].shape[0] for key in self.proprioceptive_keys)
+
+    @property
+    def action_dim(self) -> int:
+        """Size of an action, ``A``; 0 without an action."""
+        return self.action_feature.shape[0] if self.action_feature else 0
+
     def validate_features(self) -> None:
-        """Check that the dataset offers what the policy needs.
+        """Check that the dataset has the features the policy needs.
 
         Raises:
-            ValueError: If there is no RGB image, no flat action, or no state that actions could be relative
-            to.
+            ValueError: if there is no RGB image, no flat action, or no state that actions could be relative to.
         """
         if not self.image_features:
             raise ValueError(f"ObAct needs at least one image, but the inputs are {sorted(self.input_features or {})}.")
@@ -186,7 +195,9 @@ class ObActConfig(PreTrainedConfig):
     def can_be_relative(self) -> bool:
         """Whether state and action are both long enough for `relative_dims`."""
         state, action = self.robot_state_feature, self.action_feature
-        return bool(state and action) and self.relative_dims <= min(state.shape[0], action.shape[0])
+        if state is None or action is None:
+            return False
+        return self.relative_dims <= min(state.shape[0], action.shape[0])
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW as LeRobot builds it when no optimiser is given."""

@@ -1,4 +1,4 @@
-"""The decisions of a batch: what each of them may look at, and which of them are worth computing."""
+"""The decisions of a batch: the window of frames of each, and which of them are computed."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from .configuration_obact import ObActConfig
+from .frames import EncodedFrames
+
 
 @dataclass(frozen=True)
 class Decisions:
-    """``K`` decisions in each of ``B`` samples of ``T`` frames; ``R`` of them are wanted.
+    """``K`` decisions in each of ``B`` samples of ``T`` frames; ``R`` of the ``B * K`` are wanted, that is, computed.
 
-    A decision none of whose actions is learned from costs as much as any other, so it is left out from the start.
+    Skipping the decisions whose actions are all masked saves their share of the attention and of the head.
 
     Attributes:
-        frame_index: Frames in the window of each decision, without repeats, its current one last, shape ``(K, W)``.
-        age_s: Time of those frames before their decision [s], shape ``(W,)``.
+        frame_index: frames in the window of each decision, without repeats, its current one last, shape ``(K, W)``.
+        age_s: age of those frames at the decision [s], shape ``(W,)``.
         keep: False where a frame of a window is padding, shape ``(B, K, W)``.
-        rows: Wanted decisions, ``b * K + k`` each, ascending, shape ``(R,)``.
+        rows: wanted decisions, ``b * K + k`` each, ascending, shape ``(R,)``.
     """
 
     frame_index: Tensor
@@ -31,13 +34,13 @@ class Decisions:
     def among(
         cls, keep: Tensor, frame_index: Sequence[Sequence[int]], age_s: Tensor, wanted: Tensor | None = None
     ) -> Decisions:
-        """Return the decisions over frames of which some are padding.
+        """Build the decisions over frames of which some are padding.
 
         Args:
             keep: False where a frame is padding, shape ``(B, T)``. A decision always sees its own frame.
-            frame_index: See the attribute.
-            age_s: See the attribute.
-            wanted: Decisions to compute, shape ``(B, K)``; None wants all.
+            frame_index: see the attribute.
+            age_s: see the attribute.
+            wanted: decisions to compute, shape ``(B, K)``; None wants all.
         """
         index = torch.tensor(frame_index, device=keep.device)
         window = keep[:, index]  # (B, K, W)
@@ -46,19 +49,37 @@ class Decisions:
         return cls(index, age_s, window, wanted.flatten().nonzero()[:, 0])
 
     def current(self, frames: Tensor) -> Tensor:
-        """Pick the current frame of each wanted decision, ``(B, T, ...) -> (R, ...)``."""
+        """Select the current frame of each wanted decision, ``(B, T, ...) -> (R, ...)``."""
         return self.pick(frames[:, self.frame_index[:, -1]])
 
-    def pick(self, places: Tensor) -> Tensor:
-        """Pick what belongs to each wanted decision, ``(B, K, ...) -> (R, ...)``."""
-        return places.flatten(0, 1)[self.rows]
+    def pick(self, entries: Tensor) -> Tensor:
+        """Select the entries of the wanted decisions, ``(B, K, ...) -> (R, ...)``."""
+        return entries.flatten(0, 1)[self.rows]
 
     def of_sample(self, samples: Tensor) -> Tensor:
-        """Pick what belongs to the sample of each wanted decision, ``(B, ...) -> (R, ...)``."""
+        """Select the entry of the sample of each wanted decision, ``(B, ...) -> (R, ...)``."""
         return samples[self.rows // self.keep.shape[1]]
 
     def spread(self, picked: Tensor) -> Tensor:
         """Undo `pick`, with zeros at the other decisions, ``(R, ...) -> (B, K, ...)``."""
         n_samples, n_decisions = self.keep.shape[:2]
-        places = picked.new_zeros(n_samples * n_decisions, *picked.shape[1:]).index_copy(0, self.rows, picked)
-        return places.unflatten(0, (n_samples, n_decisions))
+        entries = picked.new_zeros(n_samples * n_decisions, *picked.shape[1:]).index_copy(0, self.rows, picked)
+        return entries.unflatten(0, (n_samples, n_decisions))
+
+
+def window_decisions(
+    frames: EncodedFrames,
+    frame_index: Sequence[Sequence[int]],
+    config: ObActConfig,
+    wanted: Tensor | None = None,
+) -> Decisions:
+    """Return the decisions whose windows are spaced as the config says.
+
+    Args:
+        frames: encoded frames, with their padding.
+        frame_index: frames in the window of each decision, shape ``(K, s + 1)``.
+        config: for the offsets of a window [frames] and the frame rate [Hz].
+        wanted: decisions to compute, shape ``(B, K)``; None wants all.
+    """
+    age_s = -torch.tensor(config.windows.lookback, device=frames.keep.device) / config.fps  # (s + 1,)
+    return Decisions.among(frames.keep, frame_index, age_s, wanted)

@@ -1,4 +1,4 @@
-"""Frames as attention reads them: encoded once, whoever looks at them later."""
+"""Encoded frames: each is encoded once and shared by all decisions that attend to it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ class EncodedFrames:
     """``T`` encoded frames of ``B`` samples, oldest first.
 
     Attributes:
-        tokens: Tokens of every image and of proprioception, shape ``(B, T, N, D)``.
-        proprioception: All vector observations joined, normalised, shape ``(B, T, S)``.
-        position: What relative actions refer to, normalised, shape ``(B, T, P)``; P may be 0.
+        tokens: tokens of every image and of proprioception, shape ``(B, T, N, D)``.
+        proprioception: all vector observations concatenated, normalised, shape ``(B, T, S)``.
+        position: ``observation.state``, normalised, the reference of relative actions, shape ``(B, T, P)``; P may be 0.
         keep: False where a frame is padding, shape ``(B, T)``.
-        texts: One instruction per sample.
+        texts: one instruction per sample.
     """
 
     tokens: Tensor
@@ -28,7 +28,7 @@ class EncodedFrames:
 
     @classmethod
     def concatenate(cls, frames: list[EncodedFrames]) -> EncodedFrames:
-        """Join frames of the same samples along time; the newest says what the instructions are."""
+        """Concatenate frames of the same samples along time; the instructions are those of the newest."""
         joined = {
             name: torch.cat([getattr(frame, name) for frame in frames], dim=1)
             for name in ("tokens", "proprioception", "position", "keep")
@@ -43,5 +43,5 @@ class EncodedFrames:
         )
 
     def padding(self) -> EncodedFrames:
-        """Return a copy that no one may look at."""
+        """Return a fully masked copy."""
         return replace(self, keep=torch.zeros_like(self.keep))

@@ -1,4 +1,4 @@
-"""What the policy remembers while it acts."""
+"""Memory while acting: a ring buffer of frames, and the queue of predicted actions."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from .windows import DecisionWindows
 
 
 class History:
-    """A ring buffer of the last frames, read as the window of one decision.
+    """A ring buffer of the last frames, which returns the window of a decision.
 
-    A frame is encoded when a decision first looks at it, once, however many look at it later.
+    Frames are encoded lazily, when a decision first attends to them, and only once.
 
     Args:
-        windows: Which frames a decision sees.
+        windows: frame offsets of a decision.
     """
 
     def __init__(self, windows: DecisionWindows) -> None:
@@ -27,10 +27,10 @@ class History:
         self._frames: deque[Observation | EncodedFrames] = deque(maxlen=1 - self.lookback[0])
 
     def append(self, frame: Observation) -> None:
-        """Remember the newest frame.
+        """Add the newest frame.
 
         Raises:
-            ValueError: If the number of environments changed since the last `clear`.
+            ValueError: if the number of environments changed since the last `clear`.
         """
         if self._frames and len(frame.keep) != len(self._frames[-1].keep):
             raise ValueError(
@@ -40,59 +40,70 @@ class History:
         self._frames.append(frame)
 
     def window(self, encode: Callable[[Observation], EncodedFrames]) -> EncodedFrames:
-        """Return the frames of a decision now; those before the first one are padding, as in a dataset."""
+        """Return the window of a decision at the newest frame; frames before the first are padding, as in a dataset.
+
+        Args:
+            encode: encodes a frame.
+
+        Returns:
+            Frames of shape ``(B, s + 1)``, oldest first.
+        """
         newest = len(self._frames) - 1
-        places = [newest + back for back in self.lookback]
-        frames = [self._encoded(max(place, 0), encode) for place in places]
+        positions = [newest + back for back in self.lookback]
+        frames = [self._encoded(max(position, 0), encode) for position in positions]
         return EncodedFrames.concatenate(
-            [frame if place >= 0 else frame.padding() for place, frame in zip(places, frames, strict=True)]
+            [frame if position >= 0 else frame.padding() for position, frame in zip(positions, frames, strict=True)]
         )
 
-    def _encoded(self, place: int, encode: Callable[[Observation], EncodedFrames]) -> EncodedFrames:
-        frame = self._frames[place]
+    def _encoded(self, position: int, encode: Callable[[Observation], EncodedFrames]) -> EncodedFrames:
+        frame = self._frames[position]
         if isinstance(frame, Observation):
-            frame = self._frames[place] = encode(frame)
+            frame = self._frames[position] = encode(frame)
         return frame
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Drop all frames."""
         self._frames.clear()
 
 
 class ChunkQueue:
-    """The unexecuted actions of every environment, each with its own place in its own chunk.
+    """The unexecuted actions of every environment, each with its own position in its own chunk.
 
-    Environments of a batch plan at different moments, because each observes its own phase. A row's behaviour
-    must not depend on its neighbours, so nothing here is shared between rows.
+    Environments of a batch replan at different times, because each has its own phase. The actions of one row must not
+    depend on the other rows, so no state is shared between rows.
+
+    Attributes:
+        n_planned: number of chunks predicted in each row since the last `clear`.
     """
 
     def __init__(self) -> None:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything; the next step plans for every row."""
+        """Drop all chunks; the next step plans for every row."""
         self._chunks: Tensor | None = None
+        self._next = torch.zeros(0, dtype=torch.long)
         self._trigger: Tensor | None = None
+        self.n_planned: list[int] = []
 
     def rows_to_plan(self, trigger: Tensor | None, n_rows: int) -> list[int]:
         """Return the rows whose chunk is used up, or whose trigger rose since the last step.
 
         Args:
-            trigger: Value per row whose rise makes the rest of a chunk obsolete, shape ``(B,)``; None never
-                does.
-            n_rows: Number of rows, ``B``.
+            trigger: value per row whose rise makes the rest of a chunk obsolete, shape ``(B,)``; None disables this.
+            n_rows: number of rows, ``B``.
         """
         if self._chunks is None:
             self._trigger, self.n_planned = trigger, [0] * n_rows
             return list(range(n_rows))
         due = self._next >= self._chunks.shape[1]
-        if trigger is not None:
+        if trigger is not None and self._trigger is not None:
             due = due | (trigger > self._trigger + 1e-3).cpu()
         self._trigger = trigger
         return due.nonzero().flatten().tolist()
 
     def put(self, rows: list[int], chunks: Tensor) -> None:
-        """Replace what is left of ``rows`` by new chunks, shape ``(len(rows), n, A)``."""
+        """Replace the chunks of ``rows`` by new ones, shape ``(len(rows), n, A)``."""
         if self._chunks is None:
             self._chunks = torch.zeros_like(chunks)
             self._next = torch.zeros(len(chunks), dtype=torch.long)
@@ -102,7 +113,13 @@ class ChunkQueue:
             self.n_planned[row] += 1
 
     def pop(self) -> Tensor:
-        """Return the next action of every row, shape ``(B, A)``."""
+        """Return the next action of every row, shape ``(B, A)``.
+
+        Raises:
+            RuntimeError: if no chunk was put since the last `clear`.
+        """
+        if self._chunks is None:
+            raise RuntimeError("the queue is empty: put a chunk before the first pop.")
         actions = self._chunks[torch.arange(len(self._chunks)), self._next]
         self._next = self._next + 1
         return actions

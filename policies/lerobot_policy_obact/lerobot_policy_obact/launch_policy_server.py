@@ -8,6 +8,9 @@ that list and starts the server; all arguments are LeRobot's:
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import cast
+
 from lerobot.async_inference import policy_server
 from lerobot.async_inference.constants import SUPPORTED_POLICIES
 
@@ -23,7 +26,7 @@ def allow_obact() -> None:
 def main() -> None:
     """Start the server with LeRobot's command-line arguments."""
     allow_obact()
-    policy_server.serve()
+    cast(Callable[[], None], policy_server.serve)()  # its argument is parsed from the command line
 
 
 if __name__ == "__main__":

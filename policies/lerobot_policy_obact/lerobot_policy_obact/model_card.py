@@ -7,56 +7,73 @@ from .configuration_obact import ObActConfig
 _SECTION = """
 ## ObAct
 
-ObAct (*observe before act*, [DynaHOI](https://github.com/HuBocheng/DynaHOI)) watches a moving target for a
-moment before it acts. A window of observed frames is fused with the current frame by spatiotemporal
-attention, and a generative head turns the result into a chunk of actions. This is an independent
-implementation as a LeRobot plugin.
+ObAct (*observe before act*, [DynaHOI](https://github.com/HuBocheng/DynaHOI)) observes a moving target for a moment
+before it acts. Spatiotemporal attention fuses a window of observed frames with the current frame, and a generative
+action head predicts a chunk of actions. This is an independent implementation as a LeRobot plugin; it was trained and
+evaluated in simulation only.
 
 | Setting | Value |
 | --- | --- |
 | Parameters | {parameters:.2f} M |
-| Image encoder | `{backbone}` at {image_size} px |
+| Image encoder | `{backbone}` at {image_size} |
 | Observed frames (s) | {n_obs_frames}, {spacing_s:.3g} s apart ({window}) |
 | Action head | `{head}`, {horizon} actions ({horizon_s:.3g} s) a chunk |
-| Executed before planning again | {n_action_steps} |
+| Actions executed before replanning | {n_action_steps} |
 | Actions are predicted | {frame} |
 | Averaged weights (EMA) | {ema} |
+| Training dataset | {dataset} |
 
-Needs `pip install lerobot_policy_obact`; LeRobot then finds the policy by itself:
+With the plugins `lerobot_policy_obact` and `lerobot_env_dynahoi` installed from their repository:
 
 ```bash
-lerobot-eval --policy.path={repo_id} --env.type=<env> --eval.n_episodes=50
-lerobot-train --policy.path={repo_id} --dataset.repo_id=<dataset> --policy.repo_id=<you>/<name>
+lerobot-eval --policy.path={policy} --env.type=dynahoi --env.split=test_small{env_options} --eval.n_episodes=110
+dynahoi evaluate --policy {policy} --split test_small --out results
 ```
 
-**Limits.** The policy sees {memory_s:.3g} s of the past and nothing older. It was trained by imitation on the
-dataset named above; outside its range of objects, motions and camera views nothing is promised. Do not run it
-on hardware without limits on speed and workspace.
+**Limits.** The policy sees {memory_s:.3g} s of the past. It was trained by imitation of a scripted expert in
+simulation, and is untested outside the objects, motions and camera views of its training data.
 """
 
 
-def describe(config: ObActConfig, n_parameters: int) -> str:
+def describe(config: ObActConfig, n_parameters: int, dataset: str = "", policy: str = "") -> str:
     """Return the section as Markdown.
 
     Args:
-        config: The trained policy's config.
-        n_parameters: Trained and frozen parameters of the network, averaged copy not counted.
+        config: the trained policy's config.
+        n_parameters: trained and frozen parameters of the network, without the averaged copy.
+        dataset: Hub name of the training data; "" if unknown.
+        policy: folder or Hub name for the commands; "" takes the config's ``repo_id``, else this folder.
     """
     spacing_s = config.obs_stride / config.fps
     relative = f"relative to the current state in the first {config.relative_dims} dimensions"
+    sizes = {feature.shape[-1] for feature in config.image_features.values()}
     return _SECTION.format(
         parameters=n_parameters / 1e6,
         backbone=config.backbone,
-        image_size=config.image_size or "the dataset's",
+        image_size=f"{config.image_size} px" if config.image_size else "the size of the dataset",
         n_obs_frames=config.n_obs_frames,
         spacing_s=spacing_s,
-        window="the current frame besides" if config.n_obs_frames else "single-frame control",
+        window="and the current frame" if config.n_obs_frames else "single-frame control",
         head=config.head,
         horizon=config.horizon,
         horizon_s=config.horizon / config.fps,
         n_action_steps=config.n_action_steps,
         frame=relative if config.action_frame == "relative" else "as recorded",
         ema=config.ema_decay or "off",
-        repo_id=config.repo_id or "<you>/<name>",
+        dataset=f"`{dataset}`" if dataset else "not recorded",
+        policy=policy or config.repo_id or ".",
+        env_options=f" --env.image_size={sizes.pop()}" if len(sizes) == 1 else "",
         memory_s=config.n_obs_frames * spacing_s,
     )
+
+
+def insert_section(card: str, section: str) -> str:
+    """Return LeRobot's card with its instructions for robots, which do not apply to a simulation, replaced.
+
+    Args:
+        card: text of LeRobot's card.
+        section: Markdown that takes their place, before the citation.
+    """
+    details, _, rest = card.partition("## How to Get Started")
+    _, title, citation = rest.partition("## Citation")
+    return f"{details.rstrip().removesuffix('---')}{section}\n{title}{citation}"

@@ -1,8 +1,10 @@
-"""The policy's view of a LeRobot batch: images at model size, vectors joined, padding as one mask."""
+"""The observation of a LeRobot batch: images at model size, vectors concatenated, one padding mask."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -11,6 +13,9 @@ from torch import Tensor
 
 from .configuration_obact import ObActConfig
 
+Batch = Mapping[str, Any]
+"""A preprocessed LeRobot batch: tensors by key, and the instruction(s) under "task"."""
+
 
 @dataclass(frozen=True)
 class Observation:
@@ -18,11 +23,11 @@ class Observation:
 
     Attributes:
         images: RGB in [0, 1] of ``C`` cameras, shape ``(B, T, C, 3, H, W)``.
-        proprioception: All vector observations joined, normalised, shape ``(B, T, S)``.
-        position: ``observation.state``, normalised, that relative actions refer to, shape ``(B, T, P)``; P
-            may be 0.
+        proprioception: all vector observations concatenated, normalised, shape ``(B, T, S)``.
+        position: ``observation.state``, normalised, the reference of relative actions, shape ``(B, T, P)``; P may be
+            0.
         keep: False where a frame is padding, shape ``(B, T)``.
-        texts: One instruction per sample.
+        texts: one instruction per sample.
     """
 
     images: Tensor
@@ -32,7 +37,7 @@ class Observation:
     texts: list[str]
 
     @classmethod
-    def from_batch(cls, batch: dict[str, Tensor], config: ObActConfig) -> Observation:
+    def from_batch(cls, batch: Batch, config: ObActConfig) -> Observation:
         """Read a preprocessed LeRobot batch, with a time axis (dataset) or without one (environment)."""
         images = torch.stack(
             [_resize(_with_time(batch[key], 5), config.image_size) for key in config.image_features], 2
@@ -72,11 +77,11 @@ def _resize(images: Tensor, size: int) -> Tensor:
     return resized.unflatten(0, images.shape[:2])
 
 
-def _frame_mask(batch: dict[str, Tensor], shape: torch.Size, device: torch.device) -> Tensor:
+def _frame_mask(batch: Batch, shape: torch.Size, device: torch.device) -> Tensor:
     pads = [value for key, value in batch.items() if key.startswith("observation.") and key.endswith("_is_pad")]
     return ~_with_time(pads[0].bool(), 2) if pads else torch.ones(*shape, dtype=torch.bool, device=device)
 
 
-def _texts(batch: dict[str, Tensor | list[str] | str], n: int) -> list[str]:
+def _texts(batch: Batch, n: int) -> list[str]:
     task = batch.get("task", "")
     return [task] * n if isinstance(task, str) else list(task)

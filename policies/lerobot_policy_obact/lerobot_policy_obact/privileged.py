@@ -1,10 +1,10 @@
-"""Supervision by what only the simulator knows: where the target is.
+"""Auxiliary loss on the visual encoder: predict the target's position, which only the simulator knows.
 
-A chunk of actions says little about what was seen: a few centimetres of motion for thousands of pixels. Telling the
-network during training where the target is in every frame teaches its eyes directly. Acting needs none of it.
+Actions alone are a weak training signal for an image encoder. In training, a probe on the tokens of each frame also
+predicts the position of the target, which is read from a privileged column of the dataset. Acting does not use it.
 
-LeRobot's preprocessing passes observations and actions only, and privileged columns must not become observations. But
-every batch names its frames by their ``index``, so the column is read from the dataset's own files once, and looked up.
+LeRobot's preprocessing keeps observations and actions only, and privileged columns must not become observations. As
+every batch carries the ``index`` of its frames, the column is read once from the dataset's files and then looked up.
 """
 
 from __future__ import annotations
@@ -17,17 +17,19 @@ import pyarrow.parquet as pq
 import torch
 from torch import Tensor, nn
 
+from .configuration_obact import ObActConfig
+
 
 class FrameColumn:
     """One vector column of a LeRobot dataset, by global frame index.
 
     Args:
-        meta: The dataset's LeRobot metadata.
-        key: Name of the column.
-        n_dims: Leading entries to keep.
+        meta: the dataset's LeRobot metadata.
+        key: name of the column.
+        n_dims: leading entries to keep.
 
     Raises:
-        ValueError: If the dataset has no such column of at least that many entries.
+        ValueError: if the dataset has no such column of at least that many entries.
     """
 
     def __init__(self, meta: Any, key: str, n_dims: int) -> None:
@@ -41,25 +43,45 @@ class FrameColumn:
         tables = [pq.read_table(file, columns=["index", key]) for file in files]
         index = np.concatenate([table["index"].to_numpy() for table in tables])
         values = np.concatenate([_as_array(table[key])[:, :n_dims] for table in tables])
-        self.values = torch.from_numpy(values[np.argsort(index)])  # (F, n_dims), physical units
+        self.values = torch.from_numpy(values[np.argsort(index)])  # (F, n_dims), in the unit of the column
 
     def __call__(self, index: Tensor, offsets: list[int]) -> Tensor:
-        """Return the column at ``index + offsets``, shape ``(B, T, n_dims)``.
+        """Return the column at ``index + offsets``, shape ``(B, T, n_dims)``, in the unit of the column.
 
         Args:
-            index: Global index of each sample's own frame, shape ``(B,)``.
-            offsets: Frames relative to it. Those outside the sample's episode return something: mask them.
+            index: global index of each sample's own frame, shape ``(B,)``.
+            offsets: frames relative to it. Values outside the sample's episode are arbitrary and must be masked.
         """
         frames = index.cpu().reshape(-1, 1) + torch.tensor(offsets)  # (B, T)
         return self.values[frames.clamp(0, len(self.values) - 1)].to(index.device)
 
 
-class PositionProbe(nn.Module):
-    """Reads a position off the tokens of a single frame.
+def privileged_labels(config: ObActConfig, meta: Any | None) -> FrameColumn | None:
+    """Open the privileged column that the config names, if there is a dataset to train on.
 
     Args:
-        width: Token size.
-        n_dims: Size of the position.
+        config: the policy's config, its ``action_frame`` resolved.
+        meta: the dataset's LeRobot metadata; None while acting.
+
+    Raises:
+        ValueError: if actions are not relative: the coordinates of ``observation.state`` are then unknown.
+    """
+    if not config.privileged_key or meta is None:
+        return None
+    if config.action_frame != "relative":
+        raise ValueError(
+            f"privileged_key is {config.privileged_key!r}, but only action_frame='relative' knows the coordinates of "
+            f"'observation.state'; action_frame is {config.action_frame!r}, so privileged_key must be ''."
+        )
+    return FrameColumn(meta, config.privileged_key, config.relative_dims)
+
+
+class PositionProbe(nn.Module):
+    """Predicts a position from the tokens of a single frame, by attention pooling.
+
+    Args:
+        width: token size.
+        n_dims: size of the position.
     """
 
     def __init__(self, width: int, n_dims: int) -> None:

@@ -1,4 +1,4 @@
-"""LeRobot's own pre- and postprocessing: rename, batch, device, normalise; and back."""
+"""Pre- and postprocessing: LeRobot's default pipelines."""
 
 from __future__ import annotations
 
@@ -20,7 +20,11 @@ def make_obact_pre_post_processors(
 ]:
     """Return the pipelines LeRobot runs before and after the policy.
 
-    They are LeRobot's defaults, so every override of `lerobot-train` and `lerobot-eval` works; what is
-    particular to ObAct (image size, relative actions) happens inside the policy.
+    They are LeRobot's defaults, so every override of `lerobot-train` and `lerobot-eval` works; image resizing and
+    relative actions are part of the policy.
+
+    Args:
+        config: the policy's config.
+        dataset_stats: LeRobot statistics of the training data by feature key.
     """
     return make_default_pre_post_processors(config, dataset_stats)

@@ -1,4 +1,4 @@
-"""Name -> class tables that fill themselves: a new kind is one new file with a decorator."""
+"""Registries of classes by name: a new class is one new file with a registering decorator."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Any
 
 
 class Registry[T: type]:
-    """Classes of one kind, each registered beside its own definition.
+    """Classes by name, each registered where it is defined.
 
     Args:
-        kind: What the classes are, for error messages (``"backbone"``).
+        kind: what the classes are, for error messages (``"backbone"``).
     """
 
     def __init__(self, kind: str) -> None:
@@ -22,10 +22,10 @@ class Registry[T: type]:
         self._classes: dict[str, T] = {}
 
     def register(self, name: str) -> Callable[[T], T]:
-        """Return a class decorator that files the class under ``name``.
+        """Return a class decorator that registers the class as ``name``.
 
         Raises:
-            ValueError: If another class already has the name.
+            ValueError: if another class already has the name.
         """
 
         def decorate(cls: T) -> T:
@@ -44,7 +44,7 @@ class Registry[T: type]:
         """Construct the class called ``name`` with positional ``args`` and keyword ``options``.
 
         Raises:
-            ValueError: If the name, or one of the options, is unknown.
+            ValueError: if the name, or one of the options, is unknown.
         """
         if name not in self._classes:
             raise ValueError(f"unknown {self.kind} '{name}': choose one of {', '.join(self.names())}.")

@@ -16,13 +16,14 @@ from .heads.base import Guide, Velocity
 def rtc_guide(
     processor: RTCProcessor, leftover: Tensor, inference_delay: int, execution_horizon: int | None = None
 ) -> Guide:
-    """Return a guide that draws the start of a chunk towards the unexecuted rest of the last one.
+    """Return a guide of the start of a chunk towards the unexecuted actions of the previous one.
 
     Args:
         processor: LeRobot's guidance.
-        leftover: Unexecuted actions in the frame of the head, shape ``(B, n, A)`` with n up to the horizon.
-        inference_delay: Actions that will have been executed when the new chunk is ready.
-        execution_horizon: Actions over which the pull fades, None for the processor's own.
+        leftover: unexecuted actions as the head predicts them (see `ActionFrame`), shape ``(B, n, A)``, n up to the
+            horizon.
+        inference_delay: actions that will have been executed when the new chunk is ready [frames].
+        execution_horizon: actions over which the guidance fades out; None uses that of the processor.
     """
 
     def guide(x_t: Tensor, t: float, velocity: Velocity) -> Tensor:

@@ -1,4 +1,4 @@
-"""A small text encoder for backbones that cannot read: instructions as bytes, no vocabulary to ship."""
+"""A small byte-level text encoder, for backbones without text input; it needs no tokenizer."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ N_SYMBOLS = 257  # 256 byte values, shifted by one to leave 0 for padding
 
 
 def encode_bytes(texts: list[str], max_bytes: int) -> Tensor:
-    """Return UTF-8 bytes + 1, cut and zero-padded to the longest text, integers of shape ``(B, L)``."""
+    """Return UTF-8 bytes + 1, truncated to ``max_bytes`` and zero-padded to the longest text, int64 ``(B, L)``."""
     rows = [torch.tensor([byte + 1 for byte in text.encode()[:max_bytes]] or [0]) for text in texts]
     return nn.utils.rnn.pad_sequence(rows, batch_first=True)
 
 
 class ByteTextEncoder(nn.Module):
-    """Two convolutions over byte embeddings and a masked mean: order within words matters, length does not.
+    """Two convolutions over byte embeddings and a masked mean, so that padding changes nothing.
 
     Args:
-        width: Size of the text token.
-        max_bytes: Where long instructions are cut.
+        width: size of the text token.
+        max_bytes: length at which instructions are truncated [bytes].
     """
 
     def __init__(self, width: int, max_bytes: int = 160) -> None:

@@ -1,12 +1,12 @@
-"""Which frames and which actions belong to a decision: pure index arithmetic.
+"""Index arithmetic: which frames and which actions belong to a decision.
 
-A *decision* is one moment at which the policy looks back and commits to a chunk. With history length ``s``
-and stride ``r`` it sees frames ``-s r, ..., -r, 0`` relative to its own moment, and predicts the actions of
+A *decision* is a time step at which the policy predicts a chunk of actions. With history length ``s``
+and stride ``r`` it sees frames ``-s r, ..., -r, 0`` relative to its own time step, and predicts the actions of
 frames ``0 ... horizon - 1``.
 
 Encoding images dominates training on a CPU, and the windows of neighbouring decisions overlap. A training
-sample may therefore span ``n_decisions`` moments, ``decision_stride`` frames apart: every frame in the union
-of their windows is loaded and encoded once, and the loss is taken at each moment. With ``s = 5, r = 2`` and
+sample may therefore hold ``n_decisions`` decisions, ``decision_stride`` frames apart: every frame in the union
+of their windows is loaded and encoded once, and the loss is computed at each decision. With ``s = 5, r = 2`` and
 four decisions four frames apart, 12 encoded frames serve 4 decisions instead of 24 frames:
 
     decision 0   -10 -8 -6 -4 -2  0
@@ -14,7 +14,7 @@ four decisions four frames apart, 12 encoded frames serve 4 decisions instead of
     decision 2                   -2  0  2  4  6  8
     decision 3                            2  4  6  8 10 12
 
-A decision never sees a frame after its own moment, so training stays causal although the sample holds
+A decision never attends to a frame after its own time step, so training stays causal although the sample holds
 later frames.
 """
 
@@ -28,11 +28,11 @@ class DecisionWindows:
     """The frame offsets of one training sample. All values are in frames of the dataset.
 
     Attributes:
-        n_obs_frames: Observed frames before the current one, ``s``; 0 is the single-frame control.
-        obs_stride: Distance between observed frames.
-        horizon: Actions in a chunk.
-        n_decisions: Moments at which the loss is taken.
-        decision_stride: Distance between those moments.
+        n_obs_frames: observed frames before the current one, ``s``; 0 is the single-frame control.
+        obs_stride: distance between observed frames.
+        horizon: actions in a chunk.
+        n_decisions: decisions in a sample.
+        decision_stride: distance between those decisions.
     """
 
     n_obs_frames: int

@@ -88,8 +88,8 @@ def test_the_prompt_is_that_of_training(processor: PrismaticProcessor, model: Op
 
 
 def test_each_tower_sees_its_own_normalisation(processor: PrismaticProcessor) -> None:
-    processor.pictures["means"] = [[0.5, 0.4, 0.3], [0.0, 0.0, 0.0]]
-    processor.pictures["stds"] = [[0.2, 0.3, 0.4], [1.0, 1.0, 1.0]]
+    processor.image_settings["means"] = [[0.5, 0.4, 0.3], [0.0, 0.0, 0.0]]
+    processor.image_settings["stds"] = [[0.2, 0.3, 0.4], [1.0, 1.0, 1.0]]
     (pixels,) = processor(images=[[picture()]], text=[PROMPT])["pixel_values"]
     assert pixels.shape == (6, 32, 32)
     resized = tvf.to_tensor(tvf.to_pil_image(picture()).resize((32, 32), resample=3))  # bicubic
@@ -99,7 +99,7 @@ def test_each_tower_sees_its_own_normalisation(processor: PrismaticProcessor) ->
 
 def test_an_image_that_would_be_cropped_is_refused(checkpoint: str) -> None:
     processor = AutoProcessor.from_pretrained(checkpoint)
-    processor.pictures["image_resize_strategy"] = "letterbox"
+    processor.image_settings["image_resize_strategy"] = "letterbox"
     with pytest.raises(ValueError, match="20 x 40, but must be square for letterbox"):
         processor(images=[[picture()[:, :, :20]]], text=[PROMPT])
 
@@ -190,5 +190,5 @@ def test_towers_that_see_other_patches_are_refused(checkpoint: str, tmp_path: Pa
     config = json.loads((Path(checkpoint) / "config.json").read_text())
     (tmp_path / "config.json").write_text(json.dumps(config | {"image_seq_length": 9}))
     model = OpenVLAForActionPrediction(OpenVLAForActionPrediction.config_class.from_pretrained(tmp_path))
-    with pytest.raises(ValueError, match="There are 4 patches, but must be 9"):
+    with pytest.raises(ValueError, match="there are 4 patches, but must be 9"):
         model(input_ids=torch.zeros(1, 12, dtype=torch.int64), pixel_values=torch.zeros(1, 6, 32, 32))

@@ -68,6 +68,12 @@ def write_dataset(root: Path, features: dict, seed: int = 0) -> LeRobotDataset:
     return dataset
 
 
+def stats_of(x: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Return LeRobot's statistics of ``(n, D)`` values."""
+    quantiles = {f"q{q:02d}": torch.quantile(x, q / 100, dim=0) for q in (1, 10, 90, 99)}
+    return {"mean": x.mean(0), "std": x.std(0), "min": x.amin(0), "max": x.amax(0)} | quantiles
+
+
 def policy_features(features: dict) -> tuple[dict[str, PolicyFeature], dict[str, PolicyFeature]]:
     inputs, outputs = {}, {}
     for key, feature in features.items():

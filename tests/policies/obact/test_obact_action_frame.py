@@ -7,15 +7,10 @@ import torch
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.processor import NormalizerProcessorStep, TransitionKey, create_transition
 from lerobot.utils.constants import ACTION, OBS_STATE
-from lerobot_policy_obact.action_frame import N_SPREAD_BATCHES, ActionFrame, affine_of, looks_absolute
-from obact_helpers import HAND_FEATURES, PUSH_FEATURES, make_batch, make_policy, make_step
+from lerobot_policy_obact.action_frame import MIN_SPREAD, N_SPREAD_BATCHES, ActionFrame, affine_of, looks_absolute
+from obact_helpers import HAND_FEATURES, PUSH_FEATURES, make_batch, make_policy, make_step, stats_of
 
 MODES = [NormalizationMode.MEAN_STD, NormalizationMode.MIN_MAX, NormalizationMode.QUANTILES, NormalizationMode.IDENTITY]
-
-
-def stats_of(x: torch.Tensor) -> dict[str, torch.Tensor]:
-    quantiles = {f"q{q:02d}": torch.quantile(x, q / 100, dim=0) for q in (1, 10, 90, 99)}
-    return {"mean": x.mean(0), "std": x.std(0), "min": x.amin(0), "max": x.amax(0)} | quantiles
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -117,3 +112,42 @@ def test_training_measures_the_spread_and_evaluation_does_not() -> None:
     assert policy.frame.n_batches == 0
     policy.train()(batch)
     assert policy.frame.n_batches == 1
+
+
+def test_a_motionless_first_batch_does_not_spoil_training() -> None:
+    """With actions equal to the state all displacements are zero, and the initial spread of 1 must not survive."""
+    policy = make_policy(action_frame="relative")
+    batch = make_batch(policy)
+    motionless = batch | {"action": batch["action"].clone()}
+    motionless["action"][..., :3] = batch["observation.state"][:, -1:, :3]
+    loss, _ = policy.train()(motionless)
+    loss.backward()
+    assert loss.isfinite()
+    assert all(p.grad.isfinite().all() for p in policy.model.parameters() if p.grad is not None)
+    torch.testing.assert_close(policy.frame.spread, torch.full((3,), MIN_SPREAD))
+    moving, _ = policy.train()(batch)
+    assert moving.isfinite()
+    assert (policy.frame.spread > 0.1).all()
+
+
+def test_a_tiny_first_displacement_is_measured_exactly() -> None:
+    """Added to and subtracted from 1 in single precision, the square of 0.2 mm would lose all digits but one."""
+    frame = ActionFrame(1)
+    frame.observe(torch.full((1, 1, 1), 2e-4), torch.zeros(1, 1), torch.ones(1, 1, dtype=torch.bool))
+    assert frame.spread.item() == pytest.approx(2e-4, rel=1e-6)
+
+
+@pytest.mark.parametrize(("broken", "sentence"), [("action", "action of the batch"), ("observation.state", "state of")])
+def test_a_loss_that_is_not_finite_stops_training(broken: str, sentence: str) -> None:
+    policy = make_policy()
+    batch = make_batch(policy) | {"index": torch.tensor([7, 8, 9])}
+    batch[broken][1] = torch.nan
+    with pytest.raises(FloatingPointError, match=rf"action loss is not finite: .*{sentence}.*frames 7, 8, 9"):
+        policy.train()(batch)
+
+
+def test_weights_that_are_not_finite_are_told_from_data_that_is_not() -> None:
+    policy = make_policy()
+    policy.model.camera.data.fill_(torch.nan)
+    with pytest.raises(FloatingPointError, match="every input of the batch is finite"):
+        policy.train()(make_batch(policy))

@@ -199,4 +199,10 @@ def test_the_model_card_says_what_the_policy_is(
     assert card.data.datasets == "me/catches"
     for fact in ("Observed frames (s) | 2, 0.1 s apart", "`flow`, 8 actions (0.4 s)", "relative to the current state"):
         assert fact in card.text
-    assert "{" not in card.text.split("## ObAct")[1]
+    assert "Training dataset | `me/catches`" in card.text
+    assert "--env.type=dynahoi" in card.text
+    assert "| `observation.state` | STATE |" in card.text  # LeRobot's own sections stay
+    for absent in ("<", "{", "robot.type", "robot.port", "pip install"):
+        assert absent not in card.text.split("## ObAct")[1].split("## Citation")[0]
+    assert "lerobot-rollout" not in card.text
+    assert "@misc{cadene2024lerobot" in card.text

@@ -8,7 +8,7 @@ import pytest
 import torch
 from lerobot_policy_obact.attention import SpatioTemporalAttention, TemporalAttention
 from lerobot_policy_obact.backbones import backbones
-from lerobot_policy_obact.decisions import Decisions
+from lerobot_policy_obact.decisions import Decisions, window_decisions
 from lerobot_policy_obact.heads import heads
 from lerobot_policy_obact.observation import Observation
 from obact_helpers import HAND_FEATURES, PUSH_FEATURES, fit, make_batch, make_policy, mean_loss, randomise
@@ -90,7 +90,7 @@ def test_decisions_are_causal(decision: int) -> None:
     def condition(b: dict) -> torch.Tensor:
         observation = Observation.from_batch(b, policy.config)
         frames = policy.model.encode(observation)
-        tokens = policy.model.conditions(frames, policy._decisions(frames, windows.frame_index)).tokens
+        tokens = policy.model.conditions(frames, window_decisions(frames, windows.frame_index, policy.config)).tokens
         return tokens.unflatten(0, (-1, 3))[:, decision]
 
     later = scrambled(batch, slice(now + 1, None))
@@ -106,10 +106,10 @@ def test_several_decisions_equal_the_same_decisions_one_by_one() -> None:
     batch, windows = make_batch(many) | {"task": ["catch the ball", "drop it", ""]}, many.config.windows
     observation = Observation.from_batch(batch, many.config)
     frames = many.model.encode(observation)
-    together = many.model.conditions(frames, many._decisions(frames, windows.frame_index))
+    together = many.model.conditions(frames, window_decisions(frames, windows.frame_index, many.config))
     for k, row in enumerate(windows.frame_index):
         seen = one.model.encode(observation.frames(row))
-        alone = one.model.conditions(seen, one._decisions(seen, [[0, 1, 2]]))
+        alone = one.model.conditions(seen, window_decisions(seen, [[0, 1, 2]], one.config))
         torch.testing.assert_close(together.tokens.unflatten(0, (-1, 3))[:, k], alone.tokens, rtol=1e-4, atol=1e-5)
         torch.testing.assert_close(together.state.unflatten(0, (-1, 3))[:, k], alone.state)
 
@@ -117,9 +117,10 @@ def test_several_decisions_equal_the_same_decisions_one_by_one() -> None:
 def test_wanted_decisions_do_not_depend_on_the_others() -> None:
     policy = randomise(make_policy(n_obs_frames=N_OBS, n_decisions=3, decision_stride=4))
     frames = policy.model.encode(Observation.from_batch(make_batch(policy), policy.config))
+    windows = policy.config.windows
     wanted = torch.tensor([[True, False, True], [False, False, False], [False, True, False]])
     all_three, some = (
-        policy.model.conditions(frames, policy._decisions(frames, policy.config.windows.frame_index, wanted=which))
+        policy.model.conditions(frames, window_decisions(frames, windows.frame_index, policy.config, which))
         for which in (None, wanted)
     )
     torch.testing.assert_close(some.tokens, all_three.tokens[wanted.flatten()])

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.processor import NormalizerProcessorStep, TransitionKey, create_transition
 from lerobot_policy_obact.backbones.conv import StandardisedPatches, saturation
 from lerobot_policy_obact.observation import Observation
 from lerobot_policy_obact.privileged import FrameColumn
-from obact_helpers import FPS, fit, make_batch, make_policy, mean_loss, randomise
+from obact_helpers import FPS, fit, make_batch, make_policy, mean_loss, randomise, stats_of
 
 STATS = {
     key: {"mean": np.zeros(18, np.float32), "std": np.full(18, 2.0, np.float32)}
@@ -68,7 +70,7 @@ def test_privileged_supervision_needs_relative_actions(target_root: Path) -> Non
 
 def test_the_probe_learns_where_the_target_is_relative_to_the_palm() -> None:
     policy = make_policy(**RELATIVE, privileged_key="target.pose", ema_decay=0.0)
-    policy.labels = Place()
+    policy.objective.labels = Place()
     batch = make_batch(policy) | {"index": torch.arange(3)}
     policy.config.privileged_weight = 10.0
     before = mean_loss(policy, batch)
@@ -82,7 +84,7 @@ def test_the_probe_learns_where_the_target_is_relative_to_the_palm() -> None:
 
 def test_padded_frames_do_not_teach_the_probe() -> None:
     policy = randomise(make_policy(**RELATIVE, privileged_key="target.pose"))
-    policy.labels = Place()
+    policy.objective.labels = Place()
     batch = make_batch(policy) | {"index": torch.arange(3)}
     batch["action_is_pad"][:] = True  # what remains is the probe's loss
     batch["observation.state_is_pad"][:, 0] = True
@@ -98,7 +100,7 @@ def test_padded_frames_do_not_teach_the_probe() -> None:
 
 def test_acting_needs_no_privileged_column(tmp_path: Path) -> None:
     policy = make_policy(**RELATIVE, privileged_key="target.pose")
-    assert policy.labels is None
+    assert policy.objective.labels is None
     policy.save_pretrained(tmp_path)
     again = type(policy).from_pretrained(tmp_path)
     batch = make_batch(policy)
@@ -123,6 +125,37 @@ def test_chunks_planned_while_observing_are_not_learned_from(reduction: str) -> 
     for b in (batch, wrong):
         b["observation.phase"][:, now] = 1.5
     assert (loss(wrong) - loss(batch)).min() > 1
+
+
+PHASE = "observation.phase"
+
+
+def normalised(phase: torch.Tensor, mode: NormalizationMode, stats: dict) -> torch.Tensor:
+    """Normalise as LeRobot's preprocessor does."""
+    features = {PHASE: PolicyFeature(FeatureType.STATE, (1,))}
+    step = NormalizerProcessorStep(features, {FeatureType.STATE: mode}, {PHASE: stats})
+    return step(create_transition(observation={PHASE: phase}))[TransitionKey.OBSERVATION][PHASE]
+
+
+@pytest.mark.parametrize("mode", NormalizationMode)
+@pytest.mark.parametrize(("n_observing", "n_acting"), [(20, 80), (1, 1999), (1999, 1), (0, 100), (100, 0)])
+def test_executed_chunks_are_recognised_under_every_normalisation(
+    mode: NormalizationMode, n_observing: int, n_acting: int
+) -> None:
+    """A decision before the rise of the phase is not learned from; in data without a rise every one is."""
+    data = (torch.arange(n_observing + n_acting) >= n_observing).float()[:, None]
+    mapping = {"STATE": mode, "ACTION": NormalizationMode.IDENTITY, "VISUAL": NormalizationMode.IDENTITY}
+    policy = make_policy(n_decisions=2, normalization_mapping=mapping, stats={PHASE: stats_of(data)}).eval()
+    batch, second = make_batch(policy), policy.config.windows.frame_index[1][-1]
+    phase = data.min().expand_as(batch[PHASE]).clone()
+    phase[:, second:] = data.max()
+    batch[PHASE] = normalised(phase, mode, stats_of(data))
+    learned = []
+    for action in (0, -1):  # the first decision alone predicts the first action, the second alone the last one
+        wrong = batch | {"action": batch["action"].clone()}
+        wrong["action"][:, action] += 100.0
+        learned.append(mean_loss(policy, wrong, 1) > mean_loss(policy, batch, 1) + 1)
+    assert learned == [len(data.unique()) == 1, True]
 
 
 def test_a_batch_that_only_observes_gives_every_weight_a_zero_gradient() -> None:

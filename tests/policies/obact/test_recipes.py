@@ -55,6 +55,7 @@ def test_a_training_recipe_is_read(path: Path) -> None:
     assert get_policy_class(config.policy.type).name == config.policy.type
 
 
+@pytest.mark.slow
 def test_the_cpu_recipe_learns_from_the_lean_copy(tmp_path: Path) -> None:
     register_third_party_plugins()
     root = STUDY.generate({"recipe": "recipes/generate/train_small.yaml", "episodes": 2}, tmp_path)

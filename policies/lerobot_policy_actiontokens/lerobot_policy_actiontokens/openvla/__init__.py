@@ -1,4 +1,4 @@
-"""OpenVLA's checkpoints (Kim et al., 2024) without their remote code; `transformers` opens them after this import."""
+"""OpenVLA's checkpoints (Kim et al., 2024) without their remote code; this registers them with `transformers`."""
 
 from transformers import AutoConfig, AutoModelForImageTextToText, AutoProcessor
 

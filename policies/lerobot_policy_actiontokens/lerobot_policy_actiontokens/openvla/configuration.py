@@ -1,9 +1,9 @@
-"""The `config.json` of OpenVLA's checkpoints, as a configuration of `transformers`."""
+"""Configuration of OpenVLA's checkpoints for `transformers`."""
 
 from __future__ import annotations
 
 import re
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 from transformers import CONFIG_MAPPING, AutoConfig, PreTrainedConfig
 
@@ -12,20 +12,20 @@ class OpenVLAConfig(PreTrainedConfig):
     """One or two vision towers of `timm`, a projector and a language model (OpenVLA, Section 3.1).
 
     Attributes:
-        timm_model_ids: Names of the vision towers in `timm`.
-        timm_override_act_layers: Activation of each tower, None for its own.
-        image_sizes: Side of the square image that each tower sees [px].
-        image_seq_length: Number of patches of an image; by default from the first tower's name.
-        use_fused_vision_backbone: Whether there are two towers, whose features are joined patch by patch.
-        text_config: Of the language model.
-        pad_to_multiple_of: How many rows without a token the embeddings end with.
-        n_action_bins: Number of edges between the bins of an action.
-        norm_stats: ``{dataset: {"action": {"q01": [...], "q99": [...], "mask": [...]}}}``, what actions were
-            normalised by in training.
+        timm_model_ids: names of the vision towers in `timm`.
+        timm_override_act_layers: activation of each tower; None uses the tower's default.
+        image_sizes: side of the square input image of each tower [px].
+        image_seq_length: patches of an image; by default derived from the first tower's name.
+        use_fused_vision_backbone: whether there are two towers, whose features are concatenated per patch.
+        text_config: config of the language model.
+        pad_to_multiple_of: rows without a token at the end of the embeddings.
+        n_action_bins: edges of the bins of an action.
+        norm_stats: ``{dataset: {"action": {"q01": [...], "q99": [...], "mask": [...]}}}``, the
+            statistics by which actions were normalised in training.
     """
 
     model_type = "openvla"
-    sub_configs: ClassVar[dict[str, type[PreTrainedConfig]]] = {"text_config": AutoConfig}
+    sub_configs: ClassVar[dict[str, Any]] = {"text_config": AutoConfig}
 
     timm_model_ids: list[str] | None = None
     timm_override_act_layers: list[str | None] | None = None
@@ -43,7 +43,7 @@ class OpenVLAConfig(PreTrainedConfig):
             "vit_large_patch14_reg4_dinov2.lvd142m",
             "vit_so400m_patch14_siglip_224",
         ]
-        self.timm_override_act_layers = self.timm_override_act_layers or [None] * len(self.timm_model_ids)
+        self.timm_override_act_layers = self.timm_override_act_layers or [None for _ in self.timm_model_ids]
         self.image_sizes = self.image_sizes or [224] * len(self.timm_model_ids)
         if self.image_seq_length is None:
             self.image_seq_length = _patches(self.timm_model_ids[0], self.image_sizes[0])
@@ -54,18 +54,20 @@ class OpenVLAConfig(PreTrainedConfig):
 
     @property
     def vocabulary(self) -> int:
-        """Number of tokens of the tokenizer; ids of actions count down from it."""
-        return self.text_config.vocab_size - self.pad_to_multiple_of
+        """Number of tokens of the tokenizer; action ids count down from it."""
+        return cast(Any, self.text_config).vocab_size - self.pad_to_multiple_of
 
     @property
     def image_token_id(self) -> int:
-        """An id that no text has, for where a patch of the image goes."""
-        return self.text_config.vocab_size - 1
+        """Id of the placeholder of an image patch, which no text contains."""
+        return cast(Any, self.text_config).vocab_size - 1
 
 
 def _patches(tower: str, size: int) -> int:
-    """Return how many patches a tower of `timm` cuts an image of ``size`` pixels into."""
+    """Return the number of patches of a ``size`` x ``size`` px image, from the name of a tower of `timm`."""
     patch = re.search(r"patch(\d+)", tower)
     if patch is None:
-        raise ValueError(f"The name {tower!r} tells no patch size, so image_seq_length must be given.")
+        raise ValueError(
+            f"the vision tower is {tower!r}, a name without 'patch<size>': set image_seq_length in the config."
+        )
     return (size // int(patch[1])) ** 2

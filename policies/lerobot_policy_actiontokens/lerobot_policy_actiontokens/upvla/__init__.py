@@ -1,4 +1,4 @@
-"""Seeing ahead and acting in one pass, after UP-VLA: ``lerobot-train --policy.type=upvla``."""
+"""UP-VLA: joint prediction of a future image and a chunk of actions, ``lerobot-train --policy.type=upvla``."""
 
 from .configuration_upvla import UPVLAConfig
 from .modeling_upvla import UPVLAPolicy

@@ -1,22 +1,22 @@
-"""Images as codes and back, by a frozen vector-quantised autoencoder."""
+"""Discrete image codes from a frozen vector-quantised autoencoder."""
 
 from __future__ import annotations
 
 import torch
-from diffusers import VQModel
+from diffusers.models.autoencoders.vq_model import VQModel
 from torch import Tensor, nn
 
 
 class ImageCodes(nn.Module):
-    """A `diffusers` ``VQModel`` that is not trained.
+    """Encodes images as codes, and decodes them, with a frozen `diffusers` ``VQModel``.
 
     Args:
-        model: The autoencoder, for images in [0, 1].
-        image_size: Side of the images that it sees [px]; others are scaled.
+        model: the autoencoder, of images in [0, 1].
+        image_size: side of the encoded images [px]; other sizes are resized.
 
     Attributes:
-        n_codes: Number of different codes.
-        side: Codes on a side of the image.
+        n_codes: size of the codebook.
+        side: side of the grid of codes.
     """
 
     def __init__(self, model: VQModel, image_size: int) -> None:
@@ -27,12 +27,12 @@ class ImageCodes(nn.Module):
         self.side = image_size // 2 ** (len(model.config["block_out_channels"]) - 1)
 
     def train(self, mode: bool = True) -> ImageCodes:
-        """Stay in evaluation mode."""
+        """Stay in evaluation mode, whatever ``mode`` is."""
         return super().train(False)
 
     @torch.no_grad()
     def encode(self, images: Tensor) -> Tensor:
-        """Return the codes of (B, 3, H, W) images in [0, 1], (B, side * side) int64, row by row."""
+        """Encode images ``(B, 3, H, W)`` in [0, 1] as codes ``(B, side * side)`` int64, row by row."""
         size = (self.image_size, self.image_size)
         images = nn.functional.interpolate(images, size, mode="bicubic", antialias=True).clamp(0, 1)
         latents = self.model.encode(images.to(self.model.dtype)).latents
@@ -40,7 +40,7 @@ class ImageCodes(nn.Module):
 
     @torch.no_grad()
     def decode(self, codes: Tensor) -> Tensor:
-        """Return the images, (B, 3, image_size, image_size) in [0, 1], of (B, side * side) codes."""
+        """Decode codes ``(B, side * side)`` to images ``(B, 3, image_size, image_size)`` in [0, 1]."""
         entries = self.model.quantize.embedding(codes)  # (B, side * side, C)
         latents = entries.transpose(1, 2).unflatten(2, (self.side, self.side))
         spatial = latents if self.model.config["norm_type"] == "spatial" else None

@@ -1,4 +1,4 @@
-"""The config of ``--policy.type=upvla``."""
+"""Configuration of ``--policy.type=upvla``."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from lerobot_policy_actiontokens.chunks import ChunkConfig
 @PreTrainedConfig.register_subclass("upvla")
 @dataclass
 class UPVLAConfig(ChunkConfig):
-    """A language model that reads an image as codes, and predicts its future and the actions together.
+    """A language model over image codes that jointly predicts a future image and a chunk of actions.
 
     Attributes:
-        llm_name: Folder or Hub name of any causal language model of `transformers`, with its tokenizer.
-        image_tokenizer: Folder or Hub name of a `diffusers` ``VQModel``, which turns images into codes.
-        image_tokenizer_folder: Where in there it is.
-        image_size: Side of the square image that is turned into codes [px].
-        chunk_size: Actions predicted at a time; the image is predicted as many frames ahead.
-        prediction_weight: Weight of the image's cross-entropy in the loss.
-        action_weight: Weight of the actions' squared error.
-        n_heads: Attention heads of the pooling before the action head.
+        llm_name: folder or Hub name of any causal language model of `transformers`, with its tokenizer.
+        image_tokenizer: folder or Hub name of a `diffusers` ``VQModel``, which encodes images.
+        image_tokenizer_folder: its subfolder; "" for none.
+        image_size: side of the square image that is encoded [px].
+        chunk_size: actions in a predicted chunk; the image is predicted as many frames ahead.
+        prediction_weight: weight of the image's cross-entropy in the loss.
+        action_weight: weight of the actions' squared error.
+        n_heads: attention heads of the pooling before the action head.
     """
 
     llm_name: str = "microsoft/phi-1_5"
@@ -42,11 +42,11 @@ class UPVLAConfig(ChunkConfig):
 
     @property
     def observation_delta_indices(self) -> list[int]:
-        """The current frame, and the one to predict."""
+        """Frames LeRobot loads: the current one, and the one to predict [frames]."""
         return [0, self.chunk_size]
 
     def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
-        """Return a warm-up and a cosine to zero, as UP-VLA's."""
+        """Return a warm-up and a cosine decay to zero, as in UP-VLA."""
         return CosineDecayWithWarmupSchedulerConfig(
             peak_lr=self.optimizer_lr,
             decay_lr=0.0,

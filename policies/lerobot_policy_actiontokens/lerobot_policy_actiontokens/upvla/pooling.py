@@ -1,4 +1,4 @@
-"""Many tokens to one vector by attention from a learned query (Lee et al., 2019, Set Transformer)."""
+"""Attention pooling: many tokens to one vector by a learned query (Lee et al., 2019, Set Transformer)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ class AttentionPooling(nn.Module):
     """One query attends to all tokens, then a gated feed-forward layer (Shazeer, 2020).
 
     Args:
-        width: Of the tokens.
-        n_heads: Of the attention.
-        expansion: Width of the hidden layer over ``width``.
+        width: size of the tokens.
+        n_heads: attention heads.
+        expansion: size of the hidden layer over ``width``.
     """
 
     def __init__(self, width: int, n_heads: int, expansion: int = 4) -> None:
@@ -23,7 +23,7 @@ class AttentionPooling(nn.Module):
         self.gated, self.out = nn.Linear(width, 2 * expansion * width), nn.Linear(expansion * width, width)
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Return (B, width) for (B, N, width)."""
+        """Map tokens ``(B, N, width)`` to a vector ``(B, width)``."""
         query = self.query.expand(len(tokens), -1, -1)
         pooled = self.attention_norm(query + self.attention(query, tokens, tokens, need_weights=False)[0])
         return self.mlp_norm(pooled + self.out(nn.functional.glu(self.gated(pooled))))[:, 0]

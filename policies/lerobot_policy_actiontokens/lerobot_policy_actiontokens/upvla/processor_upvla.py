@@ -1,4 +1,4 @@
-"""LeRobot's own pre- and postprocessing: actions to [-1, 1] by their 1st and 99th percentile, and back."""
+"""Pre- and postprocessing: LeRobot's defaults, which map the 1st and 99th percentile of actions to -1 and 1."""
 
 from __future__ import annotations
 
@@ -13,5 +13,10 @@ from .configuration_upvla import UPVLAConfig
 def make_upvla_pre_post_processors(
     config: UPVLAConfig, dataset_stats: dict[str, dict[str, torch.Tensor]] | None = None
 ) -> tuple[Any, Any]:
-    """Return the pipelines LeRobot runs before and after the policy, its defaults."""
+    """Return the pipelines LeRobot runs before and after the policy.
+
+    Args:
+        config: the policy's config.
+        dataset_stats: LeRobot statistics of the training data by feature key.
+    """
     return make_default_pre_post_processors(config, dataset_stats)

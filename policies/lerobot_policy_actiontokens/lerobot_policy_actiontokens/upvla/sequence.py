@@ -1,4 +1,4 @@
-"""What the language model reads: an instruction, an image's codes, and a place for each action."""
+"""The input sequence of the language model: an instruction, the codes of an image, and a placeholder per action."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """Ids of the language model's words, then of four marks, then of the image's codes.
+    """Token ids: first the words of the language model, then four markers, then the image codes.
 
     Attributes:
-        n_words: Rows of the language model's own embeddings.
-        n_codes: Different codes of an image.
+        n_words: rows of the language model's original embeddings.
+        n_codes: size of the image codebook.
     """
 
     n_words: int
@@ -22,27 +22,27 @@ class Vocabulary:
 
     @property
     def start_of_task(self) -> int:
-        """Before the instruction."""
+        """Id of the marker before the instruction."""
         return self.n_words
 
     @property
     def start_of_image(self) -> int:
-        """Before the codes."""
+        """Id of the marker before the image codes."""
         return self.n_words + 1
 
     @property
     def end_of_image(self) -> int:
-        """After the codes."""
+        """Id of the marker after the image codes."""
         return self.n_words + 2
 
     @property
     def act(self) -> int:
-        """Where an action is thought of."""
+        """Id of the placeholder of an action."""
         return self.n_words + 3
 
     @property
     def first_code(self) -> int:
-        """Code 0."""
+        """Id of image code 0."""
         return self.n_words + 4
 
     def __len__(self) -> int:
@@ -51,14 +51,14 @@ class Vocabulary:
 
 @dataclass(frozen=True)
 class Sequence:
-    """Inputs of the language model.
+    """Input sequence of the language model.
 
     Attributes:
-        ids: (B, L) int64.
-        mask: (B, 1, L, L) bool, whether the second to last index may see the last.
-        positions: (B, L) int64, counted without padding.
-        codes: where the codes are.
-        actions: where the actions are.
+        ids: token ids, ``(B, L)`` int64.
+        mask: attention mask, ``(B, 1, queries, keys)`` bool, True where a query attends to a key.
+        positions: position ids, ``(B, L)`` int64, counted without padding.
+        codes: positions of the image codes.
+        actions: positions of the action placeholders.
     """
 
     ids: Tensor
@@ -69,17 +69,17 @@ class Sequence:
 
 
 def lay_out(words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, vocabulary: Vocabulary) -> Sequence:
-    """Return [task, words, image, codes, image end, actions] (UP-VLA, Section 3).
+    """Return the sequence [task, words, image, codes, end of image, actions] (UP-VLA, Section 3).
 
-    Words and actions see what is before them. The image, of which every code becomes the code that will be there,
-    sees the whole sequence.
+    Attention of words and actions is causal; that of the image is bidirectional over the whole sequence. The output at
+    each code predicts the code at the same place of the future image.
 
     Args:
-        words: (B, W) int64, padded on the left.
-        kept: (B, W), 0 where there is padding.
-        codes: (B, N) int64, of the image.
-        n_actions: Number of places for actions.
-        vocabulary: Which id means what.
+        words: token ids of the instruction, ``(B, W)`` int64, padded on the left.
+        kept: ``(B, W)``, 0 where there is padding.
+        codes: image codes, ``(B, N)`` int64.
+        n_actions: number of action placeholders.
+        vocabulary: the ids of markers and codes.
     """
     n, (width, n_codes) = len(words), (words.shape[1], codes.shape[1])
     mark = torch.ones_like(words[:, :1])

@@ -1,4 +1,4 @@
-"""Image encoders: each file registers one, and every file here is found without further lines."""
+"""Image encoders, one per file; importing this package registers all of them."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""What every image encoder offers."""
+"""The interface of image encoders."""
 
 from __future__ import annotations
 
@@ -17,17 +17,19 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
 class Backbone(nn.Module, ABC):
-    """Encodes single frames into tokens; time is none of its business.
+    """Encodes frames independently into tokens.
 
     A subclass takes ``width`` first and its own options as keywords, and implements `forward`.
 
     Args:
-        width: Token size ``D`` it must return.
-        mean: Channel means its weights expect, images being in [0, 1].
-        std: Channel standard deviations.
+        width: token size ``D`` it must return.
+        mean: channel means its weights were trained with, for images in [0, 1].
+        std: channel standard deviations.
     """
 
     reads_text: ClassVar[bool] = False
+    pixel_mean: Tensor
+    pixel_std: Tensor
 
     def __init__(
         self, width: int, mean: tuple[float, ...] = IMAGENET_MEAN, std: tuple[float, ...] = IMAGENET_STD
@@ -42,9 +44,7 @@ class Backbone(nn.Module, ABC):
         return (images - self.pixel_mean) / self.pixel_std
 
     def load_pretrained(self) -> None:
-        """Start from published weights, for encoders that have any. Called when training starts, not when it
-        resumes.
-        """
+        """Load published weights, if there are any; called when training starts, not when a checkpoint is opened."""
 
     @abstractmethod
     def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
@@ -52,7 +52,7 @@ class Backbone(nn.Module, ABC):
 
         Args:
             images: RGB in [0, 1], shape ``(F, 3, H, W)`` with ``F`` frames of any time and camera.
-            texts: One instruction per frame, for backbones with ``reads_text``.
+            texts: one instruction per frame, for backbones with ``reads_text``.
 
         Returns:
             Tokens, shape ``(F, N, D)``.

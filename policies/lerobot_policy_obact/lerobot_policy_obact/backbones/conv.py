@@ -12,15 +12,15 @@ from .keypoints import KeypointTokens
 
 @backbones.register("conv")
 class ConvBackbone(Backbone):
-    """Keypoint tokens for what moves, and a coarse grid of pooled tokens for the rest of the scene.
+    """Spatial-softmax keypoint tokens for moving objects, and a coarse grid of average-pooled tokens for the scene.
 
     Args:
-        width: Token size.
-        n_keypoints: Spatial-softmax tokens.
-        grid: Side of the grid of pooled tokens.
-        channels: Channels at 1/4 resolution, a multiple of 8; twice as many at 1/8.
-        saturation: Add a fourth input channel, how colourful a pixel is. Things are more so than walls and floors, and
-            a linear first layer cannot compute it.
+        width: token size.
+        n_keypoints: spatial-softmax tokens.
+        grid: side of the grid of pooled tokens.
+        channels: channels at 1/4 resolution, a multiple of 8; twice as many at 1/8.
+        saturation: add the colour saturation of each pixel as a fourth input channel. Objects are more saturated than
+            walls and floors, and a linear first layer cannot compute saturation.
     """
 
     def __init__(
@@ -51,23 +51,27 @@ class ConvBackbone(Backbone):
 
 
 class StandardisedPatches(nn.Conv2d):
-    """Reads 4 x 4 patches at once, at a fraction of the cost of two strided convolutions at full resolution.
+    """Patch embedding: a 4 x 4 convolution of stride 4, cheaper than two strided convolutions at full resolution.
 
-    It standardises its weights instead of the pixels, which are many more.
+    The standardisation of the pixels is folded into its weights, which are far fewer.
+
+    Args:
+        n_in: input channels.
+        n_out: output channels.
     """
 
     def __init__(self, n_in: int, n_out: int) -> None:
-        """Read ``n_in`` channels; return ``n_out``."""
         super().__init__(n_in, n_out, kernel_size=4, stride=4)
 
     def forward(self, images: Tensor, mean: Tensor, std: Tensor) -> Tensor:
         """Convolve ``(images - mean) / std``, of shapes ``(F, C, H, W)`` and ``(C, 1, 1)``."""
         weight = self.weight / std  # (C', C, 4, 4)
-        return F.conv2d(images, weight, self.bias - (weight * mean).sum((1, 2, 3)), self.stride)
+        shift = (weight * mean).sum((1, 2, 3))  # (C',)
+        return F.conv2d(images, weight, -shift if self.bias is None else self.bias - shift, self.stride)
 
 
 def saturation(images: Tensor) -> Tensor:
-    """Return the distance between the strongest and the weakest primary, in [0, 1], shape ``(F, 1, H, W)``."""
+    """Return the largest minus the smallest channel of each pixel, ``(F, 3, H, W) -> (F, 1, H, W)`` in [0, 1]."""
     return images.amax(1, keepdim=True) - images.amin(1, keepdim=True)
 
 

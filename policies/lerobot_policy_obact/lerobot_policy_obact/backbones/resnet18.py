@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
-from torchvision.models import get_model, get_model_weights
+from torchvision.models import ResNet, get_model, get_model_weights
 from torchvision.ops import FrozenBatchNorm2d
 
 from .base import Backbone, backbones
@@ -14,28 +16,28 @@ from .keypoints import KeypointTokens
 
 @backbones.register("resnet18")
 class ResNet18Backbone(Backbone):
-    """Features at 1/16 resolution as tokens.
+    """Keypoint and grid tokens of ResNet features at 1/16 resolution.
 
     Args:
-        width: Token size.
-        weights: Name of torchvision's weights to start from; "" starts from random weights.
-        n_keypoints: Spatial-softmax tokens.
-        grid: Side of the grid of pooled tokens.
+        width: token size.
+        weights: name of torchvision's weights to start from; "" starts from random weights.
+        n_keypoints: spatial-softmax tokens.
+        grid: side of the grid of pooled tokens.
     """
 
     def __init__(self, width: int, *, weights: str = "IMAGENET1K_V1", n_keypoints: int = 16, grid: int = 2) -> None:
         super().__init__(width)
         self.weights, self.grid = weights, grid
-        # Batch statistics of a few correlated frames are worse than ImageNet's, or than none.
+        # Batch statistics over few, correlated frames are unreliable: use ImageNet's frozen ones, or group norm.
         norm = FrozenBatchNorm2d if weights else _group_norm
-        self.resnet = get_model("resnet18", weights=None, norm_layer=norm)
-        self.resnet.layer4 = self.resnet.fc = nn.Identity()
+        self.resnet = cast(ResNet, get_model("resnet18", weights=None, norm_layer=norm))
+        del self.resnet.layer4, self.resnet.fc
         self.keypoints = KeypointTokens(256, n_keypoints, width)
         self.grid_token = nn.Linear(256, width)
         self.slot = nn.Parameter(0.02 * torch.randn(n_keypoints + grid * grid, width))
 
     def load_pretrained(self) -> None:
-        """Fetch torchvision's weights."""
+        """Load torchvision's weights."""
         if self.weights:
             state = get_model_weights("resnet18")[self.weights].get_state_dict(progress=False)
             self.resnet.load_state_dict(state, strict=False)

@@ -1,6 +1,8 @@
-"""SmolVLM2 (Marafioti et al., 2025): image and instruction are read together by a small language model."""
+"""SmolVLM2 (Marafioti et al., 2025): image and instruction are encoded jointly by a small vision-language model."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -12,17 +14,17 @@ from .transformers_vision import pool_patches
 
 @backbones.register("smolvlm2")
 class SmolVLM2Backbone(Backbone):
-    """Tokens of the image after the language model has read ``[image, instruction]``, and one of the instruction.
+    """Image tokens and one text token from the last hidden layer of the language model over ``[image, instruction]``.
 
     Args:
-        width: Token size.
+        width: token size.
         name: Hub name or folder; its config and tokenizer are needed whenever the policy is opened, its weights only
             when training starts.
-        pretrained: Whether training starts from its weights.
-        freeze: Whether its weights stay as they are.
-        n_layers: Layers of the language model that are kept; early layers serve control best (SmolVLA).
-        grid: Side of the grid to which image tokens are pooled at the end.
-        max_text_tokens: Where long instructions are cut.
+        pretrained: whether training starts from its weights.
+        freeze: whether its weights are excluded from training.
+        n_layers: layers of the language model that are kept; early layers serve control best (SmolVLA).
+        grid: side of the grid to which image tokens are pooled at the end.
+        max_text_tokens: length at which instructions are truncated [tokens].
     """
 
     reads_text = True
@@ -43,7 +45,7 @@ class SmolVLM2Backbone(Backbone):
         super().__init__(width, mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
         self.name, self.pretrained, self.freeze = name, pretrained, freeze
         self.grid, self.max_text_tokens = grid, max_text_tokens
-        config = AutoConfig.from_pretrained(name)
+        config: Any = AutoConfig.from_pretrained(name)
         config.text_config.num_hidden_layers = min(n_layers, config.text_config.num_hidden_layers)
         self.input_px = config.vision_config.image_size
         self.vlm = SmolVLMModel(config)
@@ -52,7 +54,7 @@ class SmolVLM2Backbone(Backbone):
         self.vlm.requires_grad_(not freeze)
 
     def load_pretrained(self) -> None:
-        """Fetch the weights of the layers that are kept."""
+        """Load the published weights of the layers that are kept."""
         from transformers import SmolVLMModel
 
         if self.pretrained:
@@ -70,13 +72,11 @@ class SmolVLM2Backbone(Backbone):
     def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
         """See `Backbone.forward`; ``N = grid ** 2 + 1``."""
         with torch.set_grad_enabled(torch.is_grad_enabled() and not self.freeze):
-            seen, said = self._read(images, texts or [""] * len(images))
-        return self.project(torch.cat([pool_patches(seen, self.grid), said], dim=1))
+            image_tokens, text_token = self._encode(images, texts or [""] * len(images))
+        return self.project(torch.cat([pool_patches(image_tokens, self.grid), text_token], dim=1))
 
-    def _read(self, images: Tensor, texts: list[str]) -> tuple[Tensor, Tensor]:
-        """Return image tokens ``(F, P, C)`` and the instruction's token ``(F, 1, C)`` as the language model
-        left them.
-        """
+    def _encode(self, images: Tensor, texts: list[str]) -> tuple[Tensor, Tensor]:
+        """Return image tokens ``(F, P, C)`` and a text token ``(F, 1, C)`` of the language model's last layer."""
         images = F.interpolate(images, (self.input_px,) * 2, mode="bilinear", align_corners=False)
         features = self.vlm.vision_model(pixel_values=self.standardise(images)).last_hidden_state
         image_tokens = self.vlm.connector(features)  # (F, P, C)
@@ -86,8 +86,8 @@ class SmolVLM2Backbone(Backbone):
         hidden = self.vlm.text_model(
             inputs_embeds=torch.cat([image_tokens, words], dim=1), use_cache=False
         ).last_hidden_state  # (F, P + L, C)
-        # The model is causal: image tokens come first and know no text, the last word has read everything, and
-        # nobody reads the padding after it.
+        # Attention is causal: image tokens come first and do not see the text, the last word sees everything, and
+        # nothing attends to the padding after it.
         last_word = image_tokens.shape[1] + lengths - 1
         return hidden[:, : image_tokens.shape[1]], hidden[torch.arange(len(ids)), last_word][:, None]
 

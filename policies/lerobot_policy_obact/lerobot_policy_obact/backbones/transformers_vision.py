@@ -17,12 +17,12 @@ class TransformersVisionBackbone(Backbone):
     """A pretrained tower whose patches are pooled to a small grid of tokens.
 
     Args:
-        width: Token size.
+        width: token size.
         name: Hub name or folder; its ``config.json`` is needed whenever the policy is opened, its weights only when
             training starts.
-        pretrained: Whether training starts from its weights.
-        freeze: Whether its weights stay as they are.
-        grid: Side of the grid to which patches are pooled, to keep attention over many frames cheap.
+        pretrained: whether training starts from its weights.
+        freeze: whether its weights are excluded from training.
+        grid: side of the grid to which patches are pooled, to keep attention over many frames cheap.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class TransformersVisionBackbone(Backbone):
         self.tower.requires_grad_(not freeze)
 
     def load_pretrained(self) -> None:
-        """Fetch the tower's weights."""
+        """Load the tower's published weights."""
         from transformers import AutoModel
 
         if self.pretrained:
@@ -70,11 +70,11 @@ class TransformersVisionBackbone(Backbone):
 
 
 def pool_patches(features: Tensor, grid: int) -> Tensor:
-    """Average patch features to ``grid x grid`` tokens; what precedes the patches (class tokens) stays.
+    """Average patch features to ``grid x grid`` tokens; tokens before the patches (class tokens) are kept.
 
     Args:
-        features: Tokens ``(F, P + n * n, C)`` or a map ``(F, C, h, w)``.
-        grid: Side of the result.
+        features: tokens ``(F, P + n * n, C)`` or a map ``(F, C, h, w)``.
+        grid: side of the result.
 
     Returns:
         Shape ``(F, P + grid * grid, C)``.
@@ -93,7 +93,7 @@ def _vision_part(model: nn.Module) -> nn.Module:
 
 
 def _image_settings(name: str) -> dict[str, Any]:
-    """Return the colour statistics the tower was trained with, as its repository states them."""
+    """Return the image processor settings of the tower, which hold the channel statistics it was trained with."""
     from transformers import ImageProcessingMixin
 
     settings, _ = ImageProcessingMixin.get_image_processor_dict(name)

@@ -1,4 +1,4 @@
-"""Action heads: each file registers one, and every file here is found without further lines."""
+"""Action heads, one per file; importing this package registers all of them."""
 
 import sys
 

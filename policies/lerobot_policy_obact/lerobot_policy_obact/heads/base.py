@@ -1,4 +1,4 @@
-"""What every action head offers: a training loss and a sampler over chunks of actions."""
+"""The interface of action heads: a training loss and a sampler over chunks of actions."""
 
 from __future__ import annotations
 
@@ -17,22 +17,20 @@ Velocity = Callable[[Tensor], Tensor]
 """Flow velocity as a function of a noisy chunk, ``(B, H, A) -> (B, H, A)``."""
 
 Guide = Callable[[Tensor, float, Velocity], Tensor]
-"""Replaces a velocity: ``guide(x_t, t, velocity)`` returns the guided one, ``(B, H, A)``; t = 0 noise, t = 1
-data.
-"""
+"""Guidance of a flow: ``guide(x_t, t, velocity)`` returns the guided velocity ``(B, H, A)``; t = 0 noise, 1 data."""
 
 
 @dataclass(frozen=True)
 class ActionSpec:
-    """What a head is built for.
+    """Sizes of an action head and of its inputs.
 
     Attributes:
-        horizon: Actions in a chunk, ``H``.
-        action_dim: Size of an action, ``A``.
-        state_dim: Size of the proprioceptive vector, ``S``; 0 where the dataset has none.
-        width: Size of the condition tokens, ``D``.
-        n_heads: Attention heads.
-        dropout: Dropout probability.
+        horizon: actions in a chunk, ``H``.
+        action_dim: size of an action, ``A``.
+        state_dim: size of the proprioceptive vector, ``S``; 0 where the dataset has none.
+        width: size of the condition tokens, ``D``.
+        n_heads: attention heads.
+        dropout: dropout probability.
     """
 
     horizon: int
@@ -48,15 +46,15 @@ class Condition:
     """What a chunk is conditioned on.
 
     Attributes:
-        tokens: What was seen and said, shape ``(B, N, D)``.
-        state: Current proprioception, normalised, shape ``(B, S)``.
+        tokens: fused image, proprioception and text tokens, shape ``(B, N, D)``.
+        state: current proprioception, normalised, shape ``(B, S)``.
     """
 
     tokens: Tensor
     state: Tensor
 
     def repeat(self, n: int) -> Condition:
-        """Return the condition with every row ``n`` times in a row, ``(B * n, ...)``."""
+        """Return the condition with every row repeated ``n`` times, ``(B * n, ...)``."""
         return Condition(self.tokens.repeat_interleave(n, 0), self.state.repeat_interleave(n, 0))
 
 
@@ -66,7 +64,7 @@ class ActionHead(nn.Module, ABC):
     A subclass takes an `ActionSpec` first and its own options as keywords.
 
     Args:
-        spec: What the head is built for.
+        spec: sizes of the head and of its inputs.
     """
 
     accepts_guide: ClassVar[bool] = False
@@ -81,7 +79,7 @@ class ActionHead(nn.Module, ABC):
         return self.spec.action_dim
 
     def load_pretrained(self) -> None:
-        """Start from published weights, for heads that have any. Called when training starts, not when it resumes."""
+        """Load published weights, if there are any; called when training starts, not when a checkpoint is opened."""
 
     @abstractmethod
     def loss(self, actions: Tensor, condition: Condition) -> Tensor:
@@ -89,10 +87,10 @@ class ActionHead(nn.Module, ABC):
 
     @abstractmethod
     def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
-        """Turn standard normal noise ``(B, H, noise_dim)`` into a chunk ``(B, H, A)``.
+        """Sample a chunk: map standard normal noise ``(B, H, noise_dim)`` to ``(B, H, A)``.
 
         Args:
-            condition: What the chunk is conditioned on.
-            noise: Where sampling starts.
-            guide: Steers the flow, for heads with ``accepts_guide``.
+            condition: what the chunk is conditioned on.
+            noise: start of the sampling, standard normal.
+            guide: steers the flow, for heads with ``accepts_guide``.
         """

@@ -1,10 +1,12 @@
 """Denoising diffusion (Ho et al., 2020) over the same transformer, with the schedulers of ``diffusers``.
 
-Diffusion's own time runs from data (0) to noise (N); the transformer is told ``1 - k / N``, so that here too 0 is noise
-and 1 is data.
+Diffusion's own time runs from data (0) to noise (N); the transformer receives ``1 - k / N``, so that here too 0 is
+noise and 1 is data.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,13 +22,13 @@ class DiffusionHead(ActionHead):
     """Predicts the noise in a chunk.
 
     Args:
-        spec: What the head is built for.
-        n_layers: Transformer blocks.
+        spec: sizes of the head and of its inputs.
+        n_layers: transformer blocks.
         sampler: "ddim" (deterministic) or "ddpm".
-        n_train_steps: Noise levels in training.
-        n_steps: Denoising steps of a chunk.
-        n_draws: Noise draws per chunk in training, see `FlowHead`.
-        clip: Largest normalised action that a denoised chunk may hold; bounds early estimates.
+        n_train_steps: noise levels in training.
+        n_steps: denoising steps of a chunk.
+        n_draws: noise draws per chunk in training, see `FlowHead`.
+        clip: largest normalised action that a denoised chunk may hold; bounds early estimates.
     """
 
     def __init__(
@@ -40,13 +42,14 @@ class DiffusionHead(ActionHead):
         n_draws: int = 1,
         clip: float = 5.0,
     ) -> None:
-        from diffusers import DDIMScheduler, DDPMScheduler
+        from diffusers.schedulers.scheduling_ddim import DDIMScheduler
+        from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
 
         super().__init__(spec)
         if sampler not in SAMPLERS:
             raise ValueError(f"sampler is {sampler!r}, but must be one of {', '.join(SAMPLERS)}.")
         scheduler = DDIMScheduler if sampler == "ddim" else DDPMScheduler
-        self.scheduler = scheduler(
+        self.scheduler: Any = scheduler(
             num_train_timesteps=n_train_steps, beta_schedule="squaredcos_cap_v2", clip_sample_range=clip
         )
         self.n_train_steps, self.n_steps, self.n_draws = n_train_steps, n_steps, n_draws
@@ -65,7 +68,7 @@ class DiffusionHead(ActionHead):
         if guide is not None:
             raise ValueError("the diffusion head takes no guide: use head='flow' for real-time chunking.")
         self.scheduler.set_timesteps(self.n_steps, device=noise.device)
-        # DDPM draws noise at every step; a generator derived from the start keeps the chunk a function of it.
+        # DDPM draws noise at every step; seeding it with the initial noise makes the chunk a function of it.
         generator = torch.Generator(noise.device).manual_seed(int(noise.double().abs().sum() * 1e6) % 2**31)
         x = noise
         for level in self.scheduler.timesteps:

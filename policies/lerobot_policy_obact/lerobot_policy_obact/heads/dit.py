@@ -15,13 +15,13 @@ class DiTBlock(nn.Module):
     """Self-attention over the chunk, cross-attention to the condition, feed-forward.
 
     Time enters through adaptive layer norm: ``c`` gives a scale, a shift and a gate for the self-attention
-    and for the feed-forward network. The gates start at zero (AdaLN-Zero), so that a block begins as a plain
-    read of the condition.
+    and for the feed-forward network. The gates start at zero (AdaLN-Zero), so that an untrained block only
+    cross-attends to the condition.
 
     Args:
-        width: Token size.
-        n_heads: Attention heads.
-        dropout: Dropout probability.
+        width: token size.
+        n_heads: attention heads.
+        dropout: dropout probability.
     """
 
     def __init__(self, width: int, n_heads: int, dropout: float) -> None:
@@ -52,8 +52,8 @@ class DiT(nn.Module):
     """Maps a noisy chunk, its flow time and a condition to a chunk-shaped prediction.
 
     Args:
-        spec: What the head is built for.
-        n_layers: Number of blocks.
+        spec: sizes of the head and of its inputs.
+        n_layers: number of blocks.
     """
 
     def __init__(self, spec: ActionSpec, n_layers: int) -> None:

@@ -6,12 +6,12 @@ Time runs from noise to data: t = 0 is noise, t = 1 is the chunk.
     v*  = a - eps                    its velocity, which the network learns to predict from (x_t, t,
     condition)
 
-Where the condition nearly decides the chunk, as with a deterministic demonstrator, the network may predict the chunk
+Where the condition nearly determines the chunk, as with a deterministic expert, the network may predict the chunk
 itself instead ("chunk"; Li and He, 2025, argue for it in general): it can then ignore x_t, and its velocity follows as
 
     v = (a - x_t) / (1 - t)
 
-Training times are skewed towards noise, where the decision is made: ``t = 0.999 (1 - u)`` with ``u ~
+Training times are skewed towards noise, where the mode of the chunk is determined: ``t = 0.999 (1 - u)`` with ``u ~
 Beta(1.5, 1)``, as in GR00T-N1.5. Acting integrates the velocity from 0 to 1 with a few Euler steps.
 """
 
@@ -37,13 +37,13 @@ def sample_flow_times(n: int, device: torch.device, skew: float = 1.5) -> Tensor
 def integrate(
     velocity: Callable[[Tensor, Tensor], Tensor], noise: Tensor, n_steps: int, guide: Guide | None = None
 ) -> Tensor:
-    """Follow a velocity from t = 0 to t = 1 with Euler steps.
+    """Integrate a velocity from t = 0 to t = 1 with Euler steps.
 
     Args:
         velocity: ``velocity(x_t, t) -> (B, H, A)`` with t of shape ``(B,)``.
-        noise: Start, shape ``(B, H, A)``.
+        noise: start of the integration, shape ``(B, H, A)``.
         n_steps: Euler steps.
-        guide: Steers every step.
+        guide: guidance of every step, if any.
 
     Returns:
         Chunk, shape ``(B, H, A)``.
@@ -61,14 +61,14 @@ class FlowHead(ActionHead):
     """Flow matching over a `DiT`.
 
     Args:
-        spec: What the head is built for.
-        n_layers: Transformer blocks.
+        spec: sizes of the head and of its inputs.
+        n_layers: transformer blocks.
         n_steps: Euler steps of a chunk.
-        n_draws: Noise draws per chunk in training; where encoding images costs most, several use each frame better.
-        predicts: "velocity" or "chunk", what the network's output is.
+        n_draws: noise samples per chunk in training; several reuse each encoded frame, the most expensive part.
+        predicts: output of the network, "velocity" or "chunk".
 
     Raises:
-        ValueError: If ``predicts`` is neither.
+        ValueError: if ``predicts`` is neither.
     """
 
     accepts_guide = True

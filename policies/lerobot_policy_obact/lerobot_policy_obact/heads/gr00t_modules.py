@@ -1,4 +1,4 @@
-"""The building blocks of GR00T-N1.5's action head, own code with the released parameter names and shapes.
+"""Building blocks of GR00T-N1.5's action head: independent code with the released parameter names and shapes.
 
 Names inside the modules (``attn1``, ``to_out.0``, ``ff.net.0.proj``, ``W``, ``b``) are those of the
 checkpoint; a released state dict loads into them without renaming. Shapes: action-side tokens ``(B, L, D)``,
@@ -8,6 +8,7 @@ vision-language tokens ``(B, S, C)``, embodiment ids ``(B,)``.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 
 import torch
 import torch.nn.functional as F
@@ -17,12 +18,12 @@ N_TIME_FEATURES = 256
 
 
 class CategorySpecificLinear(nn.Module):
-    """One linear layer per embodiment, picked by id.
+    """One linear layer per embodiment, selected by id.
 
     Args:
-        n_categories: Number of embodiments.
-        n_in: Input features.
-        n_out: Output features.
+        n_categories: number of embodiments.
+        n_in: input features.
+        n_out: output features.
     """
 
     def __init__(self, n_categories: int, n_in: int, n_out: int) -> None:
@@ -39,10 +40,10 @@ class CategorySpecificMLP(nn.Module):
     """Two layers per embodiment with a ReLU between.
 
     Args:
-        n_categories: Number of embodiments.
-        n_in: Input features.
-        n_hidden: Hidden features.
-        n_out: Output features.
+        n_categories: number of embodiments.
+        n_in: input features.
+        n_hidden: hidden features.
+        n_out: output features.
     """
 
     def __init__(self, n_categories: int, n_in: int, n_hidden: int, n_out: int) -> None:
@@ -59,9 +60,9 @@ class MultiEmbodimentActionEncoder(nn.Module):
     """Embeds noisy actions together with the flow time, per embodiment.
 
     Args:
-        action_dim: Size of a padded action.
-        width: Size of an action token.
-        n_categories: Number of embodiments.
+        action_dim: size of a padded action.
+        width: size of an action token.
+        n_categories: number of embodiments.
     """
 
     def __init__(self, action_dim: int, width: int, n_categories: int) -> None:
@@ -84,29 +85,31 @@ class TimestepEncoder(nn.Module):
     """Embeds the integer flow time for the adaptive norms.
 
     Args:
-        width: Size of the embedding.
+        width: size of the embedding.
     """
 
     def __init__(self, width: int) -> None:
         super().__init__()
-        layers = {"linear_1": nn.Linear(N_TIME_FEATURES, width), "linear_2": nn.Linear(width, width)}
-        self.timestep_embedder = nn.ModuleDict(layers)
+        self.timestep_embedder = nn.ModuleDict()
+        self.timestep_embedder["linear_1"] = nn.Linear(N_TIME_FEATURES, width)
+        self.timestep_embedder["linear_2"] = nn.Linear(width, width)
 
     def forward(self, time_bucket: Tensor) -> Tensor:
         """Map integer times ``(B,)`` to ``(B, D)``."""
         half = N_TIME_FEATURES // 2
         rate = torch.exp(-math.log(10000.0) * torch.arange(half, device=time_bucket.device) / (half - 1))
         angle = time_bucket.float()[:, None] * rate
-        waves = torch.cat([angle.cos(), angle.sin()], dim=-1)  # (B, 256)
+        features = torch.cat([angle.cos(), angle.sin()], dim=-1)  # (B, 256)
         first, second = self.timestep_embedder["linear_1"], self.timestep_embedder["linear_2"]
-        return second(F.silu(first(waves.to(first.weight.dtype))))
+        dtype = next(first.parameters()).dtype
+        return second(F.silu(first(features.to(dtype))))
 
 
 class AdaLayerNorm(nn.Module):
     """Layer norm whose scale and shift come from the time embedding.
 
     Args:
-        width: Token size.
+        width: token size.
     """
 
     def __init__(self, width: int) -> None:
@@ -121,14 +124,14 @@ class AdaLayerNorm(nn.Module):
 
 
 class HeadAttention(nn.Module):
-    """Multi-head attention whose head size is free of the token size.
+    """Multi-head attention whose head size is independent of the token size.
 
     Args:
-        width: Token size of queries and output.
-        n_heads: Heads.
-        head_dim: Size of a head.
-        memory_dim: Token size of keys and values.
-        dropout: Dropout probability of the output.
+        width: token size of queries and output.
+        n_heads: heads.
+        head_dim: size of a head.
+        memory_dim: token size of keys and values.
+        dropout: dropout probability of the output.
     """
 
     def __init__(self, width: int, n_heads: int, head_dim: int, memory_dim: int, dropout: float) -> None:
@@ -141,7 +144,7 @@ class HeadAttention(nn.Module):
         self.to_out = nn.ModuleList([nn.Linear(inner, width), nn.Dropout(dropout)])
 
     def forward(self, x: Tensor, memory: Tensor) -> Tensor:
-        """Read the memory ``(B, S, C)`` with queries ``(B, L, D)``. Nothing is masked, as in the original."""
+        """Attend from queries ``(B, L, D)`` to a memory ``(B, S, C)``, without a mask, as in the original."""
         q, k, v = (
             t.unflatten(-1, (self.n_heads, -1)).transpose(1, 2)  # (B, L, heads*d) -> (B, heads, L, d)
             for t in (self.to_q(x), self.to_k(memory), self.to_v(memory))
@@ -154,19 +157,19 @@ class FeedForward(nn.Module):
     """GELU network of four times the width.
 
     Args:
-        width: Token size.
-        dropout: Dropout probability.
+        width: token size.
+        dropout: dropout probability.
     """
 
     def __init__(self, width: int, dropout: float) -> None:
         super().__init__()
-        entry = nn.ModuleDict({"proj": nn.Linear(width, 4 * width)})
-        # The empty modules hold the places of the released numbering: net.0.proj and net.2.
+        entry = nn.Sequential(OrderedDict(proj=nn.Linear(width, 4 * width)))
+        # The dropouts keep the released numbering of the linear layers: net.0.proj and net.2.
         self.net = nn.ModuleList([entry, nn.Dropout(dropout), nn.Linear(4 * width, width), nn.Dropout(dropout)])
 
     def forward(self, x: Tensor) -> Tensor:
         """Map ``(B, L, D)`` to ``(B, L, D)``."""
-        hidden = F.gelu(self.net[0]["proj"](x), approximate="tanh")
+        hidden = F.gelu(self.net[0](x), approximate="tanh")
         return self.net[3](self.net[2](self.net[1](hidden)))
 
 
@@ -174,11 +177,11 @@ class TransformerBlock(nn.Module):
     """Attention and feed-forward, each with a norm before and a residual around it.
 
     Args:
-        n_heads: Heads.
-        head_dim: Size of a head; tokens have ``n_heads * head_dim``.
-        memory_dim: Token size of keys and values.
-        dropout: Dropout probability.
-        adaptive: Whether the first norm follows the time; the second one has parameters only if it does not.
+        n_heads: heads.
+        head_dim: size of a head; tokens have ``n_heads * head_dim``.
+        memory_dim: token size of keys and values.
+        dropout: dropout probability.
+        adaptive: whether the first norm is modulated by the time; the second has parameters only if it is not.
     """
 
     def __init__(self, n_heads: int, head_dim: int, memory_dim: int, dropout: float, adaptive: bool) -> None:
@@ -191,22 +194,22 @@ class TransformerBlock(nn.Module):
         self.final_dropout = nn.Dropout(dropout)
 
     def forward(self, x: Tensor, memory: Tensor | None = None, time: Tensor | None = None) -> Tensor:
-        """Refine ``(B, L, D)`` by reading ``memory``, or itself where there is none."""
+        """Update ``(B, L, D)`` by attention to ``memory`` ``(B, S, C)``, or to itself where there is none."""
         h = self.norm1(x) if time is None else self.norm1(x, time)
         x = x + self.final_dropout(self.attn1(h, h if memory is None else memory))
         return x + self.ff(self.norm3(x))
 
 
 class Gr00tDiT(nn.Module):
-    """Blocks that read the vision-language tokens and the action-side tokens in turn.
+    """Transformer blocks that attend alternately to the vision-language tokens and to the action-side tokens.
 
     Args:
-        n_layers: Blocks; even ones read the memory.
-        n_heads: Heads.
-        head_dim: Size of a head.
-        memory_dim: Size of a vision-language token.
-        output_dim: Size of an output token.
-        dropout: Dropout probability.
+        n_layers: blocks; even ones attend to the memory.
+        n_heads: heads.
+        head_dim: size of a head.
+        memory_dim: size of a vision-language token.
+        output_dim: size of an output token.
+        dropout: dropout probability.
     """
 
     def __init__(
@@ -236,10 +239,10 @@ class VisionLanguageAdapter(nn.Module):
     """Self-attention over the vision-language tokens.
 
     Args:
-        n_layers: Blocks.
-        n_heads: Heads.
-        head_dim: Size of a head.
-        dropout: Dropout probability.
+        n_layers: blocks.
+        n_heads: heads.
+        head_dim: size of a head.
+        dropout: dropout probability.
     """
 
     def __init__(self, n_layers: int, n_heads: int, head_dim: int, dropout: float) -> None:

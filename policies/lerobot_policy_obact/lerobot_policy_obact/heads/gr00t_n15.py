@@ -1,6 +1,6 @@
 """GR00T-N1.5's action head, so that a policy can start from its weights as the paper's ObAct does.
 
-Own code, compatible in parameter names, shapes and outputs with the ``FlowmatchingActionHead`` of the released
+Independent code, compatible in parameter names, shapes and outputs with the ``FlowmatchingActionHead`` of the released
 ``nvidia/GR00T-N1.5-3B``, which LeRobot no longer ships.
 
 **Licence.** The code here is Apache-2.0. The released *weights* are not: they come under NVIDIA's own
@@ -9,9 +9,9 @@ started from them.
 
 What the original does, kept here because its weights expect it:
 
-* queries are ``[state (1), learned future tokens, noisy actions]``; even blocks read the vision-language tokens, odd
-  blocks read the queries themselves;
-* no attention mask anywhere: padding tokens would be read, so none may be passed;
+* queries are ``[state (1), learned future tokens, noisy actions]``; even blocks attend to the vision-language tokens,
+  odd blocks to the queries themselves;
+* no attention mask anywhere: padding tokens would be attended to, so none may be passed;
 * flow time 0 is noise and 1 is data, cut into 1000 integer buckets; ``t = (s - u) / s, u ~ Beta(1.5, 1), s = 0.999``;
 * dropout of 0.2 everywhere in training;
 * states and actions are padded with zeros to 64 and 32 entries, and each embodiment has encoders and a decoder
@@ -48,21 +48,21 @@ class Gr00tN15Head(ActionHead):
     """Flow matching with the transformer of GR00T-N1.5; the defaults are the released sizes.
 
     Args:
-        spec: What the head is built for.
-        checkpoint: Folder or hub name to start from; "" starts from random weights.
-        embodiment: Slot of the checkpoint to use; 31 is "new_embodiment".
-        n_embodiments: Slots kept: 1 (only ``embodiment``) or as many as the checkpoint has.
-        n_layers: Transformer blocks.
-        n_heads: Heads of the transformer.
-        head_dim: Size of a head.
-        hidden_dim: Size of its output tokens and of the encoders' hidden layer.
-        memory_dim: Size of a vision-language token; condition tokens of another size are projected.
-        n_adapter_layers: Self-attention blocks over the vision-language tokens.
-        n_adapter_heads: Heads of those; ``memory_dim`` must be a multiple.
-        n_future_tokens: Learned query tokens.
-        max_state_dim: Size to which states are padded.
-        max_action_dim: Size to which actions are padded.
-        dropout: Dropout probability.
+        spec: sizes of the head and of its inputs.
+        checkpoint: folder or hub name to start from; "" starts from random weights.
+        embodiment: slot of the checkpoint to use; 31 is "new_embodiment".
+        n_embodiments: slots kept: 1 (only ``embodiment``) or as many as the checkpoint has.
+        n_layers: transformer blocks.
+        n_heads: heads of the transformer.
+        head_dim: size of a head.
+        hidden_dim: size of its output tokens and of the encoders' hidden layer.
+        memory_dim: size of a vision-language token; condition tokens of another size are projected.
+        n_adapter_layers: self-attention blocks over the vision-language tokens.
+        n_adapter_heads: heads of those; ``memory_dim`` must be a multiple.
+        n_future_tokens: learned query tokens.
+        max_state_dim: size to which states are padded.
+        max_action_dim: size to which actions are padded.
+        dropout: dropout probability.
         n_steps: Euler steps of a chunk.
     """
 
@@ -115,11 +115,11 @@ class Gr00tN15Head(ActionHead):
 
     @property
     def noise_dim(self) -> int:
-        """The flow also carries the padding of the action."""
+        """Size of the padded action, over which the flow is defined."""
         return self.max_action_dim
 
     def loss(self, actions: Tensor, condition: Condition) -> Tensor:
-        """See `ActionHead.loss`; the padding of the action is not part of it."""
+        """See `ActionHead.loss`; the padding of the action is excluded."""
         target = F.pad(actions, (0, self.max_action_dim - actions.shape[-1]))
         u = torch.rand(len(target), device=target.device) ** (1 / BETA_ALPHA)
         t = (TIME_SCALE - u) / TIME_SCALE
@@ -135,17 +135,17 @@ class Gr00tN15Head(ActionHead):
         return chunk[..., : self.spec.action_dim]
 
     def memory(self, condition: Condition) -> Tensor:
-        """Return the vision-language tokens the transformer reads, shape ``(B, S, C)``."""
+        """Return the vision-language tokens that the transformer attends to, shape ``(B, S, C)``."""
         return self.vl_self_attention(self.vlln(self.condition_in(condition.tokens)))
 
     def velocity(self, x: Tensor, t: Tensor, memory: Tensor, state: Tensor) -> Tensor:
         """Predict the flow velocity.
 
         Args:
-            x: Noisy padded chunk, shape ``(B, H, max_action_dim)``.
-            t: Flow times, shape ``(B,)``.
-            memory: Vision-language tokens, shape ``(B, S, C)``.
-            state: Normalised proprioception, shape ``(B, S)``.
+            x: noisy padded chunk, shape ``(B, H, max_action_dim)``.
+            t: flow times, shape ``(B,)``.
+            memory: vision-language tokens, shape ``(B, S, C)``.
+            state: normalised proprioception, shape ``(B, S)``.
         """
         bucket = (t * N_TIME_BUCKETS).long()
         slot = torch.full((len(x),), 0 if self.n_embodiments == 1 else self.embodiment, device=x.device)
@@ -156,10 +156,10 @@ class Gr00tN15Head(ActionHead):
         return self.action_decoder(self.model(queries, memory, bucket), slot)[:, -x.shape[1] :]
 
     def load_pretrained(self) -> None:
-        """Start from ``checkpoint``.
+        """Load the weights of ``checkpoint``, if one is given.
 
         Raises:
-            ValueError: If the checkpoint's head differs from this one, naming the first difference.
+            ValueError: if the checkpoint's head differs from this one, naming the first difference.
         """
         if not self.checkpoint:
             return
@@ -182,13 +182,13 @@ def read_action_head(source: str) -> dict[str, Tensor]:
     """Read the action head's tensors from a GR00T-N1.5 checkpoint.
 
     Args:
-        source: Folder, or hub name, with ``model.safetensors`` or its shards and their index.
+        source: folder, or hub name, with ``model.safetensors`` or its shards and their index.
 
     Returns:
         Tensors by name, without the checkpoint's prefix.
 
     Raises:
-        ValueError: If there is no action head in it.
+        ValueError: if there is no action head in it.
     """
     patterns = ["*.safetensors", "*.json"]
     folder = Path(source) if Path(source).is_dir() else Path(snapshot_download(source, allow_patterns=patterns))

@@ -1,0 +1,190 @@
+"""What a LeRobot user would write without this project: one world, a loop over ``mj_step`` and ``mujoco.Renderer``.
+
+It plays the same episodes in the same scene with the same expert, and nothing in it is slow on purpose: effects that
+cost much and that the ray caster lacks (shadows, multisampling) are off, the frame buffer has the size of the image,
+the model is compiled once and every episode is written into it, and the recorder leaves out the columns that take
+extra work (contacts, captures).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from gymnasium import spaces
+
+from dynahoi_lerobot.env.spaces import observation_space
+from dynahoi_lerobot.episode import joints_reached
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts.intercept import Intercept, plan_intercept
+from dynahoi_lerobot.features import CAMERA_KEY, FEATURES, frame_features, image_feature
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_spec
+from dynahoi_lerobot.scene.servo import Servo
+from dynahoi_lerobot.scene.target_drive import drive_for
+from dynahoi_lerobot.world.batch import WorldBatch
+
+SETTLE_FRAMES = 10
+RECORDED = ("state", "fingertips", "phase", "action", "target_pose", "target_velocity")
+
+
+class StraightforwardEnv(gym.Env):
+    """One hand and one object in plain MuJoCo; observations, actions and endings are those of ``DynahoiEnv``."""
+
+    def __init__(self, image_size: int = 128, split: str = "test") -> None:
+        self.recipe = Recipe(split=split, image_size=image_size)
+        self._writer = WorldBatch(1, threads=1)  # writes an episode's numbers into a model
+        self._scene, self._servo = self._writer.scene, Servo(self._writer.scene.model)
+        self.model = self._writer._batch.get_model(0)
+        self.data = mujoco.MjData(self.model)
+        self._renderer: mujoco.Renderer | None = None
+        self.observation_space = observation_space(frame_features(image_size))
+        self.action_space = spaces.Box(*self._writer.command_limits(), dtype=np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+        super().reset(seed=seed)
+        number = int(self.np_random.integers(0, 2**31)) if seed is None else seed
+        self.begin(sample_spec(self.recipe, number))
+        return self._observe(), {"is_success": False}
+
+    def begin(self, spec: EpisodeSpec) -> dict:
+        """Put the world into the first frame of ``spec``."""
+        self.spec, self.frame, self.localized_frame, self.success = spec, 0, None, False
+        self._writer.reset([0], [spec])
+        self._writer._batch.get_model(0, self.model)
+        self._writer._batch.get_data(0, self.data)
+        mujoco.mj_forward(self.model, self.data)
+        self._force = drive_for(spec.motion, spec.target, spec.horizon_frames).force_w
+        self.executed = np.concatenate([spec.home_pos_w, spec.open_joints])
+        return self._observe()
+
+    def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
+        acting = self.frame >= self.spec.window_frames
+        previous = self.executed
+        if acting:
+            self.executed = self._servo.clip(np.asarray(action, float), previous)
+        set_points = self._servo.set_points(self.executed[None], previous[None])[0]
+        dof = self._scene.target_dof
+        for substep in range(SUBSTEPS):
+            self.data.ctrl[:] = set_points[substep]
+            free = self.localized_frame is not None or self.frame >= len(self._force)
+            self.data.qfrc_applied[dof : dof + 3] = 0.0 if free else self._force[self.frame][substep]
+            mujoco.mj_step(self.model, self.data)
+            if acting and self.localized_frame is None and self._distance() < LOCALIZATION_RADIUS_M:
+                self._attach()
+        self.frame += 1
+        mujoco.mj_forward(self.model, self.data)
+        settled = self.localized_frame is not None and self.frame - self.localized_frame > SETTLE_FRAMES
+        late = self.frame >= self.spec.window_frames + self.spec.length_frames
+        reward = float(self.success and (settled or late))
+        return self._observe(), reward, settled, late and not settled, {"is_success": self.success}
+
+    def render(self) -> np.ndarray:
+        if self._renderer is None:
+            size = self.recipe.image_size
+            self.model.vis.quality.offsamples = 0
+            self.model.vis.global_.offwidth = self.model.vis.global_.offheight = size
+            self._renderer = mujoco.Renderer(self.model, size, size)
+            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = False
+        self._renderer.update_scene(self.data, self._scene.camera)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def target_state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose (7,) and velocity (6,) of the target."""
+        qpos, dof = self._scene.target_qpos, self._scene.target_dof
+        return self.data.qpos[qpos : qpos + 7].copy(), self.data.qvel[dof : dof + 6].copy()
+
+    def _observe(self) -> dict:
+        tips = np.zeros((5, 6))
+        for finger, site in enumerate(self._scene.tip_sites):
+            quat = np.zeros(4)
+            mujoco.mju_mat2Quat(quat, self.data.site_xmat[site])
+            mujoco.mju_quat2Vel(tips[finger, 3:], quat, 1.0)
+            tips[finger, :3] = self.data.site_xpos[site]
+        return {
+            "pixels": {"ego": self.render()},
+            "agent_pos": self.data.qpos[self._scene.hand_qpos].astype(np.float32),
+            "fingertips": tips.reshape(-1).astype(np.float32),
+            "phase": np.float32([self.frame >= self.spec.window_frames]),
+        }
+
+    def _distance(self) -> float:
+        qpos = self._scene.target_qpos
+        gap = self.data.qpos[qpos : qpos + 3] - self.data.qpos[self._scene.hand_qpos[:PALM_DOF]]
+        return float(np.sqrt(gap @ gap))
+
+    def _attach(self) -> None:
+        """Weld the target to the palm and judge the grasp."""
+        scene, data, model = self._scene, self.data, self.model
+        self.localized_frame = self.frame
+        joints = data.qpos[scene.hand_qpos[PALM_DOF:]]
+        self.success = bool(joints_reached(joints, self.spec.open_joints, self.spec.reference_joints).all())
+        model.geom_contype[scene.target_geoms] = 0
+        position, quat = self.target_state()[0][:3], self.target_state()[0][3:]
+        inverse, offset = np.zeros(4), np.zeros(3)
+        mujoco.mju_negQuat(inverse, quat)
+        mujoco.mju_rotVecQuat(offset, data.qpos[scene.hand_qpos[:PALM_DOF]] - position, inverse)
+        model.eq_data[scene.weld_eq, :11] = [0, 0, 0, *offset, *inverse, 1.0]
+        data.eq_active[[scene.tether_eq, scene.weld_eq]] = 0, 1
+        dof = scene.target_dof
+        data.qvel[dof : dof + 6] = [*data.qvel[scene.hand_dof[:PALM_DOF]], 0, 0, 0]
+
+
+def record(root: Path, recipe: Recipe, seeds: list[int]) -> int:
+    """Record the expert's successes with LeRobot's streaming writer, coded as this project codes; return the frames."""
+    from lerobot.configs.video import RGBEncoderConfig
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    env = StraightforwardEnv(recipe.image_size, recipe.split)
+    dataset = LeRobotDataset.create(
+        "local/straightforward",
+        CONTROL_HZ,
+        _features(recipe.image_size),
+        root,
+        rgb_encoder=RGBEncoderConfig("h264", crf=20, preset="superfast", g=10, fast_decode=1),
+        streaming_encoding=True,
+        encoder_queue_maxsize=1000,  # frames come faster than real time; a full queue would drop some
+        encoder_threads=1,  # one process per core already
+    )
+    for seed in seeds:
+        spec = sample_spec(recipe, seed)
+        for attempt in range(1, Intercept.retries + 2):
+            if _play(env, dataset, spec, attempt):
+                dataset.save_episode()
+                break
+            dataset.clear_episode_buffer()
+    dataset.finalize()
+    env.close()
+    return dataset.meta.total_frames
+
+
+def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec, attempt: int) -> bool:
+    """Add the frames of one episode; tell whether it succeeded."""
+    seen, reach = env.begin(spec), plan_intercept(spec, attempt)
+    for frame in range(spec.length_frames):
+        action, target = reach.command(frame, seen["agent_pos"].astype(float)), env.target_state()
+        before = seen
+        seen = env.step(action)[0]
+        dataset.add_frame(_frame(before, env.executed, target, spec.task))
+    return env.success
+
+
+def _frame(seen: dict, executed: np.ndarray, target: tuple[np.ndarray, ...], task: str) -> dict[str, Any]:
+    values = (seen["agent_pos"], seen["fingertips"], seen["phase"], executed, *target)
+    frame = {FEATURES[name].key: value.astype(np.float32) for name, value in zip(RECORDED, values, strict=True)}
+    return frame | {CAMERA_KEY: seen["pixels"]["ego"], "task": task}
+
+
+def _features(image_size: int) -> dict[str, dict[str, Any]]:
+    stored = [FEATURES[name] for name in RECORDED]
+    features = {f.key: {"dtype": f.dtype, "shape": f.shape, "names": list(f.names)} for f in stored}
+    camera = image_feature("ego", image_size)
+    return features | {CAMERA_KEY: {"dtype": "video", "shape": camera.shape, "names": list(camera.names)}}

@@ -1,0 +1,81 @@
+"""Between an Episode's attributes and the columns of a dataset: both directions follow the feature table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from dynahoi_lerobot.dataset.columns import column_array
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.features import IMAGE_PREFIX, Feature, episode_features, frame_features, image_feature
+
+
+def features_of(episode: Episode) -> tuple[Feature, ...]:
+    """Return the columns of the frame table that the episode fills, in the dataset's order."""
+    images = (image_feature(view, frames.shape[1]) for view, frames in episode.images.items())
+    return (*images, *_held(episode))
+
+
+def image_arrays(episode: Episode) -> dict[str, np.ndarray]:
+    """Return the episode's images under their keys, (T, H, W, 3) uint8 each."""
+    return {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
+
+
+def content_arrays(episode: Episode) -> dict[str, np.ndarray]:
+    """Return the episode's numeric columns under their keys, each (T, D)."""
+    return {feature.key: _column(feature, episode) for feature in _held(episode)}
+
+
+def content_values(table: pa.Table) -> dict[str, Any]:
+    """Return the attributes of an Episode that its rows of the frame table hold: undoes ``content_arrays``.
+
+    Raises:
+        KeyError: if a column is missing that every dataset has.
+    """
+    every, present = frame_features(None, contact_sensors=True), table.column_names
+    read = (feature for feature in every if feature.key in present or not feature.needs_contact_sensors)
+    return {feature.name: _value(feature, column_array(table, feature.key)) for feature in read}
+
+
+def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
+    """Refuse an episode that does not have exactly these columns.
+
+    Raises:
+        ValueError: naming the column, what the episode has and what the dataset needs.
+    """
+    frames = len(episode)
+    wanted = {feature.key: feature.array_shape(frames) for feature in (*features, *episode_features())}
+    held = (*_held(episode), *episode_features())
+    found = {feature.key: np.shape(getattr(episode, feature.name)) for feature in held}
+    found |= {key: images.shape for key, images in image_arrays(episode).items()}
+    for key in (*wanted, *found):
+        if wanted.get(key) != found.get(key):
+            raise ValueError(
+                f"the episode of seed {episode.meta.seed} has {_described(key, found)}, the dataset needs "
+                f"{_described(key, wanted)}; all episodes of a dataset have the same columns"
+            )
+
+
+def _held(episode: Episode) -> list[Feature]:
+    return [f for f in frame_features(None, contact_sensors=True) if getattr(episode, f.name) is not None]
+
+
+def _column(feature: Feature, episode: Episode) -> np.ndarray:
+    """One attribute as (T, D)."""
+    frames, value = len(episode), np.asarray(getattr(episode, feature.name), feature.dtype)
+    return np.tile(value.reshape(1, -1), (frames, 1)) if feature.constant else value.reshape(frames, -1)
+
+
+def _value(feature: Feature, column: np.ndarray) -> Any:
+    """The attribute from its column (T, D)."""
+    values = column.reshape(len(column), *feature.shape)
+    if not feature.constant:
+        return values
+    return values[0] if feature.shape else values[0].item()
+
+
+def _described(key: str, shapes: dict[str, tuple[int, ...]]) -> str:
+    return f"{key} of shape {shapes[key]}" if key in shapes else f"no {key}"

@@ -1,0 +1,56 @@
+"""Who moves the hand in an evaluation: a privileged expert or a trained policy, by its name on the command line."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+from dynahoi_lerobot.agent import Actor
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.experts import EXPERTS
+
+VLM = "vlm"
+"""Name of the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
+
+EXPERT_ALIAS = "expert"
+"""Name of the capture rule's own expert: ``intercept`` under attach, ``match`` under contact."""
+
+
+def make_actor(
+    name: str,
+    capture: str = "attach",
+    device: str | None = None,
+    settings: Sequence[str] = (),
+    *,
+    trust: bool = False,
+) -> Actor:
+    """Return the expert called ``name``, or else load the policy of that name.
+
+    Args:
+        name: an expert; ``expert`` for the capture rule's own; or a policy, as ``PolicyAgent`` takes it.
+        capture: the capture rule, ``attach`` or ``contact``.
+        device: torch device of a policy, its own if None.
+        settings: changes of a policy's config, ``KEY=VALUE`` each.
+        trust: load a policy even if that can run code of its own.
+
+    Raises:
+        UntrustedCheckpointError: if loading the policy could run code of its own, unless ``trust`` allows that.
+        ValueError: if there is no such policy, or its config cannot be changed so.
+    """
+    key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
+    if settings and key in (*EXPERTS.names(), VLM):
+        raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
+    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings, trust=trust)
+
+
+def add_trust_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--trust``, which every command that loads a policy has."""
+    parser.add_argument(
+        "--trust", action="store_true", help="load the checkpoint even if that runs code of its own (docs/trust.md)"
+    )
+
+
+def image_size_for(actor: Actor, wanted: int | None, default: int) -> int:
+    """Return the side of the images [px]: the ``wanted`` one, else the policy's own, else ``default``."""
+    return next(size for size in (wanted, actor.image_size, default) if size is not None)

@@ -1,0 +1,94 @@
+"""How a physical motion begins: the target's initial condition, and the fixtures around it. World frame, SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.motions.geometry import Quaternion, Vector
+
+GRAVITY_M_S2 = 9.81
+
+
+@dataclass(frozen=True)
+class Box:
+    """A static box.
+
+    Attributes:
+        pos: centre [m], world.
+        half_size: half extents along its own axes [m].
+        quat: orientation wxyz, world.
+    """
+
+    pos: Vector
+    half_size: Vector
+    quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Tether:
+    """A massless rigid string on which the target hangs.
+
+    Attributes:
+        anchor: its upper end [m], world; the lower one is the target's centre.
+    """
+
+    anchor: Vector
+
+
+@dataclass(frozen=True)
+class Striker:
+    """A ball without weight that flies in a straight line and hits the target.
+
+    Attributes:
+        pos: centre at the start [m], world.
+        velocity: constant until it hits [m/s], world, horizontal.
+        radius_m: its radius.
+        mass_kg: its mass.
+    """
+
+    pos: Vector
+    velocity: Vector
+    radius_m: float
+    mass_kg: float
+
+
+@dataclass(frozen=True)
+class Launch:
+    """The initial condition of a physical motion, and the fixtures around it.
+
+    Attributes:
+        pos: centre of the target [m], world.
+        quat: its orientation wxyz, world.
+        velocity: of its centre [m/s], world.
+        spin: its angular velocity [rad/s], target frame.
+        release_s: the target is held still at ``pos`` until this time [s], and leaves with ``velocity``.
+        boxes: up to two static boxes.
+        tether: the string on which it hangs, if any.
+        striker: the ball that hits it, if any.
+        damping_ratio: of its contacts; below 1 they rebound, see ``damping_ratio_for``.
+        friction: sliding friction coefficient against surfaces; None for the object's own.
+        drag_kg_s: linear drag on its centre [N s/m].
+    """
+
+    pos: Vector
+    quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    velocity: Vector = (0.0, 0.0, 0.0)
+    spin: Vector = (0.0, 0.0, 0.0)
+    release_s: float = 0.0
+    boxes: tuple[Box, ...] = ()
+    tether: Tether | None = None
+    striker: Striker | None = None
+    damping_ratio: float = 1.0
+    friction: float | None = None
+    drag_kg_s: float = 0.0
+
+
+def damping_ratio_for(restitution: float) -> float:
+    """Return the contact damping ratio that rebounds with ``restitution`` in (0, 1].
+
+    After contact with a spring and damper of damping ratio z, the speed is exp(-pi z / sqrt(1 - z^2)) of that before.
+    """
+    decay = -np.log(restitution) / np.pi
+    return float(decay / np.sqrt(1 + decay**2))

@@ -1,0 +1,91 @@
+"""The solids that objects are made of, and the inertia of several of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.foundation.rotations import quat_to_matrix
+
+IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """One solid of an object, in the object's frame.
+
+    Attributes:
+        shape: ``sphere``, ``capsule``, ``cylinder``, ``ellipsoid`` or ``box``.
+        size: MuJoCo's half-sizes [m]: (radius,) of a sphere, (radius, half length) of a capsule or cylinder along z,
+            (x, y, z) of an ellipsoid or a box.
+        pos: centre [m].
+        quat: orientation wxyz.
+    """
+
+    shape: str
+    size: tuple[float, ...]
+    pos: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    quat: tuple[float, float, float, float] = IDENTITY_QUAT
+
+    @property
+    def half_size(self) -> tuple[float, float, float]:
+        """``size`` padded with zeros to three numbers [m]."""
+        x, y, z, *_ = (*self.size, 0.0, 0.0)
+        return (x, y, z)
+
+
+def solid_inertia(primitives: tuple[Primitive, ...], mass_kg: float) -> tuple[float, float, float]:
+    """Return the moments of inertia (x, y, z) [kg m^2] of solids of one density about the origin of their frame.
+
+    They are the principal ones if the products of inertia vanish, as they do for solids turned by right angles or
+    arranged in symmetry. Where solids overlap, their volume counts twice.
+
+    Args:
+        primitives: the solids.
+        mass_kg: of all of them together.
+    """
+    volumes = np.array([_volume(p) for p in primitives])
+    masses = mass_kg * volumes / volumes.sum()
+    total = np.zeros(3)
+    for primitive, mass in zip(primitives, masses, strict=True):
+        rotation = quat_to_matrix(np.asarray(primitive.quat))
+        own = np.diag(rotation @ np.diag(mass * _unit_inertia(primitive)) @ rotation.T)
+        offset = np.asarray(primitive.pos)
+        total += own + mass * (offset @ offset - offset**2)
+    return (float(total[0]), float(total[1]), float(total[2]))
+
+
+def _volume(primitive: Primitive) -> float:
+    a, b, c = primitive.half_size
+    return {
+        "sphere": 4 / 3 * np.pi * a**3,
+        "capsule": np.pi * a**2 * (2 * b) + 4 / 3 * np.pi * a**3,
+        "cylinder": np.pi * a**2 * 2 * b,
+        "ellipsoid": 4 / 3 * np.pi * a * b * c,
+        "box": 8 * a * b * c,
+    }[primitive.shape]
+
+
+def _unit_inertia(primitive: Primitive) -> np.ndarray:
+    """(3,) moments of inertia per unit mass [m^2] about the primitive's own axes."""
+    a, b, c = primitive.half_size
+    if primitive.shape == "sphere":
+        return np.full(3, 0.4 * a**2)
+    if primitive.shape == "ellipsoid":
+        return 0.2 * np.array([b**2 + c**2, a**2 + c**2, a**2 + b**2])
+    if primitive.shape == "box":
+        return np.array([b**2 + c**2, a**2 + c**2, a**2 + b**2]) / 3
+    if primitive.shape == "cylinder":
+        across = (3 * a**2 + 4 * b**2) / 12
+        return np.array([across, across, a**2 / 2])
+    return _capsule_unit_inertia(a, b)
+
+
+def _capsule_unit_inertia(radius: float, half: float) -> np.ndarray:
+    """(3,) moments of inertia per unit mass [m^2] of a cylinder of half length ``half`` with two hemispherical caps."""
+    barrel, caps = np.pi * radius**2 * 2 * half, 4 / 3 * np.pi * radius**3
+    mb, mc = barrel / (barrel + caps), caps / (barrel + caps)
+    axial = mb * radius**2 / 2 + mc * 0.4 * radius**2
+    across = mb * (3 * radius**2 + 4 * half**2) / 12 + mc * (0.4 * radius**2 + half**2 + 0.75 * half * radius)
+    return np.array([across, across, axial])

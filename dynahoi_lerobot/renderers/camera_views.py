@@ -1,0 +1,79 @@
+"""Camera views that an episode may record: a camera and a modality, as square 8-bit RGB images.
+
+``ego`` is the hand's camera and is always recorded; ``side``, ``ego_depth`` or ``side_segmentation`` are options.
+Depth and segmentation are encoded as RGB too, so that every policy can take them and every video codec can store them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dynahoi_lerobot.hands.base import EGO_CAMERA
+from dynahoi_lerobot.renderers.base import Renderer
+from dynahoi_lerobot.scene.model import SIDE_CAMERA
+from dynahoi_lerobot.scene.scene import Scene
+
+CAMERAS = (EGO_CAMERA, SIDE_CAMERA)
+DEPTH_LEVEL_M = 0.01
+"""Depth per grey level [m]; 2.55 m and more is white, as is a ray that hits nothing."""
+FARTHEST_LEVEL = 255
+COLORS = {"nothing": (0, 0, 0), "surroundings": (70, 70, 70), "fixture": (60, 90, 220), "hand": (60, 200, 80)}
+COLORS |= {"target": (230, 50, 50)}
+"""RGB of each class in a segmentation image."""
+
+
+def color(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
+    """Return the (n, H, W, 3) uint8 RGB images of worlds ``ids`` (n,)."""
+    return renderer.rgb(ids)
+
+
+def depth(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
+    """Return depth along the optical axis as (n, H, W, 3) uint8 grey images, one level per centimetre."""
+    depth_m = renderer.depth(ids)  # (n, H, W)
+    levels = np.where(depth_m > 0.0, np.minimum(depth_m / DEPTH_LEVEL_M, FARTHEST_LEVEL), FARTHEST_LEVEL)
+    return np.repeat(levels.astype(np.uint8)[..., None], 3, axis=-1)
+
+
+def segmentation(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
+    """Return (n, H, W, 3) uint8 images in the ``COLORS`` of the visible classes."""
+    return _palette(renderer.scene)[renderer.segmentation(ids)]  # -1 takes the last row
+
+
+MODALITIES: dict[str, Callable[[Renderer, np.ndarray], np.ndarray]] = {
+    "": color,
+    "_depth": depth,
+    "_segmentation": segmentation,
+}
+"""Function that renders a modality, by the suffix of the view's name."""
+
+VIEWS = {camera + suffix: (camera, draw) for camera in CAMERAS for suffix, draw in MODALITIES.items()}
+"""Camera and rendering function of every view, by name."""
+
+EXTRA_VIEWS = tuple(name for name in VIEWS if name != EGO_CAMERA)
+"""Views that are recorded only if asked for."""
+
+
+def check_views(names: tuple[str, ...]) -> None:
+    """Refuse extra views that do not exist or that are named twice.
+
+    Raises:
+        ValueError: naming the view received and the ones there are.
+    """
+    for name in names:
+        if name not in EXTRA_VIEWS:
+            raise ValueError(f"unknown view {name!r}; known besides {EGO_CAMERA!r}: {', '.join(EXTRA_VIEWS)}")
+    if len(set(names)) < len(names):
+        raise ValueError(f"each view may be named once, got {', '.join(names)}")
+
+
+def _palette(scene: Scene) -> np.ndarray:
+    """(ngeom + 1, 3) uint8 class colour of each geom id; the last row is that of a ray that hits nothing."""
+    palette = np.full((scene.model.ngeom + 1, 3), COLORS["surroundings"], np.uint8)
+    striker_and_string = [scene.striker_geom, scene.tether_geom]
+    palette[[*scene.box_geoms, *striker_and_string]] = COLORS["fixture"]
+    palette[scene.hand_geoms] = COLORS["hand"]
+    palette[scene.target_geoms] = COLORS["target"]
+    palette[-1] = COLORS["nothing"]
+    return palette

@@ -1,0 +1,170 @@
+"""Per frame: geoms brought into a form that is cheap to intersect, and binned into the image tiles they may cover."""
+
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
+from __future__ import annotations
+
+import warp as wp
+
+from dynahoi_lerobot.renderers.raycast.shapes import BOX, ELLIPSOID, PLANE, SPHERE
+
+TILE = wp.constant(16)
+"""Side of a tile [px]."""
+FAR = wp.constant(1.0e10)
+PLAIN_SPECULARITY = wp.constant(0.5)
+"""Specularity of geoms without a material, as in MuJoCo; the materials of this scene have 1."""
+NEAREST_DEPTH = wp.constant(0.01)
+"""A shape nearer to the camera's plane than this [m] is binned into every tile."""
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
+
+
+@wp.struct
+class CameraIntrinsics:
+    """Pinhole camera: id in the model, side of the square image [px], focal length [px]."""
+
+    camera: int
+    size: int
+    focal: float
+
+
+@wp.struct
+class Shape:
+    """A geom of one world, ready for rays from the camera; vectors are in the geom's own frame.
+
+    Attributes:
+        geom_type: ``mujoco.mjtGeom``.
+        size: half-sizes [m], as MuJoCo has them.
+        color_rgb: colour, 0 to 1.
+        camera: position of the camera [m].
+        from_camera: rotation from the camera's axes.
+        to_light: unit vector towards the directional light.
+        texture: index, -1 for none.
+        repeat: how often the texture repeats along u and v.
+        alpha: opacity, 0 to 1.
+        specularity: share of the light's specular colour that it reflects.
+    """
+
+    geom_type: int
+    size: wp.vec3
+    color_rgb: wp.vec3
+    camera: wp.vec3
+    from_camera: wp.mat33
+    to_light: wp.vec3
+    texture: int
+    repeat: wp.vec2
+    alpha: float
+    specularity: float
+
+
+@wp.kernel
+def place_shapes(
+    intrinsics: CameraIntrinsics,
+    shown: wp.array[int],
+    geom_types: wp.array[int],
+    texture_of: wp.array[int],
+    repeat_of: wp.array[wp.vec2],
+    geom_size: wp.array2d[wp.vec3],
+    geom_rgba: wp.array2d[wp.vec4],
+    geom_matid: wp.array2d[int],
+    geom_xpos: wp.array2d[wp.vec3],
+    geom_xmat: wp.array2d[wp.mat33],
+    cam_xpos: wp.array2d[wp.vec3],
+    cam_xmat: wp.array2d[wp.mat33],
+    light_xdir: wp.array2d[wp.vec3],
+    shapes: wp.array2d[Shape],
+    bounds: wp.array2d[wp.vec4],
+):
+    """Write one shape and its bounds in the image: least and greatest column, then row [px].
+
+    Launched over (worlds, shapes).
+    """
+    w, s = wp.tid()
+    geom = shown[s]
+    to_shape = wp.transpose(geom_xmat[w, geom])
+    rgba = geom_rgba[w, geom]
+    shape = Shape()
+    shape.geom_type = geom_types[s]
+    shape.size = geom_size[w, geom]
+    shape.color_rgb = wp.vec3(rgba[0], rgba[1], rgba[2])
+    shape.camera = to_shape * (cam_xpos[w, intrinsics.camera] - geom_xpos[w, geom])
+    shape.from_camera = to_shape * cam_xmat[w, intrinsics.camera]
+    shape.to_light = -(to_shape * light_xdir[w, 0])
+    shape.alpha = rgba[3]
+    shape.specularity = PLAIN_SPECULARITY
+    shape.texture = -1
+    if geom_matid[w, geom] >= 0:
+        shape.specularity = 1.0
+        shape.texture = texture_of[geom_matid[w, geom]]
+        shape.repeat = repeat_of[geom_matid[w, geom]]
+    shapes[w, s] = shape
+    bounds[w, s] = wp.vec4(FAR, -FAR, FAR, -FAR)
+    if rgba[3] > 0.0:
+        bounds[w, s] = _bounds(intrinsics, shape)
+
+
+@wp.func
+def _bounds(intrinsics: CameraIntrinsics, shape: Shape) -> wp.vec4:
+    """Bounds of a shape in the image [px]; generous for ellipsoids and cylinders."""
+    to_camera = wp.transpose(shape.from_camera)
+    center = -(to_camera * shape.camera)
+    if shape.geom_type == BOX:
+        return _box_bounds(intrinsics, center, to_camera, shape.size)
+    if shape.geom_type == PLANE:
+        return wp.vec4(-FAR, FAR, -FAR, FAR)
+    if shape.geom_type == SPHERE:
+        return _sphere_bounds(intrinsics, center, shape.size[0])
+    if shape.geom_type == ELLIPSOID:
+        return _sphere_bounds(intrinsics, center, wp.max(shape.size))
+    end = to_camera * wp.vec3(0.0, 0.0, shape.size[1])
+    return _bounds_of_both(
+        _sphere_bounds(intrinsics, center - end, shape.size[0]), _sphere_bounds(intrinsics, center + end, shape.size[0])
+    )
+
+
+@wp.func
+def _box_bounds(intrinsics: CameraIntrinsics, center: wp.vec3, to_camera: wp.mat33, size: wp.vec3) -> wp.vec4:
+    bounds = wp.vec4(FAR, -FAR, FAR, -FAR)
+    for corner in range(8):
+        x = size[0] * (2.0 * float(corner & 1) - 1.0)
+        y = size[1] * (float(corner & 2) - 1.0)
+        z = size[2] * (0.5 * float(corner & 4) - 1.0)
+        bounds = _bounds_of_both(bounds, _sphere_bounds(intrinsics, center + to_camera * wp.vec3(x, y, z), 0.0))
+    return bounds
+
+
+@wp.func
+def _sphere_bounds(intrinsics: CameraIntrinsics, center: wp.vec3, radius: float) -> wp.vec4:
+    depth = -center[2]
+    if depth - radius < NEAREST_DEPTH:
+        return wp.vec4(-FAR, FAR, -FAR, FAR)
+    x, y = _span(center[0], depth, radius), _span(-center[1], depth, radius)
+    half = 0.5 * float(intrinsics.size)
+    return wp.vec4(x[0], x[1], y[0], y[1]) * intrinsics.focal + wp.vec4(half, half, half, half)
+
+
+@wp.func
+def _span(aside: float, depth: float, radius: float) -> wp.vec2:
+    """Slopes of the two tangents from the camera to a circle."""
+    room = depth * depth - radius * radius
+    root = radius * wp.sqrt(room + aside * aside)
+    return wp.vec2(aside * depth - root, aside * depth + root) / room
+
+
+@wp.func
+def _bounds_of_both(a: wp.vec4, b: wp.vec4) -> wp.vec4:
+    return wp.vec4(wp.min(a[0], b[0]), wp.max(a[1], b[1]), wp.min(a[2], b[2]), wp.max(a[3], b[3]))
+
+
+@wp.kernel
+def sort_into_tiles(tiles_across: int, bounds: wp.array2d[wp.vec4], lists: wp.array3d[int], counts: wp.array2d[int]):
+    """List the shapes whose bounds overlap a tile, in the order of the geoms. Launched over (worlds, tiles)."""
+    w, tile = wp.tid()
+    left, top = float((tile % tiles_across) * TILE), float((tile // tiles_across) * TILE)
+    count = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
+    for s in range(bounds.shape[1]):
+        o = bounds[w, s]
+        if o[0] < left + float(TILE) and o[1] > left and o[2] < top + float(TILE) and o[3] > top:
+            lists[w, tile, count] = s
+            count += 1
+    counts[w, tile] = count

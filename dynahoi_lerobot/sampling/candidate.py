@@ -1,0 +1,124 @@
+"""An episode before it is accepted: what has been drawn for its seed so far, and drawing it again."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from dynahoi_lerobot.appearance import Appearance
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PhysicalMotion
+from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.sampling.instructions import draw_instruction
+from dynahoi_lerobot.sampling.randomization import randomize_appearance
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.timing import Timing, draw_timing
+
+MIN_OBSERVED_S = 0.25
+"""A target that is released must be seen moving for this long before control starts."""
+MAX_SPIN_RAD_S = 2.0
+
+
+@dataclass(eq=False)
+class Candidate:
+    """One episode under construction. Every draw comes from ``rng``, which nothing but recipe and seed decides.
+
+    Attributes:
+        recipe, seed: what the episode is a function of.
+        kind: its kind of motion; kinds take turns with the seed.
+        rng: the episode's random numbers.
+        timing: frames and travel last drawn.
+        motion, target: motion and object last drawn; unset before the first ``draw_motion``.
+    """
+
+    recipe: Recipe
+    seed: int
+    kind: type[Motion]
+    rng: np.random.Generator
+    timing: Timing = field(init=False)
+    motion: Motion = field(init=False)
+    target: TargetObject = field(init=False)
+
+    @classmethod
+    def start(cls, recipe: Recipe, seed: int) -> Self:
+        """Return the candidate of a seed, with its first timing.
+
+        Raises:
+            ValueError: if the seed is negative.
+        """
+        if seed < 0:
+            raise ValueError(f"seeds must not be negative, got {seed}")
+        names = recipe.motion_names
+        rng = np.random.default_rng([zlib.crc32(recipe.split.encode()), seed])
+        candidate = cls(recipe, seed, MOTIONS[names[seed % len(names)]], rng)
+        candidate.draw_timing()
+        return candidate
+
+    def draw_timing(self) -> None:
+        """Draw duration and travel, and leave the capture rule the frames it needs after the intercept."""
+        timing = draw_timing(self.kind.name, self.recipe.protocol, self.rng)
+        shortest = timing.intercept_frame + 1 + CAPTURES[self.recipe.capture].hold_frames
+        self.timing = replace(timing, length_frames=max(timing.length_frames, shortest))
+
+    def draw_motion(self) -> bool:
+        """Draw object and motion; tell whether enough of the motion would be observed.
+
+        Raises:
+            ValueError: if none of the recipe's objects can move this way.
+        """
+        self.target = self._draw_target()
+        window_s = self.timing.window_frames * CONTROL_DT
+        draw = Draw(
+            rng=self.rng,
+            target=self.target,
+            window_s=window_s,
+            intercept_s=window_s + self.timing.approach_frames * CONTROL_DT,
+            horizon_s=self.timing.path_frames * CONTROL_DT,
+            speed_scale=self.recipe.speed_scale,
+        )
+        self.motion = self.kind.sample(draw)
+        if not isinstance(self.motion, PhysicalMotion):
+            return True
+        return self.motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
+
+    def _draw_target(self) -> TargetObject:
+        allowed = [name for name in self.recipe.object_names if name in self.kind.objects()]
+        if not allowed:
+            raise ValueError(
+                f"motion {self.kind.name!r} takes none of the objects {', '.join(self.recipe.object_names)}"
+            )
+        name = str(self.rng.choice(allowed))
+        return OBJECTS[name].sample(name, self.rng)
+
+    def accept(self, path_w: np.ndarray, home_pos_w: np.ndarray) -> EpisodeSpec:
+        """Draw what does not decide whether the episode is possible, and return the episode.
+
+        Args:
+            path_w: (F, 3) path of the untouched target [m], world.
+            home_pos_w: (3,) palm centre at the start [m], world.
+        """
+        spec = EpisodeSpec(
+            seed=self.seed,
+            split=self.recipe.split,
+            motion=self.motion,
+            target=self.target,
+            appearance=Appearance.sample(self.rng),
+            task=draw_instruction(self.recipe.instructions, self.target.name, self.motion.phrase, self.rng),
+            protocol=self.recipe.protocol,
+            hand=self.recipe.hand,
+            window_frames=self.timing.window_frames,
+            length_frames=self.timing.length_frames,
+            home_pos_w=home_pos_w,
+            intercept_frame=self.timing.intercept_frame,
+            intercept_pos_w=path_w[self.timing.intercept_frame],
+            yaw_rad=float(self.rng.uniform(0, 2 * np.pi)),
+            spin_rad_s=float(self.rng.uniform(-MAX_SPIN_RAD_S, MAX_SPIN_RAD_S)),
+            oracle_path=path_w,
+            fingerprint=self.recipe.fingerprint(),
+        )
+        return randomize_appearance(spec, self.recipe.appearance)

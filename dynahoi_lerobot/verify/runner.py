@@ -1,0 +1,82 @@
+"""Run every registered check on a dataset and collect the findings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Finding
+from dynahoi_lerobot.verify.replay_check import compare_replays
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.rollout.replay import Resimulate
+
+DECODED = 64
+"""Episodes whose pictures are decoded by default."""
+REPLAYED = 8
+"""Episodes that are simulated again by default."""
+SHOWN = 5
+"""Findings reported per check; the rest are counted."""
+
+
+def verify(
+    root: Path,
+    *,
+    decoded: int | None = DECODED,
+    resimulate: Resimulate | None = None,
+    replayed: int = REPLAYED,
+    progress: Callable[[int], object] = lambda _: None,
+) -> list[Finding]:
+    """Run every check on a dataset.
+
+    Args:
+        root: the dataset's folder.
+        decoded: how many episodes' pictures are decoded, None for all. Every packet of every video is read anyway.
+        resimulate: the simulator, for replaying stored actions; None leaves that out.
+        replayed: how many episodes are replayed.
+        progress: called with the number of episodes checked so far.
+
+    Returns:
+        At most ``SHOWN`` findings per check and a count of the rest; empty if every check passed.
+
+    Raises:
+        FileNotFoundError: if ``root`` holds no dataset.
+    """
+    dataset = CheckedDataset(root, decoded)
+    checks = [(name, check()) for name, check in CHECKS.items()]
+    findings = [finding for name, check in checks for finding in _guarded(name, check.check_dataset(dataset))]
+    findings += _guarded("reading", _episodes(dataset, checks, progress))
+    if resimulate is not None:
+        findings += _guarded("replay", compare_replays(dataset, resimulate, replayed))
+    return list(_shortened(findings))
+
+
+def _episodes(
+    dataset: CheckedDataset, checks: list[tuple[str, Check]], progress: Callable[[int], object]
+) -> Iterator[Finding]:
+    for number, (row, columns) in enumerate(dataset.each_episode(), 1):
+        for name, check in checks:
+            yield from _guarded(name, check.check_episode(dataset, row, columns))
+        progress(number)
+
+
+def _guarded(name: str, found: Iterator[str] | Iterator[Finding]) -> list[Finding]:
+    """Collect what one check finds; an exception in a check is a finding, too."""
+    findings: list[Finding] = []
+    try:
+        findings.extend(item if isinstance(item, Finding) else Finding(name, item) for item in found)
+    except Exception as error:
+        findings.append(Finding(name, f"cannot be checked: {type(error).__name__}: {error}"))
+    return findings
+
+
+def _shortened(findings: list[Finding]) -> Iterator[Finding]:
+    counts: dict[str, int] = {}
+    for finding in findings:
+        counts[finding.check] = counts.get(finding.check, 0) + 1
+        if counts[finding.check] <= SHOWN:
+            yield finding
+    for check, count in counts.items():
+        if count > SHOWN:
+            yield Finding(check, f"and {count - SHOWN} more")

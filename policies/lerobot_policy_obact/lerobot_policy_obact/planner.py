@@ -1,0 +1,107 @@
+"""Acting: from a stream of observations to executed actions."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .action_frame import ActionFrame
+from .configuration_obact import ObActConfig
+from .decisions import window_decisions
+from .frames import EncodedFrames
+from .heads.base import Guide
+from .history import ChunkQueue, History
+from .model import ObActModel
+from .observation import Batch, Observation
+
+
+class ChunkPlanner:
+    """Remembers observed frames, predicts chunks of actions and executes them one action at a time.
+
+    The network is an argument of every method: acting uses the averaged weights where there are any.
+
+    Args:
+        config: the policy's config.
+        frame: the frame in which actions are predicted.
+    """
+
+    def __init__(self, config: ObActConfig, frame: ActionFrame) -> None:
+        self.config, self.frame = config, frame
+        self.history, self.queue = History(config.windows), ChunkQueue()
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.history.clear()
+        self.queue.clear()
+
+    def next_action(self, model: ObActModel, batch: Batch, noise: Tensor | None = None) -> Tensor:
+        """Return the next action of every environment, normalised, shape ``(B, A)``.
+
+        Args:
+            model: the network.
+            batch: preprocessed observation of one control step; each call adds one frame to the history.
+            noise: start of the chunks predicted in this step, shape ``(B, H, noise_dim)``; None draws it.
+        """
+        observation = Observation.from_batch(batch, self.config)
+        self.history.append(observation)
+        rows = self.queue.rows_to_plan(self._trigger(batch), n_rows=len(observation.keep))
+        if rows:
+            start = self.noise(model, [self.queue.n_planned[row] for row in rows]) if noise is None else noise[rows]
+            chunks = self.plan(model, self.history.window(model.encode).rows(rows), start)
+            self.queue.put(rows, chunks[:, self.config.latency_frames :][:, : self.config.n_action_steps])
+        return self.queue.pop()
+
+    def window(self, model: ObActModel, batch: Batch) -> EncodedFrames:
+        """Return the encoded frames that a decision sees, shape ``(B, s + 1)``.
+
+        Args:
+            model: the network.
+            batch: one frame per environment, which joins the history, or the frames of a dataset sample.
+
+        Raises:
+            ValueError: if the batch has another number of frames.
+        """
+        observation, windows = Observation.from_batch(batch, self.config), self.config.windows
+        n_frames = observation.keep.shape[1]
+        if n_frames == len(windows.lookback):
+            return model.encode(observation)
+        if n_frames == len(windows.observation_offsets):
+            return model.encode(observation.frames(windows.frame_index[0]))
+        if n_frames == 1:
+            self.history.append(observation)
+            return self.history.window(model.encode)
+        raise ValueError(
+            f"the batch has {n_frames} frames per sample, but must have 1 or "
+            f"{len(windows.observation_offsets)}: those at {windows.observation_offsets}."
+        )
+
+    def plan(self, model: ObActModel, window: EncodedFrames, noise: Tensor, guide: Guide | None = None) -> Tensor:
+        """Return one normalised chunk per row of the window, shape ``(B, H, A)``.
+
+        Args:
+            model: the network.
+            window: encoded frames, oldest first.
+            noise: start of the sampling, shape ``(B, H, noise_dim)``.
+            guide: steers the sampling, for heads with ``accepts_guide``.
+        """
+        whole_window = [list(range(window.keep.shape[1]))]
+        condition = model.conditions(window, window_decisions(window, whole_window, self.config))
+        return self.frame.to_actions(model.head.sample(condition, noise, guide), window.position[:, -1])
+
+    def noise(self, model: ObActModel, chunk_numbers: list[int]) -> Tensor:
+        """Draw the noise that one chunk per row starts from, shape ``(R, H, noise_dim)``.
+
+        Args:
+            model: the network, for the size of the noise and its device.
+            chunk_numbers: chunks predicted before in each row's episode; with a seed the noise depends on them alone.
+        """
+        shape, device = (self.config.horizon, model.head.noise_dim), next(model.parameters()).device
+        if self.config.noise_seed is None:
+            return torch.randn(len(chunk_numbers), *shape, device=device) * self.config.noise_scale
+        seeds = [self.config.noise_seed + 1_000_003 * number for number in chunk_numbers]
+        draws = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
+        return torch.stack(draws).to(device) * self.config.noise_scale
+
+    def _trigger(self, batch: Batch) -> Tensor | None:
+        value = batch.get(self.config.replan_key)
+        return None if value is None else value.flatten(1)[:, -1]  # (B, 1) -> (B,)

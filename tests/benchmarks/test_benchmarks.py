@@ -1,0 +1,50 @@
+"""Every benchmark runs, in a tiny setting, as its first line says, and leaves its numbers in a file."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+QUICK = ("sampling_histograms",)
+SCRIPTS = [
+    pytest.param(path, id=path.stem, marks=() if path.stem in QUICK else pytest.mark.slow)
+    for path in sorted(BENCHMARKS.glob("*.py"))
+]
+
+
+def numbers_in(value: Any) -> Iterator[float]:
+    """Yield every number of nested tables."""
+    if isinstance(value, dict):
+        for item in value.values():
+            yield from numbers_in(item)
+    elif isinstance(value, list):
+        for item in value:
+            yield from numbers_in(item)
+    elif isinstance(value, int | float):
+        yield value
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_it_runs_and_writes_its_numbers(script: Path, tmp_path: Path) -> None:
+    command = [sys.executable, str(script), "--tiny", "--json", "out/numbers.json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    table = json.loads((tmp_path / "out" / "numbers.json").read_text())
+    assert table.pop("settings")
+    assert table.pop("machine")["cores"] >= 1
+    if script.stem == "contact_sheet":
+        assert (tmp_path / "contact_sheet.png").is_file()
+        assert len(table["kinds"]) == 2
+        return
+    numbers = list(numbers_in(table))
+    assert numbers
+    assert all(math.isfinite(number) for number in numbers)
+    assert any(number > 0 for number in numbers)

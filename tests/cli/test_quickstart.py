@@ -1,0 +1,36 @@
+"""``dynahoi quickstart``, the first command that anyone runs: all of it, shortened."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dynahoi_lerobot.cli import quickstart
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.motions import benchmark_motions
+
+SHORT = ["--episodes", "4", "--steps", "1", "--evaluation-episodes", "1"]
+
+
+@pytest.mark.slow
+def test_it_leaves_a_dataset_a_checkpoint_results_and_a_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "quickstart"
+    assert main(["quickstart", "--out", str(out), *SHORT]) == 0, capsys.readouterr().err
+    assert main(["verify", str(out / "dataset")]) == 0
+    config = json.loads((out / "training/checkpoints/last/pretrained_model/config.json").read_text())
+    assert config["type"] == "obact"
+    kinds = sorted(benchmark_motions())
+    for name in ("obact", *quickstart.BASELINES):
+        assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
+    page = (out / "report.html").read_text()
+    assert all(name in page for name in ("obact", *quickstart.BASELINES))
+    assert "S_loc" in (out / "table.txt").read_text()
+
+    capsys.readouterr()
+    assert main(["quickstart", "--out", str(out), *SHORT]) == 0
+    assert capsys.readouterr().out.count("already done") == 4, "a second run must find everything there"

@@ -1,0 +1,151 @@
+"""``dynahoi view``: every source and every format, and one sentence for what cannot be shown."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from dynahoi_lerobot.cli import main as cli
+from dynahoi_lerobot.cli.clip import Clip, write_clip
+from dynahoi_lerobot.evaluate.gif import BORDERS
+
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_cpu"
+
+
+def view(*words: object) -> int:
+    return cli.main(["view", *map(str, words)])
+
+
+def duration_ms(path: Path) -> int:
+    """Return how long a GIF plays; frames that are equal are stored once."""
+    with Image.open(path) as gif:
+        return sum(page.info["duration"] for page in ImageSequence.Iterator(gif))
+
+
+@pytest.mark.parametrize("suffix", ["gif", "mp4", "html"])
+def test_a_motion_is_played_into_every_format(suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / "new" / f"episode.{suffix}"
+    assert view("--motion", "lob", "--image-size", 32, "--out", out) == 0
+    if suffix == "mp4":
+        with av.open(str(out)) as film:
+            frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+        assert len(frames) > 20
+        assert frames[0].shape == (32, 32, 3)
+    else:
+        assert out.stat().st_size > 2000
+    assert [path.name for path in out.parent.iterdir()] == [out.name]
+
+
+def test_an_episode_of_a_dataset(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "episode.gif"
+    assert view("--dataset", dataset, "--episode", 3, "--out", out) == 0
+    assert capsys.readouterr().out == f"Catch the blue ball.: {out}\n"
+    assert duration_ms(out) == 23 * 50, "episode i of the made-up dataset has 20 + i frames"
+    with Image.open(out) as gif:
+        assert np.abs(np.array(gif.convert("RGB").getpixel((0, 0))) - BORDERS["observing"]).max() < 12
+        gif.seek(gif.n_frames - 1)  # type: ignore[attr-defined] - of every animated format
+        assert np.abs(np.array(gif.convert("RGB").getpixel((0, 0))) - BORDERS["localized"]).max() < 12
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--episode", "6"], "--episode must be 0 to 5, got 6"),
+        (["--episode", "-1"], "--episode must be 0 to 5, got -1"),
+        (["--view", "side"], "has no view 'side'; it has observation.images.ego"),
+    ],
+)
+def test_what_a_dataset_does_not_hold(
+    words: list[str], sentence: str, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert view("--dataset", dataset, *words, "--out", tmp_path / "x.gif") == cli.BAD_INPUT
+    assert sentence in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("info", [None, "{", "{}"])
+def test_a_missing_or_damaged_dataset_is_one_sentence(
+    info: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if info is not None:
+        (tmp_path / "data" / "meta").mkdir(parents=True)
+        (tmp_path / "data" / "meta" / "info.json").write_text(info)
+    assert view("--dataset", tmp_path / "data", "--out", tmp_path / "x.gif") == cli.BAD_INPUT
+    message = capsys.readouterr().err.strip()
+    assert str(tmp_path / "data") in message
+    assert message.count("\n") == 0
+
+
+@pytest.mark.slow
+def test_a_policy_plays_at_the_size_it_was_trained_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "policy.mp4"
+    assert view("--motion", "planar", "--policy", CHECKPOINT, "--out", out) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{CHECKPOINT}: Catch")
+    with av.open(str(out)) as film:
+        assert next(film.decode(video=0)).width == 64
+
+
+def test_results_without_a_readable_recipe_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results = tmp_path / "r"
+    assert cli.main(["evaluate", "--policy", "hold", "--episodes", "1", "--out", str(results)]) == 0
+    capsys.readouterr()
+    head = json.loads((results / "metrics.json").read_text())
+    for recipe in (7, {"image_size": "large"}, {"no_such": 1}, {"split": "exam"}):
+        head["extra"]["recipe"] = recipe
+        (results / "metrics.json").write_text(json.dumps(head))
+        assert view("--results", results, "--out", tmp_path / "x.gif") == cli.BAD_INPUT
+        message = capsys.readouterr().err.strip()
+        assert "is damaged" in message
+        assert message.count("\n") == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ([], "say what to watch"),
+        (["--motion", "lob", "--results", "r"], "say what to watch, one of"),
+        (["--motion", "lop"], "unknown motion 'lop' (did you mean 'lob'?)"),
+        (["--motion", "lob", "--image-size", "0"], "image_size must be 16 to 1024 pixels, got 0"),
+        (["--results", "nowhere"], "there is no result folder nowhere"),
+    ],
+)
+def test_bad_sources_are_one_sentence(
+    words: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert view(*words, "--out", tmp_path / "x.gif") == cli.BAD_INPUT
+    assert sentence in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_page_shows_a_hostile_caption_as_text_and_spares_its_neighbours(tmp_path: Path) -> None:
+    neighbour = tmp_path / "page.gif"
+    neighbour.write_bytes(b"mine")
+    frames = np.zeros((2, 16, 16, 3), np.uint8)
+    write_clip(tmp_path / "page.html", Clip(frames, '"><script>alert({data})</script>', None))
+    text = (tmp_path / "page.html").read_text()
+    assert "<script>" not in text
+    assert 'alt="&quot;&gt;&lt;script&gt;alert({data})&lt;/script&gt;"' in text
+    assert neighbour.read_bytes() == b"mine"
+
+
+def test_frames_of_odd_size_become_a_video(tmp_path: Path) -> None:
+    write_clip(tmp_path / "odd.mp4", Clip(np.zeros((3, 17, 31, 3), np.uint8), "", None))
+    with av.open(str(tmp_path / "odd.mp4")) as film:
+        assert [(frame.width, frame.height) for frame in film.decode(video=0)] == [(32, 18)] * 3
+
+
+def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="a GIF needs"):
+        write_clip(tmp_path / "x.gif", Clip(np.zeros((0, 8, 8, 3), np.uint8), "", None))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_as_goal_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.gif").mkdir()
+    assert view("--motion", "lob", "--image-size", 16, "--out", tmp_path / "x.gif") == cli.BAD_INPUT
+    assert "x.gif" in capsys.readouterr().err

@@ -1,0 +1,42 @@
+"""Play the motion and the object of a third party by their names: env, recording and dataset command.
+
+python -m tests.third_party.by_name FOLDER
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+
+from dynahoi_lerobot.cli.main import main as dynahoi
+from dynahoi_lerobot.env import register_envs
+from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.scene.scene import compile_scene
+from tests.third_party import register
+
+OPTIONS = ["--motions", "a_drift", "--objects", "caltrop"]
+
+
+def main(folder: Path) -> None:
+    before = compile_scene()
+    register()
+    assert compile_scene().target_geoms.size > before.target_geoms.size, "slots are added after the first compilation"
+    for split in ("train", "test", "ood_speed"):
+        recipe = Recipe(split=split, motions=("a_drift",), objects=("caltrop",), image_size=32)
+        (episode,) = record(recipe, [0])
+        assert (episode.meta.motion, episode.meta.object, episode.success) == ("a_drift", "caltrop", True)
+    (contact,) = record(Recipe(capture="contact", objects=("caltrop",), motions=("constant",), image_size=32), [0])
+    assert contact.target_contacts.any(), "its solids are touched"
+    register_envs()
+    env = gym.make("dynahoi/a_drift-v0", image_size=32)
+    observation, _ = env.reset(seed=0)
+    assert np.ptp(observation["pixels"]["ego"]) > 0
+    assert dynahoi(["generate", "--root", str(folder), "--episodes", "1", "--image-size", "32", *OPTIONS]) == 0
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,29 @@
+"""An object with more primitives of each shape than any of the core's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynahoi_lerobot.objects import OBJECTS, ObjectGeometry, ObjectType, Primitive
+
+SPIKES = 10
+SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
+"""How many half-sizes each shape has."""
+
+
+@OBJECTS.register("caltrop")
+class Caltrop(ObjectType):
+    """Ten spikes of every shape there is, 1 to 1.2 cm long, all around the centre."""
+
+    @classmethod
+    def sample_geometry(cls, rng: np.random.Generator) -> ObjectGeometry:
+        """Draw sizes and positions [m]."""
+        size = rng.uniform(0.005, 0.006)
+        spikes = [_spike(shape, number, size) for shape in SIZES for number in range(SPIKES)]
+        return ObjectGeometry(tuple(spikes), 0.025, 0.02 + 2 * size)
+
+
+def _spike(shape: str, number: int, size: float) -> Primitive:
+    angle = 2 * np.pi * number / SPIKES
+    height = 0.01 * (list(SIZES).index(shape) - 2)
+    return Primitive(shape, (size,) * SIZES[shape], (0.02 * float(np.cos(angle)), 0.02 * float(np.sin(angle)), height))

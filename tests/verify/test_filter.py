@@ -1,0 +1,133 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.dataset import write_episodes
+from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.verify.outliers import Outlier, find_outliers
+from dynahoi_lerobot.verify.runner import verify
+from tests.dataset.episodes import varied_episode
+from tests.dataset.lerobot_api import open_dataset
+
+SENTENCE = "episode 7: action.thumb_tip reaches 2.200, outside -0.500 to 1.500 in 1 frame"
+
+
+@pytest.fixture(scope="module")
+def with_outlier(tmp_path_factory) -> Path:
+    """Twelve episodes, of which one reaches a finger further than any other, for a single frame."""
+    episodes = [varied_episode(seed, 16) for seed in range(12)]
+    action = episodes[7].action.copy()
+    action[10, 5] = 2.2
+    episodes[7] = dataclasses.replace(episodes[7], action=action)
+    root = tmp_path_factory.mktemp("outlier") / "d"
+    write_episodes(root, episodes, 16)
+    return root
+
+
+def run(*words: object) -> int:
+    return main(["filter", *map(str, words)])
+
+
+def test_outliers_are_named(with_outlier):
+    (outlier,) = find_outliers(with_outlier, margin=0.5)
+    assert outlier == Outlier(7, "action.thumb_tip", 1, pytest.approx(2.2), -0.5, 1.5)
+    assert str(outlier) == SENTENCE
+    assert find_outliers(with_outlier, margin=2.0) == []
+    assert find_outliers(with_outlier, margin=0.5, column="observation.state") == []
+
+
+def write_with_nan(root: Path, episodes: int) -> Path:
+    """Episodes of which the second has one command that is not a number."""
+    made = [varied_episode(seed, None) for seed in range(episodes)]
+    action = made[1].action.copy()
+    action[4, 2] = np.nan
+    write_episodes(root, [made[0], dataclasses.replace(made[1], action=action), *made[2:]], None)
+    return root
+
+
+def test_nan_is_an_outlier(tmp_path):
+    found = find_outliers(write_with_nan(tmp_path / "d", episodes=6))
+    assert [(outlier.episode, outlier.column) for outlier in found] == [(1, "action.palm_z")]
+
+
+def test_a_column_without_a_robust_range_is_refused(tmp_path, capsys):
+    assert run(write_with_nan(tmp_path / "d", episodes=2), "--dry-run") == 2
+    assert "action is often not finite, so it has no robust range" in capsys.readouterr().err
+
+
+def test_a_dataset_of_others_is_refused(with_outlier, tmp_path, capsys):
+    stock = shutil.copytree(with_outlier, tmp_path / "stock")
+    (stock / "meta/manifest.json").unlink()
+    assert run(stock, "--out", tmp_path / "new") == 2
+    assert "stock was not written by this project: meta/manifest.json is missing" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, capsys):
+    before = hash_files(with_outlier)
+    assert run(with_outlier, "--out", tmp_path / "new", "--margin", 0.5, "--json", tmp_path / "summary.json") == 0
+    printed = capsys.readouterr().out
+    assert SENTENCE in printed
+    assert f"1 of 12 episodes left out; the others are in {tmp_path / 'new'}" in printed
+    kept = [seed for seed in range(12) if seed != 7]
+    opened = open_dataset(tmp_path / "new")
+    assert opened.meta.episodes["seed"] == kept
+    first_of_eighth = sum(20 + seed % 7 for seed in kept[:7])
+    np.testing.assert_array_equal(opened[first_of_eighth + 3]["action"], varied_episode(8).action[3])
+    image = np.moveaxis(opened[first_of_eighth + 3]["observation.images.ego"].numpy() * 255, 0, -1)
+    assert np.abs(image - varied_episode(8, 16).images[3]).mean() < 6
+    assert verify(tmp_path / "new", decoded=None) == []
+    assert Manifest.read(tmp_path / "new").provenance["kept"] == kept
+    assert hash_files(with_outlier) == before
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["episodes"], summary["kept"]) == (12, 11)
+    assert [found["episode"] for found in summary["left_out"]] == [7]
+
+
+def test_a_dry_run_writes_nothing(with_outlier, tmp_path, capsys):
+    assert run(with_outlier, "--margin", 0.5, "--dry-run") == 0
+    printed = capsys.readouterr().out
+    assert SENTENCE in printed
+    assert "dry run, nothing was written" in printed
+    assert run(with_outlier, "--dry-run", "--out", tmp_path / "new") == 0
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_dataset_without_outliers_is_copied_whole(with_outlier, tmp_path):
+    assert run(with_outlier, "--out", tmp_path / "new", "--margin", 3) == 0
+    assert Store(tmp_path / "new").episodes == 12
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--margin", "-1"], "the margin is -1.0; it must be a finite number, 0 or more"),
+        (["--margin", "nan"], "the margin is nan"),
+        (["--column", "velocity"], "there is no column 'velocity'; known: observation.state"),
+        (["--column", "timestamp"], "there is no column 'timestamp'"),
+    ],
+)
+def test_bad_input_is_one_sentence(with_outlier, tmp_path, capsys, words, sentence):
+    assert run(with_outlier, "--out", tmp_path / "new", *words) == 2
+    error = capsys.readouterr().err
+    assert sentence in error
+    assert error.count("\n") == 1
+    assert not any(tmp_path.iterdir())
+
+
+def test_folders_that_do_not_fit_are_refused(with_outlier, tmp_path, capsys):
+    assert run(tmp_path, "--out", tmp_path / "new") == 2
+    assert "holds no LeRobot dataset" in capsys.readouterr().err
+    assert run(with_outlier) == 2
+    assert "say where the new dataset goes with --out DIR" in capsys.readouterr().err
+    assert run(with_outlier, "--out", tmp_path) == 2
+    assert f"{tmp_path} exists; choose a new folder" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
