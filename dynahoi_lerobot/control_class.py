@@ -44,7 +44,7 @@ arm. At 2 m/s a memoryless pursuit of the true position catches everything; at 0
 DEFAULT_CONTROL_CLASS = "standard"
 
 
-def control_class(name: str) -> ControlClass:
+def control_class_of(name: str) -> ControlClass:
     """Return the control class called ``name``.
 
     Raises:

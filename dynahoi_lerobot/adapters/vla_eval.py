@@ -43,6 +43,7 @@ class DynahoiBenchmark(StepBenchmark):
         kinds: list[str] | None = None,
         capture: str = "attach",
         protocol: str = "observe_before_act",
+        control_class: str = DEFAULT_CONTROL_CLASS,
         send_state: bool = True,
     ) -> None:
         """Configure the benchmark.
@@ -51,7 +52,7 @@ class DynahoiBenchmark(StepBenchmark):
             split: ``test``, ``test_small``, ``val`` or ``ood_*``.
             image_size: side of the images [px].
             kinds: names of the motions; all of the split if None.
-            capture, protocol: see ``Recipe``.
+            capture, protocol, control_class: see ``Recipe``.
             send_state: whether observations contain the hand's state.
         """
         super().__init__()
@@ -61,6 +62,7 @@ class DynahoiBenchmark(StepBenchmark):
             "image_size": image_size,
             "capture": capture,
             "protocol": protocol,
+            "control_class": control_class,
         }
         self._env: DynahoiVectorEnv | None = None
         self._episode: Episode | None = None

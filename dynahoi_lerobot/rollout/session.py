@@ -92,4 +92,4 @@ class Session:
     def finish(self, i: int, actor: str) -> tuple[Job, Episode]:
         """End the episode of world ``i``; return its job and the recording, which names the actor."""
         recorder = self._recorders.pop(i)
-        return recorder.job, recorder.freeze(self.batch.rule, actor)
+        return recorder.job, recorder.freeze(self.batch.rule, self.batch.control, actor)

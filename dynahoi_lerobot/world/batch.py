@@ -10,7 +10,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.agent import Observation, WorldState
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.hands.base import EGO_CAMERA
@@ -57,7 +57,7 @@ class WorldBatch:
         size: int,
         *,
         capture: str = "attach",
-        control: str = DEFAULT_CONTROL_CLASS,
+        control_class: str = DEFAULT_CONTROL_CLASS,
         hand: str = "capsule",
         image_size: int = 128,
         views: Sequence[str] = (),
@@ -70,7 +70,7 @@ class WorldBatch:
         Args:
             size: N.
             capture: the capture rule.
-            control: the control class.
+            control_class: limits of the hand and latency of its commands.
             hand: the hand.
             image_size: side of the images [px].
             views: what is rendered besides the hand's camera, see `renderers/camera_views.py`.
@@ -88,7 +88,7 @@ class WorldBatch:
         self.rule = CAPTURES[capture]()
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
-        self.control = control_class(control)
+        self.control = control_class_of(control_class)
         gantry, joint_speed = self.rule.gantry_speed_m_s, self.control.joint_speed_rad_s
         palm_speed = self.control.palm_speed_m_s if gantry is None else gantry
         self._servo = Servo(self.scene.model, SpeedLimits(palm_speed, joint_speed, by_axis=gantry is not None))
