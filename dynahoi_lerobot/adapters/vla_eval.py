@@ -15,6 +15,7 @@ from vla_eval.benchmarks.base import StepBenchmark, StepResult, repeat_last_hold
 from vla_eval.specs import DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.foundation.conventions import HAND_DOF

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--control-class",
         default=DEFAULT_CONTROL_CLASS,
-        help="limits of the hand and latency of its commands: unlimited, standard or late",
+        help="hand limits: unlimited, standard or late",
     )
     parser.add_argument("--hand", default="", help="hand model; the capture rule's own by default")
     parser.add_argument(

@@ -38,9 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motions", type=names, help="comma-separated kinds of motion")
     parser.add_argument("--objects", type=names, help="comma-separated objects")
     parser.add_argument("--capture", help="capture rule, with its own hand and expert")
-    parser.add_argument(
-        "--control-class", help="limits of the hand and latency of its commands: unlimited, standard or late"
-    )
+    parser.add_argument("--control-class", help="hand limits: unlimited, standard or late")
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
