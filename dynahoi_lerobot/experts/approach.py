@@ -37,7 +37,8 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
     step = towards * min(1.0 / arrival, longest_m / max(float(np.linalg.norm(towards)), 1e-12))
     progress = (np.arange(arrival + 1) / arrival)[:, None]
     contact = _first_contact(palm + progress * towards, path_w[: arrival + 1])
-    return np.concatenate([palm + step, _closing(joints, closed, contact - SPARE_FRAMES)])
+    turn = _closing(closed - joints, contact - SPARE_FRAMES, world.control.joint_speed_rad_s * CONTROL_DT)
+    return np.concatenate([palm + step, joints + turn])
 
 
 def _earliest_arrival(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> int:
@@ -50,11 +51,11 @@ def _earliest_arrival(world: WorldView, path_w: np.ndarray, speed_m_s: float) ->
     return int(possible.argmax()) + 1 if possible.any() else len(path_w) - 1
 
 
-def _closing(joints: np.ndarray, closed: np.ndarray, frames_left: int) -> np.ndarray:
-    """Return (15,) the next joint angles [rad] of fingers that must be closed in so many frames."""
+def _closing(missing: np.ndarray, frames_left: int, farthest_rad: float) -> np.ndarray:
+    """Return (15,) how far joints turn next [rad] that have ``missing`` (15,) to go in so many frames."""
     if frames_left > CLOSING_FRAMES:
-        return joints
-    return joints + (closed - joints) / max(frames_left, 1)
+        return np.zeros_like(missing)
+    return np.clip(missing / max(frames_left, 1), -farthest_rad, farthest_rad)
 
 
 def _first_contact(palm_w: np.ndarray, target_w: np.ndarray) -> int:

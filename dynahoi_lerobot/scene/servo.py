@@ -9,6 +9,9 @@ import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF, SUBSTEPS
 
+ROUNDING = 1e-5
+"""Relative excess of a step that is a rounding error: replaying a stored, cut command must not cut it again."""
+
 
 @dataclass(frozen=True)
 class SpeedLimits:
@@ -28,12 +31,15 @@ class SpeedLimits:
         """Return (n, 18) the steps [m, rad] of one frame, cut to the limits; the palm's keeps its direction."""
         palm, joints = step[:, :PALM_DOF], step[:, PALM_DOF:]
         farthest_m, farthest_rad = self.palm_speed_m_s * CONTROL_DT, self.joint_speed_rad_s * CONTROL_DT
-        if self.by_axis:
-            palm = np.clip(palm, -farthest_m, farthest_m)
-        else:
-            length = np.linalg.norm(palm, axis=1, keepdims=True)
-            palm = palm * np.minimum(1.0, farthest_m / np.maximum(length, 1e-12))
-        return np.concatenate([palm, np.clip(joints, -farthest_rad, farthest_rad)], axis=1)
+        palm = _shortened(
+            palm, np.abs(palm) if self.by_axis else np.linalg.norm(palm, axis=1, keepdims=True), farthest_m
+        )
+        return np.concatenate([palm, _shortened(joints, np.abs(joints), farthest_rad)], axis=1)
+
+
+def _shortened(step: np.ndarray, length: np.ndarray, farthest: float) -> np.ndarray:
+    """Scale steps that are longer than ``farthest``; rounding to single precision makes none too long."""
+    return np.where(length > farthest * (1 + ROUNDING), step * (farthest / np.maximum(length, farthest)), step)
 
 
 class Servo:

@@ -48,7 +48,8 @@ class WorldBatch:
         frame: (N,) int, current frame of each world's episode.
         attempt: (N,) int, from 1.
         control: the control class, whose limits every command is held to.
-        commanded: (N, 18) the command last given, within joint ranges and the palm's reach.
+        servo: what holds them to it.
+        commanded: (N, 18) the command last given, cut to what an undisturbed hand can meet when it takes effect.
         executed: (N, 18) what the servos were last told: the command that was due, cut to the speed limits, disturbed.
     """
 
@@ -91,7 +92,7 @@ class WorldBatch:
         self.control = control_class_of(control_class)
         gantry, joint_speed = self.rule.gantry_speed_m_s, self.control.joint_speed_rad_s
         palm_speed = self.control.palm_speed_m_s if gantry is None else gantry
-        self._servo = Servo(self.scene.model, SpeedLimits(palm_speed, joint_speed, by_axis=gantry is not None))
+        self.servo = Servo(self.scene.model, SpeedLimits(palm_speed, joint_speed, by_axis=gantry is not None))
         self._latency = CommandLatency(size, self.control.latency_frames)
         self._targets = Targets(self.scene, self._fields, size)
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
@@ -141,12 +142,12 @@ class WorldBatch:
             return
         previous, acting = self.executed[chosen], self.acting[chosen]
         # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
-        commanded = self._servo.within_range(np.where(self.accepting[chosen, None], wanted, previous))
-        commanded = commanded.astype(np.float32).astype(np.float64)
+        commanded = self.servo.within_reach(wanted, self._state_when_due()[chosen]).astype(np.float32)
+        commanded = np.where(self.accepting[chosen, None], commanded.astype(np.float64), previous)
         due = self._latency.exchange(chosen, commanded) + self._disturbance.offsets(chosen, self.frame[chosen])
-        executed = self._servo.within_reach(due, previous)
+        executed = self.servo.within_reach(due, previous)
         force_w = np.stack([self._targets.force(int(i), int(self.frame[i])) for i in chosen])  # (n, 25, 3)
-        control = self._physics.control(self._servo.set_points(executed, previous), force_w)
+        control = self._physics.control(self.servo.set_points(executed, previous), force_w)
         self._physics.advance(chosen, control, acting)
         self.commanded[chosen], self.executed[chosen] = commanded, executed
         self.frame[chosen] += 1
@@ -158,7 +159,7 @@ class WorldBatch:
 
     def command_limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (18,) least and greatest commands, float32: reach of the palm [m] and joint ranges [rad]."""
-        return self._servo.low.astype(np.float32), self._servo.high.astype(np.float32)
+        return self.servo.low.astype(np.float32), self.servo.high.astype(np.float32)
 
     @property
     def acting(self) -> np.ndarray:
@@ -251,7 +252,7 @@ class WorldBatch:
         """(N, 18) where undisturbed hands will be when a command given now takes effect."""
         state = self.executed.copy()
         for command in self._latency.pending():
-            state = self._servo.within_reach(command, state)
+            state = self.servo.within_reach(command, state)
         return state
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
