@@ -31,10 +31,10 @@ class SpeedLimits:
         """Return (n, 18) the steps [m, rad] of one frame, cut to the limits; the palm's keeps its direction."""
         palm, joints = step[:, :PALM_DOF], step[:, PALM_DOF:]
         farthest_m, farthest_rad = self.palm_speed_m_s * CONTROL_DT, self.joint_speed_rad_s * CONTROL_DT
-        palm = _shortened(
-            palm, np.abs(palm) if self.by_axis else np.linalg.norm(palm, axis=1, keepdims=True), farthest_m
+        length = np.abs(palm) if self.by_axis else np.linalg.norm(palm, axis=1, keepdims=True)
+        return np.concatenate(
+            [_shortened(palm, length, farthest_m), _shortened(joints, np.abs(joints), farthest_rad)], axis=1
         )
-        return np.concatenate([palm, _shortened(joints, np.abs(joints), farthest_rad)], axis=1)
 
 
 def _shortened(step: np.ndarray, length: np.ndarray, farthest: float) -> np.ndarray:
@@ -62,7 +62,9 @@ class Servo:
 
     def within_reach(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
         """Return (n, 18) commands towards ``command`` that a hand at ``previous`` (n, 18) can meet within one frame."""
-        return self.within_range(previous + self._limits.cut(command - previous))
+        step = command - previous
+        cut = self._limits.cut(step)
+        return self.within_range(np.where(cut == step, command, previous + cut))
 
     def set_points(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
         """Return (n, 25, 18) set-points that lead from ``previous`` to ``command``, (n, 18) each."""

@@ -117,7 +117,7 @@ def test_the_expert_catches_everything_in_every_control_class(control_class: str
 
 
 def test_the_expert_recovers_from_disturbances(specs: list[EpisodeSpec]):
-    batch = make_batch(Recipe(image_size=32, disturbance_m=0.06), 22, threads=1)
+    batch = make_batch(Recipe(image_size=32, disturbance_m=0.03), 22, threads=1)
     episodes = list(evaluate(batch, EXPERTS["intercept"](), specs))
     assert np.mean([episode.success for episode in episodes]) >= 0.95
 

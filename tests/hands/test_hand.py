@@ -61,7 +61,7 @@ def test_a_late_command_takes_effect_three_frames_after_it_was_given(specs: list
     hands = waiting(specs, control_class="late")
     home = hands.executed.copy()
     assert not hands.acting.all(), "the window goes on until the first command takes effect"
-    hands.step(home + [0.01] + [0.0] * 17)
+    hands.step(home + ([0.01] + [0.0] * 17))
     for _ in range(3):
         np.testing.assert_array_equal(hands.executed, home)
         hands.step(home)
@@ -73,7 +73,7 @@ def test_a_late_command_takes_effect_three_frames_after_it_was_given(specs: list
 def test_under_contact_each_axis_of_the_gantry_has_its_limit(specs: list[EpisodeSpec]):
     hands = waiting(specs, capture="contact", hand="opposed")
     before = hands.executed.copy()
-    hands.step(before + [1.0, -1.0, 0.01] + [0.0] * 15)
+    hands.step(before + ([1.0, -1.0, 0.01] + [0.0] * 15))
     np.testing.assert_allclose(hands.executed - before, np.tile([0.1, -0.1, 0.01] + [0.0] * 15, (4, 1)), atol=1e-6)
 
 
