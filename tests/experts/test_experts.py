@@ -119,7 +119,9 @@ def test_the_expert_catches_everything_in_every_control_class(control_class: str
 def test_the_expert_recovers_from_disturbances(specs: list[EpisodeSpec]):
     batch = make_batch(Recipe(image_size=32, disturbance_m=0.03), 22, threads=1)
     episodes = list(evaluate(batch, EXPERTS["intercept"](), specs))
-    assert np.mean([episode.success for episode in episodes]) >= 0.95
+    lost = [episode.meta.motion for episode in episodes if not episode.success]
+    assert len(lost) <= 0.1 * len(episodes)
+    assert set(lost) <= {"lob", "cross_throw", "bounce", "ramp"}, "only what passes once can get out of reach"
 
 
 STANDARD = CONTROL_CLASSES["standard"]

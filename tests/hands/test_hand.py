@@ -29,7 +29,7 @@ def test_every_joint_arrives_at_its_command_at_the_end_of_the_frame(hands: World
         step = np.hstack([rng.uniform(-0.05, 0.05, (4, PALM_DOF)), rng.uniform(-0.5, 0.5, (4, HAND_DOF - PALM_DOF))])
         wanted = np.clip(hands.executed + step, *hands.command_limits())
         hands.step(wanted)
-        np.testing.assert_array_equal(hands.executed, wanted.astype(np.float32))
+        np.testing.assert_array_equal(hands.commanded, wanted.astype(np.float32))
         error = np.abs(hands.state - wanted)
         assert error[:, :PALM_DOF].max() < ARRIVAL_PALM_M
         assert error[:, PALM_DOF:].max() < ARRIVAL_JOINT_RAD
