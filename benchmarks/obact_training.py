@@ -57,7 +57,7 @@ def main() -> None:
 def generated(root: Path, episodes: int) -> Path:
     """Write a few episodes of the recipe that ObAct trains on, with every column; return the folder."""
     recipe = load_recipe(RECIPES / "generate" / "train_small.yaml")
-    write_episodes(root, record(recipe, range(episodes)), recipe.image_size)
+    write_episodes(root, record(recipe, range(episodes)))
     return root
 
 

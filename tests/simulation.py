@@ -15,6 +15,7 @@ from dynahoi_lerobot.scene.model import ENVIRONMENT
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.target_drive import drive_for
 from dynahoi_lerobot.scene.world_fields import WorldFields
+from dynahoi_lerobot.world.untouched_path import PARKED_PALM_W
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ def simulate(motion: Motion, target: TargetObject, seconds: float) -> Track:
     drive = drive_for(motion, target, frames)
     rows.reset(one)
     rows.write_world(0, motion, target, drive, ENVIRONMENT)
+    rows.qpos[:, scene.hand_qpos] = batch.bind("ctrl")[:] = np.concatenate([PARKED_PALM_W, scene.hand.open_joints()])
     rows.finish(one)
     force = np.zeros((1, frames * SUBSTEPS, scene.model.nv))
     force[0, :, scene.target_dof : scene.target_dof + 3] = drive.force_w.reshape(-1, 3)

@@ -26,6 +26,7 @@ from dynahoi_lerobot.rollout.loop import make_batch, record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
+from dynahoi_lerobot.world.cameras import Cameras
 
 WORLDS = 32
 STEPS = 40
@@ -33,7 +34,7 @@ WARM_UP_EPISODES = 4
 STAGE_FUNCTIONS = {
     "sampling": [(rollout, "sample_specs")],
     "physics": [(WorldBatch, "step"), (WorldBatch, "reset")],
-    "render": [(WorldBatch, "render")],
+    "render": [(Cameras, "render")],
     "encode": [(VideoWriter, "write")],
 }
 """What counts for a stage; none of these calls another. A profiler would mix up threads that call back into Python."""
@@ -46,7 +47,7 @@ def stages_alone(image_size: int) -> dict[str, float]:
     images = batch.cameras.render()
     rates = {
         "physics": WORLDS / _seconds(lambda: batch.step(batch.executed)),
-        "render": WORLDS / _seconds(batch.render),
+        "render": WORLDS / _seconds(batch.cameras.render),
     }
     cores = os.cpu_count() or 1
     with get_context("spawn").Pool(cores) as pool:

@@ -65,8 +65,8 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     Returns:
         The exit code: 0 done, 1 failed (run it again to go on), 2 bad input, 130 stopped by the user.
     """
-    complete = args.root.exists()
     try:
+        complete = args.root.exists()
         plan = _plan(args, recipe if recipe is not None else _load_recipe(args.recipe))
         if args.executor is not None:
             executor = _executor(args, plan, record or _record(plan, args.cpus_per_task))

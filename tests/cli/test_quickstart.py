@@ -10,7 +10,7 @@ import pytest
 from dynahoi_lerobot.cli import quickstart
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.motions import benchmark_motions
+from dynahoi_lerobot.sampling.benchmark import MOTIONS
 
 SHORT = ["--episodes", "4", "--steps", "1", "--evaluation-episodes", "1"]
 
@@ -24,7 +24,7 @@ def test_it_leaves_a_dataset_a_checkpoint_results_and_a_report(
     assert main(["verify", str(out / "dataset")]) == 0
     config = json.loads((out / "training/checkpoints/last/pretrained_model/config.json").read_text())
     assert config["type"] == "obact"
-    kinds = sorted(benchmark_motions())
+    kinds = sorted(MOTIONS)
     for name in ("obact", *quickstart.BASELINES):
         assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
     page = (out / "report.html").read_text()

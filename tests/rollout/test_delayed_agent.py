@@ -56,4 +56,4 @@ def test_a_delay_is_a_length_of_time(delay_ms: float):
 
 def test_experts_know_no_delay(capsys: pytest.CaptureFixture):
     assert main(["evaluate", "--policy", "hold", "--delay-ms", "50"]) == 2
-    assert "--delay-ms concerns policies; 'hold' is an expert" in capsys.readouterr().err
+    assert "--delay-ms delays policies; 'hold' is an expert" in capsys.readouterr().err

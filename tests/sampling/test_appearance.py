@@ -81,7 +81,7 @@ def test_highlights_only_brighten_and_lie_where_the_light_is_reflected() -> None
     assert added.min() >= 0
     compared = 0
     for i in range(len(balls)):
-        on_target = np.isin(batch.segmentation()[i], batch.scene.target_geoms)
+        on_target = np.isin(batch.cameras.segmentation()[i], batch.scene.target_geoms)
         wanted = reflection_pixel(batch, i)
         if on_target.sum() > 60 and on_target[tuple(np.round(wanted).astype(int))]:
             brightest = np.argwhere(on_target & (added[i] >= 0.98 * added[i][on_target].max())).mean(axis=0)
@@ -97,7 +97,7 @@ def highlights(specs: list[EpisodeSpec]) -> tuple[WorldBatch, np.ndarray]:
         world([replace(s, appearance=replace(s.appearance, gloss=gloss, **plain)) for s in specs], image_size=2 * SIZE)
         for gloss in (0.0, 0.25)
     )
-    return glossy, (glossy.render().astype(int) - dull.render()).sum(axis=-1)
+    return glossy, (glossy.cameras.render().astype(int) - dull.cameras.render()).sum(axis=-1)
 
 
 def reflection_pixel(batch: WorldBatch, i: int) -> np.ndarray:

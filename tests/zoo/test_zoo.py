@@ -125,6 +125,10 @@ def tiny_gemma(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "PaliGemmaForConditionalGenerationWithPiGemma", shrunk)
 
 
+REMOTE_CODE = ("groot", "pi0_fast")
+"""Policies whose own source asks transformers for remote code, so that they are loaded with ``--trust`` only."""
+
+
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name == "act" else pytest.mark.slow) for name in SMALL]
 )
@@ -145,7 +149,7 @@ def test_two_steps_and_an_episode(
     lerobot_train()
     checkpoint = str(tmp_path / "out" / "checkpoints" / "last" / "pretrained_model")
     played = ["--policy", checkpoint, "--motions", "constant", "--episodes", "1", "--out", str(tmp_path / "r")]
-    assert main(["evaluate", *played]) == 0
+    assert main(["evaluate", *played, *(["--trust"] if name in REMOTE_CODE else [])]) == 0
     results = read_results(tmp_path / "r")
     assert len(results.rows) == 1
     assert results.rows[0]["kind"] == "constant"
