@@ -2,9 +2,8 @@
 
 python benchmarks/validity.py [--episodes 220] [--control standard late] [--search 1760 --save FILE] [--json FILE]
 
-S_loc and S_joint as everywhere; S_intercept counts episodes localised no later than two frames after the intercept.
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
-what it would score on as many episodes that it has not seen and on the split; --save writes it, as experts/blind_path.csv.
+what it would score on as many episodes that it has not seen and on the split; --save writes it.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from support.options import benchmark_parser, write_numbers
 from support.path_search import hits_along, relative_paths, search_path
 
 from dynahoi_lerobot.control_class import CONTROL_CLASSES
-from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.intervals import wilson
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -30,8 +29,6 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 BASELINES = ("hold", "blind_path", "pursuit", "constant_velocity", "constant_acceleration", "intercept")
 WORLDS = 64
-SPARE_FRAMES = 2
-"""A target localised this long after the intercept still counts as met there."""
 SEARCHED_FRAMES, WIDTH, FINENESS = 80, 64, 2
 Rate = dict[str, float]
 
@@ -53,10 +50,10 @@ def main() -> None:
 
 def play(control: str, name: str, specs: Sequence[EpisodeSpec]) -> dict[str, Rate]:
     """Play one baseline in one control class; print and return its rates, also of each category."""
-    episodes = list(evaluate(WorldBatch(min(WORLDS, len(specs)), control=control), EXPERTS[name](), specs))
+    episodes = list(evaluate(WorldBatch(min(WORLDS, len(specs)), control_class=control), EXPERTS[name](), specs))
     rates = {
         "S_loc": rate([e.first_localized is not None for e in episodes]),
-        "S_intercept": rate([met_at_intercept(e) for e in episodes]),
+        "S_intercept": rate([METRICS["S_intercept"](e) == 1.0 for e in episodes]),
         "S_joint": rate([e.success for e in episodes]),
     }
     for category in CATEGORIES:
@@ -66,12 +63,6 @@ def play(control: str, name: str, specs: Sequence[EpisodeSpec]) -> dict[str, Rat
     for label, row in rates.items():
         print(f"  {label:18s} {row['value']:5.1f} [{row['low']:5.1f}, {row['high']:5.1f}]")
     return rates
-
-
-def met_at_intercept(episode: Episode) -> bool:
-    """Tell whether the target was localised no later than two frames after the intercept."""
-    localized = episode.first_localized
-    return localized is not None and localized <= episode.meta.intercept_frame + SPARE_FRAMES
 
 
 def rate(outcomes: Sequence[bool]) -> Rate:

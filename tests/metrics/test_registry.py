@@ -53,11 +53,16 @@ def test_a_metric_says_what_it_is(name: str):
     assert metric.name == name
     assert metric.direction in ("higher", "lower")
     assert metric.aggregation in ("rate", "mean")
-    assert metric.unit in ("fraction", "u", "score")
+    assert metric.unit in ("fraction", "u", "score", "m/s")
     assert metric.summary.endswith((".", "``."))
     assert f"``{name} = " in metric.doc, "the formula is missing"
     assert f"{metric.direction} is better" in metric.doc
-    unit = {"fraction": "Fraction of", "u": "In u (0.1 m)", "score": f"Score in [{metric.bounds[0]:g}, "}[metric.unit]
+    unit = {
+        "fraction": "Fraction of",
+        "u": "In u (0.1 m)",
+        "m/s": "In m/s",
+        "score": f"Score in [{metric.bounds[0]:g}, ",
+    }[metric.unit]
     assert unit in metric.doc
     assert any(source in metric.doc for source in ("Paper: ", "Source: ", "Ours")), "the source is missing"
 
