@@ -4,7 +4,8 @@ python benchmarks/validity.py [--episodes 220] [--control standard late] [--sear
 
 S_loc and S_joint as everywhere; S_intercept counts episodes localised no later than two frames after the intercept.
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
-what it would score on as many episodes that it has not seen and on the split; --save writes it, as experts/blind_path.csv.
+what it would score on as many episodes that it has not seen and on the split. --save writes it, in the format of
+experts/blind_path.csv.
 """
 
 from __future__ import annotations
