@@ -3,7 +3,8 @@
 python benchmarks/validity.py [--episodes 220] [--control standard late] [--search 1760 --save FILE] [--json FILE]
 
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
-what it would score on as many episodes that it has not seen and on the split; --save writes it.
+what it would score on as many episodes that it has not seen and on the split. --save writes it, in the format of
+experts/blind_path.csv.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The best path of a hand that sees nothing: a beam search over directions, frame by frame, on many episodes at once."""
+"""The best path of a hand that sees nothing: a beam search over directions, frame by frame, on many episodes."""
 
 from __future__ import annotations
 

@@ -20,11 +20,11 @@ from dynahoi_lerobot.metrics.base import SPEED, metric
 def relative_speed(episode: Episode) -> float | None:
     """Relative speed of palm and target at localisation.
 
-    ``|v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first localised frame: the target's velocity of
-    the frame before, as a welded target has the palm's, and the palm's mean velocity in between. None if the target is
-    never localised.
+    ``relative_speed = |v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first
+    localised frame: the target's velocity of the frame before, as a welded target has the palm's, and the palm's mean
+    velocity in between. None if the target is never localised.
 
-    In m/s, lower is better. Not in the paper: under ``attach`` a target is caught at any speed, which no hand can.
+    In m/s, lower is better. Ours: under ``attach`` a target is caught at any speed, which no hand can.
     """
     first = episode.first_localized
     if first is None:

@@ -20,7 +20,7 @@ def s_gra_two_sided(episode: Episode) -> bool | None:
     q at the first localised frame; joints that the reference leaves open do not count. None if the target is never
     localised.
 
-    Fraction of localised episodes, higher is better. Not in the paper, whose S_gra a fist passes for every object.
+    Fraction of localised episodes, higher is better. Ours: a fist passes the paper's S_gra for every object.
     """
     first = episode.first_localized
     if first is None:

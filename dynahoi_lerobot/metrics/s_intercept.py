@@ -17,7 +17,7 @@ def s_intercept(episode: Episode) -> bool:
     ``S_intercept = 1 if t_loc <= t_intercept + 0.1 s, else 0`` with the first localised frame of the control phase and
     the earliest intercept that a hand of 0.3 m/s can reach.
 
-    Fraction of episodes, higher is better. Not in the paper: a hand that follows its target and catches it later needs
+    Fraction of episodes, higher is better. Ours: a hand that follows its target and catches it later needs
     no prediction.
     """
     first = episode.first_localized

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S
+from dynahoi_lerobot.sampling.benchmark import HOLD_CLEARANCE_M
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES, Timing
 from dynahoi_lerobot.sampling.visibility import visible
 from dynahoi_lerobot.scene.model import ARENA_HALF_M
@@ -17,11 +18,6 @@ DIRECTIONS = 192
 """Homes that are tried for one motion."""
 MIN_CLEARANCE_M = 0.075
 """Least distance of the target from the palm centre until control starts."""
-HOLD_CLEARANCE_M = LOCALIZATION_RADIUS_M + 0.005
-"""Least distance of the target from the palm centre of a hand that never moves, from control start to the end.
-
-The margin is for paths that bend between two frames: a target in free fall strays 3 mm from a straight line.
-"""
 MIN_FRONT_M = 0.015
 """Least distance of the target in front of the palm centre, along +x, until control starts."""
 MIN_VISIBLE_SHARE = 0.9
@@ -104,7 +100,7 @@ def _watches(window_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
 
 
 def _clear_of(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
-    """(K,) whether a hand that stays at home is out of the target's way, along a path (F, 3) straight between frames."""
+    """(K,) whether a hand that stays at home is out of the target's way; path (F, 3), straight between frames."""
     steps = np.diff(path_w, axis=0)  # (F - 1, 3)
     from_start = homes[:, None] - path_w[:-1]  # (K, F - 1, 3)
     share = np.einsum("kfd,fd->kf", from_start, steps) / np.maximum((steps**2).sum(axis=1), 1e-12)

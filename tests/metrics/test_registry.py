@@ -114,7 +114,8 @@ def test_a_metric_does_not_depend_on_where_the_world_has_its_origin_or_heading(n
     state, action, pose = episode.state.copy(), episode.action.copy(), episode.target_pose.copy()
     for array in (state, action, pose):
         array[:, :3] = array[:, :3] @ turn.T + np.float32([0.25, -0.5, 0.5])
-    moved = replace(episode, state=state, action=action, target_pose=pose)
+    velocity = np.hstack([episode.target_velocity[:, :3] @ turn.T, episode.target_velocity[:, 3:] @ turn.T])
+    moved = replace(episode, state=state, action=action, target_pose=pose, target_velocity=velocity)
     assert METRICS[name](moved) == pytest.approx(METRICS[name](episode), abs=1e-4)
 
 
