@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 if TYPE_CHECKING:
+    from dynahoi_lerobot.control_class import ControlClass
     from dynahoi_lerobot.episode_spec import EpisodeSpec
 
 
@@ -46,6 +47,9 @@ class WorldState:
         target_pose: (N, 7) position [m] and quaternion wxyz, world.
         target_velocity: (N, 6) linear [m/s] and angular [rad/s], world.
         target_contacts: (N, 5) 1 where the finger touches the target.
+        localized: (N,) bool, the target has been localised in the control phase.
+        control: the limits of the hand and the latency of its commands.
+        state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect, [m] and [rad].
     """
 
     observation: Observation
@@ -55,6 +59,9 @@ class WorldState:
     target_pose: np.ndarray
     target_velocity: np.ndarray
     target_contacts: np.ndarray
+    localized: np.ndarray
+    control: ControlClass
+    state_when_due: np.ndarray
 
 
 class Actor(ABC):

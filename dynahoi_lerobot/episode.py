@@ -26,6 +26,7 @@ class EpisodeMeta:
         agent: who moved the hand (``intercept``, ``hold``, a policy's name).
         capture: the capture rule, ``attach`` or ``contact``.
         protocol: ``observe_before_act`` or ``direct_act``.
+        control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.
         window_frames: length of the observation window [frames].
         length_frames: L, the length of the expert's recording [frames]; a policy gets L control steps.
         intercept_frame: frame at which the oracle intercept takes place, counted from the episode's start.
@@ -43,6 +44,7 @@ class EpisodeMeta:
     agent: str
     capture: str
     protocol: str
+    control_class: str
     window_frames: int
     length_frames: int
     intercept_frame: int

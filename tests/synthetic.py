@@ -37,7 +37,8 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     meta = EpisodeMeta(
         seed=seed, split="train", motion="constant", category="straight_line", object="ball",
         parameters=json.dumps({"speed_m_s": float(np.linalg.norm(velocity))}), task="Catch the moving ball.",
-        agent="intercept", capture="attach", protocol="observe_before_act", window_frames=window,
+        agent="intercept", capture="attach", protocol="observe_before_act", control_class="standard",
+        window_frames=window,
         length_frames=frames, intercept_frame=arrival, attempts=1, fingerprint="synthetic",
     )  # fmt: skip
     return Episode(

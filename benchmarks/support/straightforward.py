@@ -19,12 +19,12 @@ from gymnasium import spaces
 from dynahoi_lerobot.env.spaces import observation_space
 from dynahoi_lerobot.episode import joints_reached
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.experts.intercept import Intercept, plan_intercept
+from dynahoi_lerobot.experts.base import WorldView
+from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.features import CAMERA_KEY, FEATURES, frame_features, image_feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
-from dynahoi_lerobot.scene.servo import Servo
 from dynahoi_lerobot.scene.target_drive import drive_for
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -38,7 +38,7 @@ class StraightforwardEnv(gym.Env):
     def __init__(self, image_size: int = 128, split: str = "test") -> None:
         self.recipe = Recipe(split=split, image_size=image_size)
         self._writer = WorldBatch(1, threads=1)  # writes an episode's numbers into a model
-        self._scene, self._servo = self._writer.scene, Servo(self._writer.scene.model)
+        self._scene, self._servo = self._writer.scene, self._writer.servo
         self.model = self._writer._batch.get_model(0)
         self.data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
@@ -66,7 +66,7 @@ class StraightforwardEnv(gym.Env):
         acting = self.frame >= self.spec.window_frames
         previous = self.executed
         if acting:
-            self.executed = self._servo.clip(np.asarray(action, float), previous)
+            self.executed = self._servo.within_reach(np.asarray(action, float)[None], previous[None])[0]
         set_points = self._servo.set_points(self.executed[None], previous[None])[0]
         dof = self._scene.target_dof
         for substep in range(SUBSTEPS):
@@ -96,6 +96,15 @@ class StraightforwardEnv(gym.Env):
     def close(self) -> None:
         if self._renderer is not None:
             self._renderer.close()
+
+    def view(self) -> WorldView:
+        """Return what the expert sees."""
+        due_frame = max(self.frame, self.spec.window_frames)
+        (pose, velocity), caught = self.target_state(), self.localized_frame is not None
+        control = self._writer.control
+        return WorldView(
+            self.spec, self.executed, self.frame, due_frame, pose[:3], velocity[:3], caught, attempt=1, control=control
+        )
 
     def target_state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return pose (7,) and velocity (6,) of the target."""
@@ -156,21 +165,20 @@ def record(root: Path, recipe: Recipe, seeds: list[int]) -> int:
     )
     for seed in seeds:
         spec = sample_spec(recipe, seed)
-        for attempt in range(1, Intercept.retries + 2):
-            if _play(env, dataset, spec, attempt):
-                dataset.save_episode()
-                break
+        if _play(env, dataset, spec):
+            dataset.save_episode()
+        else:
             dataset.clear_episode_buffer()
     dataset.finalize()
     env.close()
     return dataset.meta.total_frames
 
 
-def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec, attempt: int) -> bool:
+def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec) -> bool:
     """Add the frames of one episode; tell whether it succeeded."""
-    seen, reach = env.begin(spec), plan_intercept(spec, attempt)
-    for frame in range(spec.length_frames):
-        action, target = reach.command(frame, seen["agent_pos"].astype(float)), env.target_state()
+    seen, expert = env.begin(spec), Intercept()
+    for _ in range(spec.length_frames):
+        action, target = expert.command(env.view()), env.target_state()
         before = seen
         seen = env.step(action)[0]
         dataset.add_frame(_frame(before, env.executed, target, spec.task))

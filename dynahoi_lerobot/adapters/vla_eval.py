@@ -15,6 +15,7 @@ from vla_eval.benchmarks.base import StepBenchmark, StepResult, repeat_last_hold
 from vla_eval.specs import DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
@@ -43,6 +44,7 @@ class DynahoiBenchmark(StepBenchmark):
         kinds: list[str] | None = None,
         capture: str = "attach",
         protocol: str = "observe_before_act",
+        control_class: str = DEFAULT_CONTROL_CLASS,
         send_state: bool = True,
     ) -> None:
         """Configure the benchmark.
@@ -51,7 +53,7 @@ class DynahoiBenchmark(StepBenchmark):
             split: ``test``, ``test_small``, ``val`` or ``ood_*``.
             image_size: side of the images [px].
             kinds: names of the motions; all of the split if None.
-            capture, protocol: see ``Recipe``.
+            capture, protocol, control_class: see ``Recipe``.
             send_state: whether observations contain the hand's state.
         """
         super().__init__()
@@ -61,6 +63,7 @@ class DynahoiBenchmark(StepBenchmark):
             "image_size": image_size,
             "capture": capture,
             "protocol": protocol,
+            "control_class": control_class,
         }
         self._env: DynahoiVectorEnv | None = None
         self._episode: Episode | None = None

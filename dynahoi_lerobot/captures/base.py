@@ -81,6 +81,8 @@ class CaptureRule(ABC):
     """Who demonstrates under this rule, unless a recipe says otherwise."""
     hand: ClassVar[str]
     """The hand that plays under it, likewise."""
+    gantry_speed_m_s: ClassVar[float | None] = None
+    """Speed limit of each axis of the palm's gantry [m/s], where the rule replaces that of the control class."""
     uses_contact_sensors: ClassVar[bool] = False
     """Whether events and verdicts are read from what touches the target."""
     hold_frames: ClassVar[int] = 0

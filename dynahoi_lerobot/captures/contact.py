@@ -10,6 +10,7 @@ import numpy as np
 
 from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Release, Substeps, Track
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGERS
+from dynahoi_lerobot.hands.gantry import GANTRY_SPEED_M_S
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.scene.model import ENVIRONMENT, HAND_BIT
 
@@ -32,6 +33,7 @@ class Contact(CaptureRule):
     effect = Release(HAND_BIT | ENVIRONMENT)
     expert = "match"
     hand = "opposed"
+    gantry_speed_m_s = GANTRY_SPEED_M_S
     uses_contact_sensors = True
     hold_frames = 32
     settle_frames = 40

@@ -11,6 +11,7 @@ import draccus
 import numpy as np
 
 from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.actors import add_trust_argument, image_size_for, make_actor
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
@@ -44,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--split", default="test", help="with --motion: train, val, test or one of the ood_ splits")
     parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint, or the name of an expert")
     parser.add_argument("--capture", default="attach", help="with --motion: capture rule, attach or contact")
+    parser.add_argument(
+        "--control-class", default=DEFAULT_CONTROL_CLASS, help="with --motion: unlimited, standard or late"
+    )
     add_trust_argument(parser)
     parser.add_argument("--image-size", type=int, help="side of newly rendered images [px]")
     parser.add_argument("--view", default="ego", choices=VIEWS, help="camera, and what is shown of its image")
@@ -74,7 +78,13 @@ def _played(args: argparse.Namespace) -> Clip:
     actor = make_actor(args.policy, args.capture, trust=args.trust)
     size = image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE)
     views = {*actor.views, args.view} - {"ego"}
-    recipe = Recipe(split=seed_stream(args.split), image_size=size, views=tuple(sorted(views)), capture=args.capture)
+    recipe = Recipe(
+        split=seed_stream(args.split),
+        image_size=size,
+        views=tuple(sorted(views)),
+        capture=args.capture,
+        control_class=args.control_class,
+    )
     if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it
         recipe = replace(recipe, motions=(args.motion,))
     known = kind_seeds(recipe, args.split, args.motion)

@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from dynahoi_lerobot.agent import Observation
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.env.checks import RENDER_MODES, check_open, check_render_mode, check_seed, episode_numbers
 from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisodes
 from dynahoi_lerobot.env.spaces import as_gym, observation_space
@@ -25,7 +26,17 @@ from dynahoi_lerobot.sampling.splits import kind_seed, seed_stream
 
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
 """Reset option: play one episode in every world, then stand still until the next reset."""
-RECIPE_OPTIONS = ("image_size", "views", "appearance", "protocol", "capture", "hand", "renderer", "instructions")
+RECIPE_OPTIONS = (
+    "image_size",
+    "views",
+    "appearance",
+    "protocol",
+    "control_class",
+    "capture",
+    "hand",
+    "renderer",
+    "instructions",
+)
 """Arguments of the constructor that are fields of a ``Recipe``."""
 
 
@@ -44,7 +55,9 @@ class DynahoiVectorEnv(VectorEnv):
         uses contact sensors, ``touch`` (5,) force of each finger on the target [N].
     Action:
         (18,) float32 target for the next frame: palm centre [m], world, and joint angles [rad]. Clipped to the joint
-        ranges and to what the hand reaches within a frame.
+        ranges and cut to the speed of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``,
+        ``late``) or 2 m/s (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It
+        takes effect at once, or after 150 ms (``late``).
     Reward:
         1 at the frame at which the episode ends in success, else 0.
     Episode end:
@@ -76,6 +89,7 @@ class DynahoiVectorEnv(VectorEnv):
         views: Sequence[str] = (),
         appearance: Sequence[str] = (),
         protocol: str = "observe_before_act",
+        control_class: str = DEFAULT_CONTROL_CLASS,
         capture: str = "attach",
         hand: str = "",
         renderer: str = DEFAULT_RENDERER,
@@ -93,7 +107,7 @@ class DynahoiVectorEnv(VectorEnv):
             image_size: side of the images [px].
             images: whether observations contain images; without them nothing is rendered.
             views: views besides ``ego``, such as ``side``; see `renderers/camera_views.py`.
-            appearance, protocol, capture, hand, renderer, instructions: see ``Recipe``.
+            appearance, protocol, control_class, capture, hand, renderer, instructions: see ``Recipe``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
@@ -109,6 +123,7 @@ class DynahoiVectorEnv(VectorEnv):
             views=tuple(views),
             appearance=tuple(appearance),
             protocol=protocol,
+            control_class=control_class,
             capture=capture,
             hand=hand,
             renderer=renderer,

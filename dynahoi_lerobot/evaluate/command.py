@@ -12,6 +12,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Actor, Agent
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.actors import VLM, add_trust_argument, image_size_for, make_actor
@@ -44,6 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--motions", type=names, default=(), help="comma-separated motions; all of the split by default"
     )
     parser.add_argument("--capture", default="attach", help="capture rule: attach or contact")
+    parser.add_argument(
+        "--control-class",
+        default=DEFAULT_CONTROL_CLASS,
+        help="hand limits: unlimited, standard or late",
+    )
     parser.add_argument("--hand", default="", help="hand model; the capture rule's own by default")
     parser.add_argument(
         "--protocol",
@@ -173,6 +179,7 @@ def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
         capture=args.capture,
         hand=args.hand,
         protocol=args.protocol,
+        control_class=args.control_class,
         image_size=image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE),
         views=actor.views,
         appearance=args.appearance,

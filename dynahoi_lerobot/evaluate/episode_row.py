@@ -20,6 +20,7 @@ PLAIN = {
     "agent": "string",
     "capture": "string",
     "protocol": "string",
+    "control_class": "string",
     "length_frames": "int64",
     "window_frames": "int64",
     "intercept_frame": "int64",

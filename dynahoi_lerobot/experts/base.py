@@ -1,65 +1,74 @@
-"""What experts share: the registry, and how a hand goes somewhere in a straight line and closes on the way."""
+"""What experts and privileged baselines share: the registry, and looking at one world at a time."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Expert
-from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M, PALM_DOF
+from dynahoi_lerobot.agent import Expert, WorldState
+from dynahoi_lerobot.control_class import ControlClass
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.foundation.registry import Registry
 
 EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
 
-CLOSING_FRAMES = 8
-"""Fingers close within at most this many frames."""
-CLOSED_EARLY_M = 0.0005
-"""Fingers are closed this much before the localisation radius, or a rounding error would catch them open."""
-
 
 @dataclass(frozen=True, eq=False)
-class Reach:
-    """A straight constant-speed approach that ends with closed fingers.
+class WorldView:
+    """What is known of one world at one frame.
 
     Attributes:
-        goal_pos_w: (3,) palm centre when it arrives [m], world.
-        start_frame, arrival_frame: when.
-        closed_frame: first frame with closed fingers.
-        closed_joints: (15,) joint angles [rad].
+        spec: the episode.
+        state: (18,) where the hand will be when a command given now takes effect: palm centre [m], world, and joint
+            angles [rad].
+        frame: of the episode, now.
+        due_frame: the frame at which the command takes effect; in the observation window, the first that does.
+        target_pos_w: (3,) position of the target now [m], world.
+        target_velocity_w: (3,) its linear velocity now [m/s], world.
+        localized: the target has been localised.
+        attempt: from 1.
+        control: limits of the hand, and latency.
     """
 
-    goal_pos_w: np.ndarray
-    start_frame: int
-    arrival_frame: int
-    closed_frame: int
-    closed_joints: np.ndarray
-
-    def command(self, frame: int, state: np.ndarray) -> np.ndarray:
-        """Return (18,) the command of ``frame``, as a ``MotionPlan`` does.
-
-        A hand that strayed goes straight on from where it is, at the speed that still arrives in time; so what it
-        does depends on where it is and where it must be, and on nothing that an observer cannot see.
-        """
-        ahead, palm_pos_w = frame + 1, state[:PALM_DOF]
-        left = max(self.arrival_frame - max(frame, self.start_frame), 1)
-        begin = max(self.start_frame, self.closed_frame - CLOSING_FRAMES)
-        joints = _ramp(ahead, begin, self.closed_frame) * self.closed_joints
-        return np.concatenate([palm_pos_w + (self.goal_pos_w - palm_pos_w) / left, joints])
+    spec: EpisodeSpec
+    state: np.ndarray
+    frame: int
+    due_frame: int
+    target_pos_w: np.ndarray
+    target_velocity_w: np.ndarray
+    localized: bool
+    attempt: int
+    control: ControlClass
 
 
-def first_contact_frame(reach_path: np.ndarray, target_path: np.ndarray, start_frame: int) -> int:
-    """Return the first frame at which two paths (K, 3) come within the localisation radius, or the last frame.
+class SingleWorldExpert(Expert):
+    """An expert that looks at one world at a time."""
 
-    Paths are followed at five points a frame, so that a fast target is not missed.
-    """
-    fine = np.arange(0, len(reach_path) - 1 + 1e-9, 0.2)
-    frames = np.arange(len(reach_path))
-    gap = [np.interp(fine, frames, (reach_path - target_path)[:, axis]) for axis in range(3)]
-    inside = np.flatnonzero(np.linalg.norm(gap, axis=0) < LOCALIZATION_RADIUS_M + CLOSED_EARLY_M)
-    steps = int(np.ceil(fine[inside[0]])) if inside.size else len(reach_path) - 1
-    return start_frame + max(steps, 1)
+    @abstractmethod
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world: palm centre [m], world, and joint angles [rad]."""
+
+    def act(self, world: WorldState) -> np.ndarray:
+        """Return (N, 18) commands; worlds without an episode get zeros."""
+        commands = np.zeros((len(world.specs), HAND_DOF))
+        for i, spec in enumerate(world.specs):
+            if spec is not None:
+                commands[i] = self.command(_view(world, i, spec))
+        return commands
 
 
-def _ramp(value: int, low: int, high: int) -> float:
-    return float(np.clip((value - low) / max(high - low, 1), 0.0, 1.0))
+def _view(world: WorldState, i: int, spec: EpisodeSpec) -> WorldView:
+    return WorldView(
+        spec=spec,
+        state=world.state_when_due[i],
+        frame=int(world.frame[i]),
+        due_frame=max(int(world.frame[i]) + world.control.latency_frames, spec.window_frames),
+        target_pos_w=world.target_pose[i, :3],
+        target_velocity_w=world.target_velocity[i, :3],
+        localized=bool(world.localized[i]),
+        attempt=int(world.attempt[i]),
+        control=world.control,
+    )

@@ -1,40 +1,28 @@
-"""The paper's expert: go straight to where the target will be, at constant speed, and close in time."""
+"""The paper's expert: go straight to where the target will be, at constant speed, and close the fingers in time."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS, Reach, first_contact_frame
-from dynahoi_lerobot.experts.planned import PlannedExpert
+from dynahoi_lerobot.experts.approach import approach
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 
-RETRY_DELAY_FRAMES = 3
-"""Each further attempt aims at a point of the path this much later."""
+SPEED_M_S = 1.0
+"""Faster than this it does not go, where it may."""
 
 
 @EXPERTS.register("intercept")
-class Intercept(PlannedExpert):
-    """Observe, then a constant-speed straight approach to the oracle intercept (Appendix "Data collection").
+class Intercept(SingleWorldExpert):
+    """A constant-speed straight approach to the earliest point of the target's path that the hand can reach.
 
-    The default intercept is the earliest one that a hand of fixed speed can reach; retries aim later. The hand arrives
-    together with the target, so the wait for a planar tolerance that the paper describes is never needed.
+    Appendix "Data collection" lets the expert predict an intercept and wait for a planar tolerance; this one knows the
+    untouched target's path and plans anew in every frame from where the hand will be when the command takes effect. So
+    it labels any state, also after a disturbance or a miss, and arrives together with the target: no wait is needed.
     """
 
     name = "intercept"
-    retries = 3
 
-    def plan(self, spec: EpisodeSpec, attempt: int) -> Reach:
-        """Return the approach of the ``attempt``-th try (from 1)."""
-        return plan_intercept(spec, attempt)
-
-
-def plan_intercept(spec: EpisodeSpec, attempt: int = 1) -> Reach:
-    """Return the approach of the ``attempt``-th try (from 1)."""
-    start = spec.window_frames
-    last = start + spec.length_frames - 1
-    arrival = min(spec.intercept_frame + (attempt - 1) * RETRY_DELAY_FRAMES, last)
-    goal = spec.oracle_path[arrival]
-    progress = np.linspace(0.0, 1.0, arrival - start + 1)[:, None]
-    reach_path = spec.home_pos_w + progress * (goal - spec.home_pos_w)
-    closed = first_contact_frame(reach_path, spec.oracle_path[start : arrival + 1], start)
-    return Reach(goal, start, arrival, closed, spec.reference_joints)
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        path_w = world.spec.oracle_path[min(world.due_frame, world.spec.horizon_frames - 2) :]
+        return approach(world, path_w, min(SPEED_M_S, world.control.palm_speed_m_s))

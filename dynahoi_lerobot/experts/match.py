@@ -10,7 +10,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.experts.planned import PlannedExpert
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, PALM_DOF
-from dynahoi_lerobot.scene.servo import MAX_PALM_SPEED_M_S
+from dynahoi_lerobot.hands.gantry import GANTRY_SPEED_M_S
 
 PALM_FACE_M = -0.036
 """The palm's surface, from the palm centre along x."""
@@ -51,9 +51,9 @@ class Catch:
     contact_frame: int
 
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
-        """Return (18,) the command of ``frame``, as a ``MotionPlan`` does.
+        """Return (18,) the command that takes effect at ``frame``, as a ``MotionPlan`` does.
 
-        A hand that strayed before contact comes back little by little, just in time: see ``Reach``.
+        A hand that was disturbed before contact comes back little by little, just in time.
         """
         now, ahead = np.clip([frame - self.start_frame, frame + 1 - self.start_frame], 0, len(self.palm_w) - 1)
         left = self.contact_frame - max(frame, self.start_frame)
@@ -102,7 +102,7 @@ def _difficulty(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> float:
     palm = _approach(spec, goal, moment)
     velocity = np.diff(palm, axis=0) / CONTROL_DT
     push = np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / CONTROL_DT
-    excess = max(np.abs(velocity).max() / MAX_PALM_SPEED_M_S - 1, 0) + max(push / MAX_PALM_ACCELERATION_M_S2 - 1, 0)
+    excess = max(np.abs(velocity).max() / GANTRY_SPEED_M_S - 1, 0) + max(push / MAX_PALM_ACCELERATION_M_S2 - 1, 0)
     offset = goal[spec.window_frames : moment + 1] - palm  # (K, 3) of the target from its seat
     near = np.linalg.norm(offset, axis=1) < NEAR_M
     behind = np.maximum(-offset[near, 0] - BEHIND_MARGIN_M, 0.0).sum()
@@ -117,7 +117,7 @@ def _approach(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> np.ndarray:
     """Return (K, 3) from rest at home to the target's position, velocity and acceleration at ``moment``."""
     before, at, after = goal[moment - 1 : moment + 2]
     velocity = _velocity(goal, moment) + [CLOSING_SPEED_M_S, 0.0, 0.0]
-    velocity = np.clip(velocity, -MAX_PALM_SPEED_M_S, MAX_PALM_SPEED_M_S)  # a limit of each axis of the gantry
+    velocity = np.clip(velocity, -GANTRY_SPEED_M_S, GANTRY_SPEED_M_S)  # a limit of each axis of the gantry
     acceleration = (after - 2 * at + before) / CONTROL_DT**2
     still = np.zeros(3)
     return _quintic((spec.home_pos_w, still, still), (at, velocity, acceleration), moment - spec.window_frames)

@@ -39,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motions", type=names, help="comma-separated kinds of motion")
     parser.add_argument("--objects", type=names, help="comma-separated objects")
     parser.add_argument("--capture", help="capture rule, with its own hand and expert")
+    parser.add_argument("--control-class", help="hand limits: unlimited, standard or late")
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
@@ -100,6 +101,8 @@ def _plan(args: argparse.Namespace, recipe: Any) -> GenerationPlan:
         changes["image_size"] = args.image_size
     lists = ("views", "appearance", "motions", "objects")
     changes |= {name: getattr(args, name) for name in lists if getattr(args, name)}
+    if args.control_class:
+        changes["control_class"] = args.control_class
     if args.capture:
         changes |= {"capture": args.capture, "hand": "", "expert": ""}
     return GenerationPlan(

@@ -23,6 +23,9 @@ UNIT = "u"
 SCORE = "score"
 """Unit of dimensionless scores, printed as they are."""
 
+SPEED = "m/s"
+"""Unit of speeds."""
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -31,7 +34,7 @@ class Metric:
     Attributes:
         name: the name in every table, the paper's where it has one.
         compute: the function of one episode; its docstring gives the formula and the source.
-        unit: ``fraction``, ``u`` (0.1 m) or ``score``.
+        unit: ``fraction``, ``u`` (0.1 m), ``m/s`` or ``score``.
         direction: which way is better.
         aggregation: ``rate`` of values 0 or 1, with Wilson's interval; or ``mean`` of real values, with a bootstrap
             interval.

@@ -16,7 +16,7 @@ from dynahoi_lerobot.motions.geometry import Vector
 class CircularMotion(PrescribedMotion):
     """r(t) = center + R (e1 cos w t' + e2 sin w t'), t' = t + phase / w (primitive A).
 
-    Radius 0.08 to 0.25 m, speed 0.1 to 0.6 m/s, either sense.
+    Radius 0.1 to 0.3 m, speed 0.3 to 1 m/s, either sense.
 
     Attributes:
         center: centre of the circle [m].
@@ -36,8 +36,8 @@ class CircularMotion(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw radius, speed, sense, phase and plane."""
-        radius = draw.uniform(0.08, 0.25)
-        rate = draw.sample_speed(0.1, 0.6) / radius * draw.sign()
+        radius = draw.uniform(0.1, 0.3)
+        rate = draw.sample_speed(0.3, 1.0) / radius * draw.sign()
         return cls(draw.meeting_point(), radius, rate, draw.angle(), draw.angle())
 
     def axes(self) -> np.ndarray:

@@ -11,14 +11,14 @@ from dynahoi_lerobot.motions.base import PrescribedMotion
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import Vector
 
-MAX_PEAK_SPEED_M_S = 1.0
+MAX_PEAK_SPEED_M_S = 1.5
 
 
 @dataclass(frozen=True)
 class HarmonicMotion(PrescribedMotion):
     """r(t) = center + axis A sin(2 pi f t + phase) (primitive H).
 
-    Amplitude 0.08 to 0.3 m, frequency 0.15 to 0.7 Hz, peak speed at most 1 m/s.
+    Amplitude 0.1 to 0.35 m, frequency 0.35 to 1 Hz, peak speed at most 1.5 m/s.
 
     Attributes:
         center: equilibrium [m].
@@ -40,9 +40,9 @@ class HarmonicMotion(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw amplitude, frequency and phase."""
-        amplitude = draw.uniform(0.08, 0.3)
+        amplitude = draw.uniform(0.1, 0.35)
         fastest = MAX_PEAK_SPEED_M_S / (2 * np.pi * amplitude)
-        frequency = min(draw.sample_speed(0.15, 0.7), fastest * draw.speed_scale)
+        frequency = min(draw.sample_speed(0.35, 1.0), fastest * draw.speed_scale)
         return cls(draw.meeting_point(), amplitude, frequency, draw.angle())
 
     def position(self, time_s: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from dynahoi_lerobot.motions.geometry import Vector, as_vector
 @MOTIONS.register("harmonic_drift")
 @dataclass(frozen=True)
 class HarmonicDrift(PrescribedMotion):
-    """r = meeting + u v tau + n A sin(w t + phase), n at right angles to u: drift 0.03 to 0.2 m/s, A 0.05 to 0.18 m.
+    """r = meeting + u v tau + n A sin(w t + phase), n at right angles to u: drift 0.08 to 0.3 m/s, A 0.08 to 0.22 m.
 
     Attributes:
         meeting: centre of the oscillation at ``meeting_s`` [m].
@@ -23,7 +23,7 @@ class HarmonicDrift(PrescribedMotion):
         across: n, unit vector.
         meeting_s: [s].
         amplitude_m: A.
-        rate_rad_s: w, 0.25 to 0.8 Hz with peak speed at most 0.8 m/s.
+        rate_rad_s: w, 0.4 to 1 Hz with peak speed at most 1.2 m/s.
         phase_rad: phase at t = 0.
     """
 
@@ -41,10 +41,10 @@ class HarmonicDrift(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw drift and oscillation."""
-        speed, amplitude = draw.sample_speed(0.03, 0.2), draw.uniform(0.05, 0.18)
+        speed, amplitude = draw.sample_speed(0.08, 0.3), draw.uniform(0.08, 0.22)
         direction = np.asarray(draw.level_heading(0.5, speed * draw.horizon_s))
         across = np.cross(direction, draw.rng.normal(size=3))
-        rate = min(2 * np.pi * draw.sample_speed(0.25, 0.8), 0.8 / amplitude * draw.speed_scale)
+        rate = min(2 * np.pi * draw.sample_speed(0.4, 1.0), 1.2 / amplitude * draw.speed_scale)
         return cls(
             draw.meeting_point(), as_vector(speed * direction), as_vector(across / np.linalg.norm(across)),
             draw.intercept_s, amplitude, float(rate), draw.angle(),

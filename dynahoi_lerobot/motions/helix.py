@@ -30,8 +30,8 @@ class Helix(CircularMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw a circle and a climb."""
-        radius = draw.uniform(0.08, 0.25)
-        rate = draw.sample_speed(0.1, 0.6) / radius * draw.sign()
+        radius = draw.uniform(0.1, 0.3)
+        rate = draw.sample_speed(0.3, 1.0) / radius * draw.sign()
         climb = draw.uniform(0.2, 0.6) * draw.sign() / draw.horizon_s
         return cls(draw.meeting_point(), radius, rate, draw.angle(), draw.angle(), climb, draw.intercept_s)
 

@@ -15,7 +15,7 @@ from dynahoi_lerobot.motions.geometry import Vector
 @MOTIONS.register("line_then_arc")
 @dataclass(frozen=True)
 class LineThenArc(PrescribedMotion):
-    """A Dubins piece LS (Appendix "Geometric view"): speed 0.1 to 0.45 m/s, then an arc of 0.12 to 0.4 m radius.
+    """A Dubins piece LS (Appendix "Geometric view"): speed 0.25 to 0.9 m/s, then an arc of 0.15 to 0.4 m radius.
 
     Attributes:
         bend: where the line meets the arc [m].
@@ -38,8 +38,8 @@ class LineThenArc(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw line, bend and arc; at least the last fifth of the window shows the arc."""
         bend_s = draw.window_s * draw.uniform(0.2, 0.8)
-        radius = draw.uniform(0.12, 0.4) * draw.sign()
-        return cls(draw.meeting_point(), draw.angle(), bend_s, draw.sample_speed(0.1, 0.45), radius)
+        radius = draw.uniform(0.15, 0.4) * draw.sign()
+        return cls(draw.meeting_point(), draw.angle(), bend_s, draw.sample_speed(0.25, 0.9), radius)
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""

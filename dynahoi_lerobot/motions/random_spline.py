@@ -11,7 +11,7 @@ from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import Vector, as_vector
 
-KNOT_S = 0.8
+KNOT_S = 0.5
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 """Rows: coefficients of 1, s, s^2, s^3 for the four control points around a segment, s in [0, 1)."""
 
@@ -19,7 +19,7 @@ BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) /
 @MOTIONS.register("random_spline")
 @dataclass(frozen=True)
 class RandomSpline(PrescribedMotion):
-    """Twice continuously differentiable; control points every 0.8 s, steps of 0.05 to 0.3 m, drawn to their middle.
+    """Twice continuously differentiable; control points every 0.5 s, steps of 0.15 to 0.45 m, drawn to their middle.
 
     Attributes:
         points: control points [m]; the first segment starts at t = 0.
@@ -37,7 +37,7 @@ class RandomSpline(PrescribedMotion):
         """Draw control points as a random walk with a pull back to the meeting point."""
         knot_s = KNOT_S / draw.speed_scale
         count = int(np.ceil(draw.horizon_s / knot_s)) + 4
-        step = draw.uniform(0.05, 0.3)
+        step = draw.uniform(0.15, 0.45)
         middle, heading = np.asarray(draw.meeting_point()), draw.rng.normal(size=3)
         points = [middle + 0.1 * draw.rng.normal(size=3)]
         for _ in range(count - 1):

@@ -20,7 +20,7 @@ STRIKER_RADIUS_M = 0.02
 @MOTIONS.register("struck")
 @dataclass(frozen=True)
 class Struck(TabletopMotion):
-    """Striker of equal mass at 0.35 to 0.8 m/s, restitution 0.5 to 0.85, table friction 0.02 to 0.06."""
+    """Striker of equal mass at 0.6 to 1.2 m/s, restitution 0.5 to 0.85, table friction 0.02 to 0.06."""
 
     name: ClassVar[str] = "struck"
     phrase: ClassVar[str] = "struck by a ball"
@@ -29,7 +29,7 @@ class Struck(TabletopMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw speed, direction, materials; the impact is 0.25 to 0.6 s before the intercept and within the window."""
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.25, 0.6), draw.window_s - 0.1))
-        speed = draw.sample_speed(0.35, 0.8)
+        speed = draw.sample_speed(0.6, 1.2)
         yaw = np.pi + draw.uniform(-1.9, 1.9)
         return cls(
             draw.meeting_point(), yaw, speed, impact_s, draw.uniform(0.5, 0.85), draw.uniform(0.02, 0.06)

@@ -21,7 +21,7 @@ class SwingingArc(PrescribedMotion):
         pivot: centre of the arc [m].
         radius_m: R.
         swing_rad: A.
-        rate_rad_s: w, 0.2 to 0.6 Hz with peak speed at most 1 m/s.
+        rate_rad_s: w, 0.35 to 0.8 Hz with peak speed at most 1.6 m/s.
         phase_rad: phase at t = 0.
         yaw_rad: direction of h, horizontal.
     """
@@ -40,7 +40,7 @@ class SwingingArc(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the arc and its rhythm."""
         radius, swing = draw.uniform(0.25, 0.6), np.radians(draw.uniform(20, 60))
-        rate = min(2 * np.pi * draw.sample_speed(0.2, 0.6), 1.0 / (radius * swing) * draw.speed_scale)
+        rate = min(2 * np.pi * draw.sample_speed(0.35, 0.8), 1.6 / (radius * swing) * draw.speed_scale)
         pivot = as_vector(np.asarray(draw.meeting_point()) + [0.0, 0.0, radius])
         return cls(pivot, radius, float(swing), float(rate), draw.angle(), draw.angle())
 

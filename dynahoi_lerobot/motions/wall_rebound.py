@@ -20,7 +20,7 @@ WALL_HALF_M = (0.02, 0.3, 0.05)
 @MOTIONS.register("wall_rebound")
 @dataclass(frozen=True)
 class WallRebound(TabletopMotion):
-    """Meets the wall at 0.3 to 0.7 m/s, restitution 0.6 to 0.9, table friction 0.01 to 0.04."""
+    """Meets the wall at 0.5 to 1.1 m/s, restitution 0.6 to 0.9, table friction 0.01 to 0.04."""
 
     name: ClassVar[str] = "wall_rebound"
     phrase: ClassVar[str] = "rebounding from a wall"
@@ -31,7 +31,7 @@ class WallRebound(TabletopMotion):
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.2, 0.6), draw.window_s - 0.05))
         yaw = draw.uniform(-2.2, 2.2)
         return cls(
-            draw.meeting_point(), yaw, draw.sample_speed(0.3, 0.7), impact_s,
+            draw.meeting_point(), yaw, draw.sample_speed(0.5, 1.1), impact_s,
             draw.uniform(0.6, 0.9), draw.uniform(0.01, 0.04),
         )  # fmt: skip
 

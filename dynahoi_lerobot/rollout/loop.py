@@ -84,6 +84,7 @@ def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
     return WorldBatch(
         size,
         capture=recipe.capture,
+        control_class=recipe.control_class,
         hand=recipe.hand,
         image_size=recipe.image_size,
         views=recipe.views,

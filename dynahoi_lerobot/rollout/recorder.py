@@ -9,6 +9,7 @@ import numpy as np
 
 from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.captures import CaptureRule, Track
+from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.features import FEATURES, frame_features
@@ -103,7 +104,7 @@ class WorldRecorder:
         """Return the rule's verdict on the frames so far."""
         return self.localized_frames > 0 and rule.success(self._track(self._columns()))
 
-    def freeze(self, rule: CaptureRule, actor: str) -> Episode:
+    def freeze(self, rule: CaptureRule, control: ControlClass, actor: str) -> Episode:
         """Return the recording as an Episode."""
         spec, columns = self.job.spec, self._columns()
         track = self._track(columns)
@@ -117,7 +118,7 @@ class WorldRecorder:
             "reference_joints": track.reference_joints,
         }
         return Episode(
-            meta=_meta(self.job, rule.name, actor),
+            meta=_meta(self.job, rule.name, control.name, actor),
             images={view: np.stack(frames) for view, frames in self.images.items()},
             intercept_time=spec.intercept_time_s,
             success=rule.success(track),
@@ -144,7 +145,7 @@ class WorldRecorder:
         )
 
 
-def _meta(job: Job, capture: str, agent: str) -> EpisodeMeta:
+def _meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta:
     spec = job.spec
     return EpisodeMeta(
         seed=spec.seed,
@@ -157,6 +158,7 @@ def _meta(job: Job, capture: str, agent: str) -> EpisodeMeta:
         agent=agent,
         capture=capture,
         protocol=spec.protocol,
+        control_class=control_class,
         window_frames=spec.window_frames,
         length_frames=spec.length_frames,
         intercept_frame=spec.intercept_frame,

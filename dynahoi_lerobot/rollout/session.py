@@ -80,7 +80,7 @@ class Session:
             recorder.add_frame(columns, i, images)
         self.batch.step(checked[ids], ids)
         for i, recorder in self._recorders.items():
-            recorder.add_action(self.batch.executed[i])
+            recorder.add_action(self.batch.commanded[i])
         settled = [i for i in ids if self._recorders[i].settled(self.batch.rule)]
         full = [i for i in ids if self._recorders[i].full and i not in settled]
         return Ended(np.array(settled, int), np.array(full, int))
@@ -92,4 +92,4 @@ class Session:
     def finish(self, i: int, actor: str) -> tuple[Job, Episode]:
         """End the episode of world ``i``; return its job and the recording, which names the actor."""
         recorder = self._recorders.pop(i)
-        return recorder.job, recorder.freeze(self.batch.rule, actor)
+        return recorder.job, recorder.freeze(self.batch.rule, self.batch.control, actor)

@@ -12,6 +12,7 @@ from pathlib import Path
 import draccus
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.control_class import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
@@ -38,6 +39,7 @@ class Recipe:
             the benchmark is played only if it is named here.
         objects: objects to draw from; likewise.
         protocol: ``observe_before_act`` or ``direct_act``.
+        control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``.
         capture: name of the capture rule.
         hand: name of the hand; empty for the default of the capture rule.
         expert: name of the expert that demonstrates; empty for the default of the capture rule.
@@ -56,6 +58,7 @@ class Recipe:
     motions: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
     protocol: str = "observe_before_act"
+    control_class: str = DEFAULT_CONTROL_CLASS
     capture: str = "attach"
     hand: str = ""
     expert: str = ""
@@ -76,6 +79,7 @@ class Recipe:
         for value, allowed, noun in (
             (self.split, BENCHMARK.streams, "split"),
             (self.protocol, PROTOCOLS, "protocol"),
+            (self.control_class, tuple(CONTROL_CLASSES), "control class"),
             (self.instructions, INSTRUCTION_STYLES, "instructions"),
         ):
             if value not in allowed:

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.sampling.candidate import Candidate
-from dynahoi_lerobot.sampling.placement import find_home, in_arena
+from dynahoi_lerobot.sampling.placement import choose_home, find_homes, in_arena
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.untouched_path import roll_ahead
 
@@ -55,13 +55,13 @@ def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dic
     """Draw a motion for every pending candidate, roll all targets ahead together; return the episodes that fit."""
     drawn = {i: candidate for i, candidate in pending.items() if candidate.draw_motion()}
     paths = _roll_ahead(recipe, drawn, {i: c.timing.intercept_frame + 1 for i, c in drawn.items()}, threads)
-    homes = {i: find_home(paths[i], c.timing, c.rng) for i, c in drawn.items()}
-    reached = {i: c for i, c in drawn.items() if homes[i] is not None}
+    homes = {i: find_homes(paths[i], c.timing, c.rng) for i, c in drawn.items()}
+    reached = {i: c for i, c in drawn.items() if len(homes[i])}
     paths = _roll_ahead(recipe, reached, {i: c.timing.path_frames for i, c in reached.items()}, threads)
     return {
         i: candidate.accept(paths[i], home)
         for i, candidate in reached.items()
-        if (home := homes[i]) is not None and in_arena(paths[i])
+        if in_arena(paths[i]) and (home := choose_home(paths[i], candidate.timing, homes[i])) is not None
     }
 
 

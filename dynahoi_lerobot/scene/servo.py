@@ -2,14 +2,44 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF, SUBSTEPS
 
-MAX_PALM_SPEED_M_S = 2.0
-MAX_JOINT_SPEED_RAD_S = 20.0
-"""A command further away than one frame at these speeds is cut short."""
+ROUNDING = 1e-5
+"""Relative excess of a step that is a rounding error: replaying a stored, cut command must not cut it again."""
+
+
+@dataclass(frozen=True)
+class SpeedLimits:
+    """How far commands may lead within one frame.
+
+    Attributes:
+        palm_speed_m_s: of the palm [m/s].
+        joint_speed_rad_s: of each joint [rad/s].
+        by_axis: the palm's limit holds for each axis of the gantry by itself instead of the norm of its velocity.
+    """
+
+    palm_speed_m_s: float
+    joint_speed_rad_s: float
+    by_axis: bool = False
+
+    def cut(self, step: np.ndarray) -> np.ndarray:
+        """Return (n, 18) the steps [m, rad] of one frame, cut to the limits; the palm's keeps its direction."""
+        palm, joints = step[:, :PALM_DOF], step[:, PALM_DOF:]
+        farthest_m, farthest_rad = self.palm_speed_m_s * CONTROL_DT, self.joint_speed_rad_s * CONTROL_DT
+        length = np.abs(palm) if self.by_axis else np.linalg.norm(palm, axis=1, keepdims=True)
+        return np.concatenate(
+            [_shortened(palm, length, farthest_m), _shortened(joints, np.abs(joints), farthest_rad)], axis=1
+        )
+
+
+def _shortened(step: np.ndarray, length: np.ndarray, farthest: float) -> np.ndarray:
+    """Scale steps that are longer than ``farthest``; rounding to single precision makes none too long."""
+    return np.where(length > farthest * (1 + ROUNDING), step * (farthest / np.maximum(length, farthest)), step)
 
 
 class Servo:
@@ -19,19 +49,22 @@ class Servo:
     makes the joint arrive at the command exactly at the end of the frame.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        """Read gains and joint ranges of the 18 actuated joints from ``model``."""
+    def __init__(self, model: mujoco.MjModel, limits: SpeedLimits) -> None:
+        """Read gains and joint ranges of the 18 actuated joints from ``model``, and keep to ``limits``."""
         joints = model.actuator_trnid[:HAND_DOF, 0]
         self.low, self.high = model.jnt_range[joints].T.copy()
         self._lead_s = -model.actuator_biasprm[:HAND_DOF, 2] / model.actuator_gainprm[:HAND_DOF, 0]
-        speed = np.full(HAND_DOF, MAX_JOINT_SPEED_RAD_S)
-        speed[:PALM_DOF] = MAX_PALM_SPEED_M_S
-        self._max_step = speed * CONTROL_DT
+        self._limits = limits
 
-    def clip(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
-        """Return (n, 18) commands within joint ranges and within reach of one frame from ``previous`` (n, 18)."""
-        step = np.clip(command - previous, -self._max_step, self._max_step)
-        return np.clip(previous + step, self.low, self.high)
+    def within_range(self, command: np.ndarray) -> np.ndarray:
+        """Return (n, 18) commands within joint ranges and the palm's reach."""
+        return np.clip(command, self.low, self.high)
+
+    def within_reach(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
+        """Return (n, 18) commands towards ``command`` that a hand at ``previous`` (n, 18) can meet within one frame."""
+        step = command - previous
+        cut = self._limits.cut(step)
+        return self.within_range(np.where(cut == step, command, previous + cut))
 
     def set_points(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
         """Return (n, 25, 18) set-points that lead from ``previous`` to ``command``, (n, 18) each."""

@@ -10,6 +10,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.agent import Observation, WorldState
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.hands.base import EGO_CAMERA
@@ -17,12 +18,13 @@ from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
-from dynahoi_lerobot.scene.servo import Servo, check_command
+from dynahoi_lerobot.scene.servo import Servo, SpeedLimits, check_command
 from dynahoi_lerobot.scene.target_drive import drive_for
 from dynahoi_lerobot.scene.world_fields import WorldFields
 from dynahoi_lerobot.world.cameras import Cameras
 from dynahoi_lerobot.world.disturbance import DisturbanceInjection
 from dynahoi_lerobot.world.fingertips import Fingertips
+from dynahoi_lerobot.world.latency import CommandLatency
 from dynahoi_lerobot.world.physics import Physics
 from dynahoi_lerobot.world.target import Targets
 
@@ -45,7 +47,10 @@ class WorldBatch:
         specs: the episode of each world, None where none has begun.
         frame: (N,) int, current frame of each world's episode.
         attempt: (N,) int, from 1.
-        executed: (N, 18) the command last given, after clipping; the hand meets it unless it is disturbed.
+        control: the control class, whose limits every command is held to.
+        servo: what holds them to it.
+        commanded: (N, 18) the command last given, cut to what an undisturbed hand can meet when it takes effect.
+        executed: (N, 18) what the servos were last told: the command that was due, cut to the speed limits, disturbed.
     """
 
     def __init__(
@@ -53,6 +58,7 @@ class WorldBatch:
         size: int,
         *,
         capture: str = "attach",
+        control_class: str = DEFAULT_CONTROL_CLASS,
         hand: str = "capsule",
         image_size: int = 128,
         views: Sequence[str] = (),
@@ -65,6 +71,7 @@ class WorldBatch:
         Args:
             size: N.
             capture: the capture rule.
+            control_class: limits of the hand and latency of its commands.
             hand: the hand.
             image_size: side of the images [px].
             views: what is rendered besides the hand's camera, see `renderers/camera_views.py`.
@@ -82,7 +89,11 @@ class WorldBatch:
         self.rule = CAPTURES[capture]()
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
-        self._servo = Servo(self.scene.model)
+        self.control = control_class_of(control_class)
+        gantry, joint_speed = self.rule.gantry_speed_m_s, self.control.joint_speed_rad_s
+        palm_speed = self.control.palm_speed_m_s if gantry is None else gantry
+        self.servo = Servo(self.scene.model, SpeedLimits(palm_speed, joint_speed, by_axis=gantry is not None))
+        self._latency = CommandLatency(size, self.control.latency_frames)
         self._targets = Targets(self.scene, self._fields, size)
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
@@ -91,8 +102,7 @@ class WorldBatch:
         self._views = (EGO_CAMERA, *views)
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
-        self.executed = np.zeros((size, HAND_DOF))
-        self._reached = self.executed.copy()
+        self.commanded, self.executed = np.zeros((2, size, HAND_DOF))
 
     def reset(
         self, ids: Sequence[int] | np.ndarray, specs: Sequence[EpisodeSpec], attempt: Sequence[int] | int = 1
@@ -111,14 +121,13 @@ class WorldBatch:
             self._write(int(i), spec)
         self._fields.finish(chosen)
         self._fingertips.forget()
-        self._reached[chosen] = self.executed[chosen]
         distance = np.linalg.norm(self.target_pose[:, :3] - self.state[:, :PALM_DOF], axis=1)
         self._physics.reset(chosen, distance[chosen])
 
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> None:
         """Advance worlds ``ids`` (default: all) by one control step of 0.05 s.
 
-        During the observation window commands are ignored and the hand is held at home.
+        During the observation window the hand is held at home; commands that would take effect in it are void.
 
         Args:
             commands: (n, 18) palm positions [m], world, and joint angles [rad].
@@ -131,15 +140,16 @@ class WorldBatch:
         wanted = check_command(commands, len(chosen))
         if not len(chosen):
             return
-        previous, acting = self._reached[chosen], self.acting[chosen]
-        # executed as it is stored, in single precision: where there is contact, a rounding error grows
-        command = self._servo.clip(np.where(acting[:, None], wanted, previous), previous)
-        command = command.astype(np.float32).astype(np.float64)
-        reached = self._servo.clip(command + self._disturbance.offsets(chosen, self.frame[chosen]), previous)
+        previous, acting = self.executed[chosen], self.acting[chosen]
+        # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
+        commanded = self.servo.within_reach(wanted, self._state_when_due()[chosen]).astype(np.float32)
+        commanded = np.where(self.accepting[chosen, None], commanded.astype(np.float64), previous)
+        due = self._latency.exchange(chosen, commanded) + self._disturbance.offsets(chosen, self.frame[chosen])
+        executed = self.servo.within_reach(due, previous)
         force_w = np.stack([self._targets.force(int(i), int(self.frame[i])) for i in chosen])  # (n, 25, 3)
-        control = self._physics.control(self._servo.set_points(reached, previous), force_w)
+        control = self._physics.control(self.servo.set_points(executed, previous), force_w)
         self._physics.advance(chosen, control, acting)
-        self.executed[chosen], self._reached[chosen] = command, reached
+        self.commanded[chosen], self.executed[chosen] = commanded, executed
         self.frame[chosen] += 1
         self._update_kinematics(chosen)
 
@@ -149,13 +159,22 @@ class WorldBatch:
 
     def command_limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (18,) least and greatest commands, float32: reach of the palm [m] and joint ranges [rad]."""
-        return self._servo.low.astype(np.float32), self._servo.high.astype(np.float32)
+        return self.servo.low.astype(np.float32), self.servo.high.astype(np.float32)
 
     @property
     def acting(self) -> np.ndarray:
-        """(N,) bool, the control phase has begun: the command of this frame moves the hand."""
-        windows = [0 if spec is None else spec.window_frames for spec in self.specs]
-        return self.frame >= np.asarray(windows)
+        """(N,) bool, the control phase has begun: the hand may move during this frame."""
+        return self.frame >= self._windows
+
+    @property
+    def accepting(self) -> np.ndarray:
+        """(N,) bool, a command given at this frame takes effect in the control phase; earlier ones are void."""
+        return self.frame + self.control.latency_frames >= self._windows
+
+    @property
+    def _windows(self) -> np.ndarray:
+        """(N,) int, length of each world's observation window [frames]."""
+        return np.array([0 if spec is None else spec.window_frames for spec in self.specs])
 
     @property
     def state(self) -> np.ndarray:
@@ -209,7 +228,7 @@ class WorldBatch:
             images={view: self.cameras.render(ids, view) for view in self._views} if images else {},
             state=self.state.astype(np.float32),
             fingertips=self._fingertips.poses().astype(np.float32),
-            phase=self.acting[:, None].astype(np.float32),
+            phase=self.accepting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
         )
@@ -224,7 +243,17 @@ class WorldBatch:
             target_pose=self.target_pose,
             target_velocity=self.target_velocity,
             target_contacts=self.touching(),
+            localized=self.localized.copy(),
+            control=self.control,
+            state_when_due=self._state_when_due(),
         )
+
+    def _state_when_due(self) -> np.ndarray:
+        """(N, 18) where undisturbed hands will be when a command given now takes effect."""
+        state = self.executed.copy()
+        for command in self._latency.pending():
+            state = self.servo.within_reach(command, state)
+        return state
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
         """Fill row ``i`` with an episode that is about to begin."""
@@ -235,8 +264,10 @@ class WorldBatch:
         self._fields.write_appearance(i, spec.appearance)
         self._fields.place_side_camera(i, spec.home_pos_w)
         # rounded as commands are, or the hand would creep to its home and, by rounding, disturb what slides or rests
-        self.executed[i] = np.concatenate([spec.home_pos_w, self.scene.hand.open_joints()]).astype(np.float32)
-        self._fields.qpos[i, self.scene.hand_qpos] = self.executed[i]
+        rest = np.concatenate([spec.home_pos_w, self.scene.hand.open_joints()]).astype(np.float32)
+        self.commanded[i] = self.executed[i] = rest
+        self._latency.reset(i, rest)
+        self._fields.qpos[i, self.scene.hand_qpos] = rest
         self._targets.reset(i, drive)
         self._disturbance.reset(i, spec, int(self.attempt[i]))
         self.specs[i] = spec

@@ -11,7 +11,7 @@ from vla_eval.registry import resolve_import_string
 from vla_eval.runners.sync_runner import SyncEpisodeRunner
 
 from dynahoi_lerobot.adapters.vla_eval import DynahoiBenchmark
-from dynahoi_lerobot.experts.intercept import plan_intercept
+from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 
 
@@ -29,7 +29,7 @@ class Server:
         if not self.moves:
             return {"actions": observation["states"]}
         batch = self.benchmark._env._batch
-        return {"actions": plan_intercept(batch.specs[0]).command(int(batch.frame[0]), observation["states"][:3])}
+        return {"actions": Intercept().act(batch.world_state(batch.observe(images=False)))[0]}
 
     async def end_episode(self, result: dict) -> None:
         self.result = result

@@ -64,7 +64,8 @@ def test_nothing_is_caught_in_the_window(specs: list[EpisodeSpec]):
 
 
 def test_a_welded_target_moves_with_the_hand_as_it_lies(specs: list[EpisodeSpec]):
-    batch = world([passing(specs[3], 0.3, 0.01, (specs[3].window_frames + 1) * CONTROL_DT)])
+    arrival_s = (specs[3].window_frames + 1) * CONTROL_DT
+    batch = world([passing(specs[3], 0.3, 0.01, arrival_s)], control_class="unlimited")
     while not batch.localized[0]:
         batch.step(batch.executed)
     position, rotation = relative_pose(batch)
@@ -84,7 +85,8 @@ def test_a_welded_target_moves_with_the_hand_as_it_lies(specs: list[EpisodeSpec]
 def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec]):
     """A pendulum, a rolling and a struck target follow the hand upwards for half a metre."""
     chosen = [next(s for s in specs if s.motion.name == kind) for kind in ("planar", "ramp", "struck")]
-    batch = world([replace(spec, home_pos_w=spec.oracle_path[spec.window_frames + 2]) for spec in chosen])
+    near = [replace(spec, home_pos_w=spec.oracle_path[spec.window_frames + 2]) for spec in chosen]
+    batch = world(near, control_class="unlimited")
     for _ in range(max(spec.window_frames for spec in chosen) + 5):
         batch.step(batch.executed)
     assert batch.localized.all()

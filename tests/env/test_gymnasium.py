@@ -8,10 +8,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from dynahoi_lerobot.agent import Expert
 from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.experts.intercept import plan_intercept
+from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
@@ -45,11 +44,9 @@ def test_every_kind_of_motion_is_an_id_whose_observations_are_in_its_space(kind:
 
 def follow_expert(env: DynahoiVectorEnv, steps: int) -> list[tuple]:
     """Play the demonstrator's commands in every world and return what each step returned."""
-    plans = [plan_intercept(spec) for spec in env._batch.specs if spec is not None]
     results = []
     for _ in range(steps):
-        rows = zip(plans, env._batch.frame, env._batch.state[:, :3], strict=True)
-        commands = np.stack([plan.command(int(frame), palm) for plan, frame, palm in rows])
+        commands = Intercept().act(env._batch.world_state(env._batch.observe(images=False)))
         results.append(env.step(commands.astype(np.float32)))
     return results
 
@@ -127,20 +124,13 @@ def test_seeds_number_the_episodes_of_kind_and_split() -> None:
 
 
 def test_env_and_rollout_play_the_same_episode() -> None:
-    class Replay(Expert):
-        name = "replay"
-
-        def act(self, world) -> np.ndarray:
-            rows = zip(world.specs, world.frame, world.observation.state[:, :3], strict=True)
-            return np.stack([plan_intercept(spec).command(int(frame), palm) for spec, frame, palm in rows])
-
     kept = []
     env = DynahoiVectorEnv(1, images=False, on_episode=kept.append, **SMALL)
     env.reset(seed=[7])
     while not kept:
         follow_expert(env, 1)
     recipe = Recipe(split="test", **SMALL)
-    (episode,) = evaluate(make_batch(recipe, 1), Replay(), [sample_spec(recipe, 7)])
+    (episode,) = evaluate(make_batch(recipe, 1), Intercept(), [sample_spec(recipe, 7)])
     np.testing.assert_allclose(kept[0].state, episode.state, atol=1e-6)  # the env's actions were rounded to float32
     assert kept[0].stage == episode.stage == "captured"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
-from dynahoi_lerobot.scene.servo import MAX_JOINT_SPEED_RAD_S, MAX_PALM_SPEED_M_S
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import wait, world
 
@@ -18,7 +18,7 @@ ARRIVAL_PALM_M, ARRIVAL_JOINT_RAD = 0.001, 0.015
 @pytest.fixture
 def hands(specs: list[EpisodeSpec]) -> WorldBatch:
     """Four worlds in the control phase."""
-    batch = world(specs[:4])
+    batch = world(specs[:4], control_class="unlimited")
     wait(batch)
     return batch
 
@@ -29,18 +29,52 @@ def test_every_joint_arrives_at_its_command_at_the_end_of_the_frame(hands: World
         step = np.hstack([rng.uniform(-0.05, 0.05, (4, PALM_DOF)), rng.uniform(-0.5, 0.5, (4, HAND_DOF - PALM_DOF))])
         wanted = np.clip(hands.executed + step, *hands.command_limits())
         hands.step(wanted)
-        np.testing.assert_array_equal(hands.executed, wanted.astype(np.float32))
+        np.testing.assert_array_equal(hands.commanded, wanted.astype(np.float32))
         error = np.abs(hands.state - wanted)
         assert error[:, :PALM_DOF].max() < ARRIVAL_PALM_M
         assert error[:, PALM_DOF:].max() < ARRIVAL_JOINT_RAD
 
 
-def test_commands_too_far_away_are_cut_to_one_frame_at_full_speed(hands: WorldBatch):
+def waiting(specs: list[EpisodeSpec], **options) -> WorldBatch:
+    """Four worlds whose next command is the first of the control phase, or takes effect then."""
+    batch = world(specs[:4], **options)
+    while not batch.accepting.all():
+        batch.step(batch.executed)
+    return batch
+
+
+@pytest.mark.parametrize("control_class", CONTROL_CLASSES)
+def test_palm_and_joints_keep_to_the_speed_limits_and_the_palm_to_its_direction(control_class: str, specs):
+    hands, control = waiting(specs, control_class=control_class), CONTROL_CLASSES[control_class]
+    direction = np.array([3.0, -2.0, 6.0]) / 7
     before = hands.executed.copy()
-    hands.step(before + 100.0)
+    for _ in range(1 + control.latency_frames):
+        hands.step(np.hstack([before[:, :PALM_DOF] + 5 * direction * [0.2, 0.2, 0.2], before[:, PALM_DOF:] + 2.0]))
     moved = hands.executed - before
-    np.testing.assert_allclose(moved[:, :PALM_DOF], MAX_PALM_SPEED_M_S * CONTROL_DT, rtol=1e-5)
-    np.testing.assert_allclose(moved[:, PALM_DOF:], MAX_JOINT_SPEED_RAD_S * CONTROL_DT, rtol=1e-5)
+    np.testing.assert_allclose(
+        moved[:, :PALM_DOF], np.tile(control.palm_speed_m_s * CONTROL_DT * direction, (4, 1)), rtol=1e-5
+    )
+    np.testing.assert_allclose(moved[:, PALM_DOF:].max(axis=1), control.joint_speed_rad_s * CONTROL_DT, rtol=1e-5)
+
+
+def test_a_late_command_takes_effect_three_frames_after_it_was_given(specs: list[EpisodeSpec]):
+    hands = waiting(specs, control_class="late")
+    home = hands.executed.copy()
+    assert not hands.acting.all(), "the window goes on until the first command takes effect"
+    hands.step(home + ([0.01] + [0.0] * 17))
+    for _ in range(3):
+        np.testing.assert_array_equal(hands.executed, home)
+        hands.step(home)
+    np.testing.assert_allclose(hands.executed[:, 0] - home[:, 0], 0.01, atol=1e-6)
+    hands.step(home)
+    np.testing.assert_array_equal(hands.executed, home)
+
+
+def test_under_contact_each_axis_of_the_gantry_has_its_limit(specs: list[EpisodeSpec]):
+    hands = waiting(specs, capture="contact", hand="opposed")
+    before = hands.executed.copy()
+    hands.step(before + ([1.0, -1.0, 0.01] + [0.0] * 15))
+    np.testing.assert_allclose(hands.executed - before, np.tile([0.1, -0.1, 0.01] + [0.0] * 15, (4, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -53,11 +53,16 @@ def test_a_metric_says_what_it_is(name: str):
     assert metric.name == name
     assert metric.direction in ("higher", "lower")
     assert metric.aggregation in ("rate", "mean")
-    assert metric.unit in ("fraction", "u", "score")
+    assert metric.unit in ("fraction", "u", "score", "m/s")
     assert metric.summary.endswith((".", "``."))
     assert f"``{name} = " in metric.doc, "the formula is missing"
     assert f"{metric.direction} is better" in metric.doc
-    unit = {"fraction": "Fraction of", "u": "In u (0.1 m)", "score": f"Score in [{metric.bounds[0]:g}, "}[metric.unit]
+    unit = {
+        "fraction": "Fraction of",
+        "u": "In u (0.1 m)",
+        "m/s": "In m/s",
+        "score": f"Score in [{metric.bounds[0]:g}, ",
+    }[metric.unit]
     assert unit in metric.doc
     assert any(source in metric.doc for source in ("Paper: ", "Source: ", "Ours")), "the source is missing"
 
@@ -109,7 +114,8 @@ def test_a_metric_does_not_depend_on_where_the_world_has_its_origin_or_heading(n
     state, action, pose = episode.state.copy(), episode.action.copy(), episode.target_pose.copy()
     for array in (state, action, pose):
         array[:, :3] = array[:, :3] @ turn.T + np.float32([0.25, -0.5, 0.5])
-    moved = replace(episode, state=state, action=action, target_pose=pose)
+    velocity = np.hstack([episode.target_velocity[:, :3] @ turn.T, episode.target_velocity[:, 3:] @ turn.T])
+    moved = replace(episode, state=state, action=action, target_pose=pose, target_velocity=velocity)
     assert METRICS[name](moved) == pytest.approx(METRICS[name](episode), abs=1e-4)
 
 

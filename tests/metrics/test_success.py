@@ -117,3 +117,30 @@ def test_holding_is_the_verdict_of_the_contact_rule(success: bool):
     contact = replace(episode, meta=replace(episode.meta, capture="contact"))
     assert METRICS["S_hold"](contact) == float(success)
     assert METRICS["S_hold"](episode) is None
+
+
+@pytest.mark.parametrize(("localized_from", "expected"), [(5, 1.0), (7, 1.0), (8, 0.0), (None, 0.0)])
+def test_the_first_opportunity_ends_a_tenth_of_a_second_after_the_intercept(localized_from, expected: float):
+    episode = hand_made([(0.1 * i, 0.0, 1.0) for i in range(12)], localized_from=localized_from)
+    episode = replace(episode, meta=replace(episode.meta, intercept_frame=WINDOW + 5))
+    assert METRICS["S_intercept"](episode) == expected
+
+
+@pytest.mark.parametrize(("angle", "expected"), [(0.89, 0.0), (0.91, 1.0), (1.19, 1.0), (1.21, 0.0), (-1.0, 0.0)])
+def test_a_two_sided_grasp_is_neither_too_open_nor_too_closed(angle: float, expected: float):
+    episode = hand_made(LINE, joints=[0.0, 0.0, angle, angle, angle], localized_from=2)
+    assert METRICS["S_gra_two_sided"](episode) == expected
+
+
+def test_a_joint_that_the_reference_leaves_open_does_not_count_in_a_two_sided_grasp():
+    episode = hand_made(LINE, joints=[1.0] * 5, localized_from=2)
+    reference = np.where(np.arange(15) == 3, 0.0, 1.0)
+    assert METRICS["S_gra_two_sided"](replace(episode, reference_joints=reference)) == 1.0
+
+
+def test_relative_speed_is_that_of_the_step_in_which_they_meet():
+    episode = hand_made(LINE, localized_from=3)  # the palm moves at 2 m/s along x
+    episode.target_velocity[WINDOW + 2, :3] = (2.0, 1.5, 0.0)
+    episode.target_velocity[WINDOW + 3, :3] = 9.0  # after the weld
+    assert METRICS["relative_speed"](episode) == pytest.approx(1.5, rel=1e-4)
+    assert METRICS["relative_speed"](hand_made(LINE)) is None

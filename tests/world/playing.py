@@ -12,7 +12,6 @@ import numpy as np
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -26,11 +25,10 @@ def world(
     *,
     threads: int = 1,
     image_size: int = 32,
-    views: Sequence[str] = (),
-    renderer: str = DEFAULT_RENDERER,
+    **options,
 ) -> WorldBatch:
-    """A batch with one world for each spec, at the start of its episode."""
-    batch = WorldBatch(len(specs), threads=threads, image_size=image_size, views=views, renderer=renderer)
+    """A batch with one world for each spec, at the start of its episode; ``options`` go to ``WorldBatch``."""
+    batch = WorldBatch(len(specs), threads=threads, image_size=image_size, **options)
     batch.reset(range(len(specs)), specs)
     return batch
 

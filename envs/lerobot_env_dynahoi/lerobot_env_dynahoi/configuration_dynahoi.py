@@ -12,6 +12,7 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.features import Feature, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.hands import HANDS
@@ -38,6 +39,7 @@ class DynahoiEnvConfig(EnvConfig):
         views: views besides ``ego``, the hand's camera, such as ``side`` or ``ego_depth``.
         appearance: what is randomised more strongly, such as ``lights`` or ``distractors``.
         protocol: ``observe_before_act`` or ``direct_act``.
+        control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``.
         capture: capture rule, one of ``dynahoi list captures``.
         hand: embodiment, one of ``dynahoi list hands``; the capture rule's own if empty.
         renderer: one of ``dynahoi list renderers``.
@@ -52,6 +54,7 @@ class DynahoiEnvConfig(EnvConfig):
     views: tuple[str, ...] = ()
     appearance: tuple[str, ...] = ()
     protocol: str = "observe_before_act"
+    control_class: str = DEFAULT_CONTROL_CLASS
     capture: str = "attach"
     hand: str = ""
     renderer: str = DEFAULT_RENDERER

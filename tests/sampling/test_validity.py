@@ -1,0 +1,63 @@
+"""The benchmark cannot be solved without predicting: what baselines score in the simulator stays below a bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
+
+EPISODES = 220
+WORLDS = 44
+
+
+@pytest.fixture(scope="module")
+def many_specs() -> list[EpisodeSpec]:
+    """Every kind ten times, from ``test``."""
+    return sample_specs(Recipe(split="test"), range(EPISODES))
+
+
+def localized_percent(name: str, control: str, specs: list[EpisodeSpec]) -> float:
+    """Return S_loc of an expert or baseline [%]."""
+    episodes = list(evaluate(WorldBatch(WORLDS, control=control), EXPERTS[name](), specs))
+    assert len(episodes) == len(specs)
+    return 100 * float(np.mean([episode.first_localized is not None for episode in episodes]))
+
+
+def test_no_target_comes_to_a_hand_that_waits(many_specs: list[EpisodeSpec]):
+    assert localized_percent("hold", "standard", many_specs) == 0
+
+
+def test_targets_lie_on_all_sides_of_the_home(many_specs: list[EpisodeSpec]):
+    """In front more often, as the camera must see them first; but no half-space is the right guess for nine of ten."""
+    directions = np.stack([spec.intercept_pos_w - spec.home_pos_w for spec in many_specs])
+    share_ahead = (directions > 0).mean(axis=0)
+    assert (share_ahead > 0.1).all()
+    assert (share_ahead < 0.9).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "control", "bound"),
+    [
+        ("blind_path", "standard", 20),
+        ("pursuit", "standard", 80),
+        ("pursuit", "late", 60),
+        ("constant_velocity", "late", 75),
+    ],
+)
+def test_what_does_not_predict_stays_below_its_bound(
+    name: str, control: str, bound: float, many_specs: list[EpisodeSpec]
+):
+    assert 0 < localized_percent(name, control, many_specs) <= bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("control", "least"), [("standard", 100), ("late", 99)])
+def test_the_expert_catches_everything(control: str, least: float, many_specs: list[EpisodeSpec]):
+    assert localized_percent("intercept", control, many_specs) >= least
