@@ -2,7 +2,7 @@
 
 python benchmarks/kill.py [--kills 30] [--episodes 12] [--image-size 0] [--json FILE] [--tiny]
 
-The ways to generate (one process, two, datatrove's tasks on this machine) and the signals (SIGKILL, SIGTERM) take turns.
+The ways to generate (one process, two, datatrove's tasks on this machine) and the signals take turns.
 Each is killed once at an instant drawn from the time that an undisturbed run takes, and its processes are counted two
 seconds later. Then the same command is run to its end; the dataset must be that of an undisturbed run, byte by byte.
 """

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from dynahoi_lerobot.dataset.columns import column_array, numeric_keys
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.dataset.files import reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.quality_control import Columns
 from dynahoi_lerobot.dataset.store import Store
