@@ -11,7 +11,7 @@ from typing import Any
 
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset
-from dynahoi_lerobot.foundation.arguments import number, path
+from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.verify.outliers import MARGIN, Outlier, find_outliers
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=path, help="folder of the new dataset; must not exist")
     parser.add_argument(
         "--margin",
-        type=number(0.0, 1e6),
+        type=float,
         default=MARGIN,
         help="allowed beyond [q01, q99] on either side, in widths of it",
     )

@@ -274,7 +274,7 @@ def test_every_check_is_needed_by_some_damage():
             entry("meta/manifest.json", lambda m: m["files"].update({DATA: "0"})),
             "the manifest says 0",
         ),
-        (lambda root: (root / "meta/info.json").write_text("{"), "cannot be checked: JSONDecodeError"),
+        (lambda root: (root / "meta/info.json").write_text("{"), "info.json cannot be read (JSONDecodeError"),
     ],
 )
 def test_damage_to_files_is_named(damaged, damage, sentence):
