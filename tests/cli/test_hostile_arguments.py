@@ -97,7 +97,7 @@ HARMLESS = {
     "evaluate --delay-ms": ("0", "1e3"),
     "evaluate --prices": ("0", "1e3"),
     "evaluate --request-timeout": ("1e3",),
-    "filter --margin": ("0", "1e3"),
+    "filter --margin": ("0", "1e3", str(10**30)),
 }
 """Values out of ``NUMBERS`` that are right, by command and option."""
 VLM = ["--policy", "vlm", "--model", "tiny", "--base-url", "http://127.0.0.1:9/v1"]

@@ -112,6 +112,8 @@ class Executor(ABC):
 
     def _forget_lost_work(self) -> None:
         """Remove the completion marks of tasks whose shards are gone."""
-        for task in {shard % self.tasks for shard in self.maker.missing()}:
-            (self.logs / f"shards/completions/{task:05d}").unlink(missing_ok=True)
+        finished = self.maker.finished()
+        for mark in self.logs.glob("shards/completions/*"):
+            if not finished.issuperset(range(int(mark.name), self.plan.shards, self.tasks)):
+                mark.unlink()
         (self.logs / "merge/completions/00000").unlink(missing_ok=True)
