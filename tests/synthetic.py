@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.motions.constant import Constant
 
 REFERENCE = np.full(15, 1.0, np.float32)
 
@@ -36,7 +35,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     pose = np.hstack([target, np.tile([1.0, 0, 0, 0], (frames, 1))])
     meta = EpisodeMeta(
         seed=seed, split="train", motion="constant", category="straight_line", object="ball",
-        parameters=json.dumps({"speed_m_s": float(np.linalg.norm(velocity))}), task="Catch the moving ball.",
+        parameters=_straight(meeting + [0, 0, miss_m], velocity, arrival * CONTROL_DT), task="Catch the moving ball.",
         agent="intercept", capture="attach", protocol="observe_before_act", window_frames=window,
         length_frames=frames, intercept_frame=arrival, attempts=1, fingerprint="synthetic",
     )  # fmt: skip
@@ -52,3 +51,9 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
         open_joints=np.zeros(15, np.float32), reference_joints=REFERENCE, success=bool(localized[-1]),
         stage="captured" if localized[-1] else "missed",
     )  # fmt: skip
+
+
+def _straight(meeting: np.ndarray, velocity: np.ndarray, time_s: float) -> str:
+    """Return the parameters of the motion that passes ``meeting`` at a time."""
+    speed = float(np.linalg.norm(velocity))
+    return Constant(tuple(meeting.tolist()), tuple((velocity / speed).tolist()), time_s, speed, 0.0).parameters()

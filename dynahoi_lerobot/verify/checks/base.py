@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import draccus
 import numpy as np
 import pyarrow.parquet as pq
 
@@ -17,6 +18,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.quality_control import Columns
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 CHECKS: Registry[type[Check]] = Registry("check", "dynahoi_lerobot.verify.checks")
 
@@ -60,6 +62,15 @@ class CheckedDataset(Store):
             ValueError: if it cannot be read.
         """
         return Manifest.read(self.root)
+
+    @cached_property
+    def recipe(self) -> Recipe | None:
+        """The recipe that the manifest names; None if it names none, or none that this project can read."""
+        stored = self.manifest.provenance.get("recipe")
+        try:
+            return None if stored is None else draccus.decode(Recipe, stored)
+        except (draccus.utils.DraccusException, ValueError, TypeError, AttributeError):
+            return None
 
     @cached_property
     def stats_rows(self) -> list[EpisodeRow]:
