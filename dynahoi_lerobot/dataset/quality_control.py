@@ -22,8 +22,10 @@ Columns = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class TrajectoryLimits:
-    """Bounds that no intact recording exceeds. "Seen" is the greatest value in 252 recordings: every kind of motion, both
-    capture rules, faster and held-out motions, disturbances up to the 0.2 m that recipes allow.
+    """Bounds that no intact recording exceeds.
+
+    "Seen" is the greatest value in 252 recordings of both capture rules' experts: every kind of motion, faster and
+    held-out ones, disturbances up to the 0.2 m that recipes allow.
 
     Attributes:
         palm_range_m: least and greatest palm position along each axis: the slides' range; commands are clipped to it.

@@ -1,4 +1,4 @@
-"""The boxes of an mp4 file (ISO/IEC 14496-12): they tile it from the first byte to the last, and are the muxer's own."""
+"""The boxes of an mp4 file (ISO/IEC 14496-12): they tile it from first byte to last, and are the muxer's own."""
 
 from __future__ import annotations
 

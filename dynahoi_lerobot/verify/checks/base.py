@@ -22,6 +22,9 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 
 CHECKS: Registry[type[Check]] = Registry("check", "dynahoi_lerobot.verify.checks")
 
+LONGEST = 600
+"""Characters of a finding that are shown."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -36,8 +39,9 @@ class Finding:
     message: str
 
     def __str__(self) -> str:
-        """Return both on one line."""
-        return f"{self.check}: {self.message}"
+        """Return both on one line, with what cannot be printed escaped: it may come from a hostile dataset."""
+        line = f"{self.check}: {self.message}"
+        return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line[:LONGEST])
 
 
 class CheckedDataset(Store):

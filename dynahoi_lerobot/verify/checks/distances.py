@@ -34,7 +34,12 @@ class Distances(Check):
         frames = len(columns["index"])
         if palm.shape != (frames,) or tips.shape != (frames,):
             return  # said by `episode_columns`
-        problems = (_palm(palm, columns), _localized(palm, columns), _tips(tips, columns), _contacts(row, tips, columns))
+        problems = (
+            _palm(palm, columns),
+            _localized(palm, columns),
+            _tips(tips, columns),
+            _contacts(row, tips, columns),
+        )
         yield from (f"episode {row['episode_index']}, frame {problem}" for problem in problems if problem)
 
 

@@ -38,7 +38,9 @@ class HandCheck(Check):
 
 
 def _fingertips(recipe: Recipe, columns: Columns) -> str | None:
-    apart = np.abs(hand_kinematics(recipe.hand).fingertips(columns["observation.state"]) - columns["observation.fingertips"])
+    apart = np.abs(
+        hand_kinematics(recipe.hand).fingertips(columns["observation.state"]) - columns["observation.fingertips"]
+    )
     apart = np.minimum(apart, np.abs(apart - 2 * np.pi)).max(axis=1)  # a rotation vector of half a turn has two signs
     if apart.max() <= TIP_TOLERANCE:
         return None

@@ -17,7 +17,6 @@ from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
-
 LIMITS = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb")
 LARGEST = 1e6
 """Of a limit: files per folder, or MiB."""
