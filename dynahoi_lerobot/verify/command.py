@@ -13,9 +13,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.features import CAMERA_KEY
-from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
-from dynahoi_lerobot.verify.checks.base import CheckedDataset, Finding
+from dynahoi_lerobot.verify.checks.base import Finding
 from dynahoi_lerobot.verify.runner import DECODED, verify
 
 if TYPE_CHECKING:
@@ -48,22 +46,12 @@ def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> in
     except (OSError, ValueError) as error:
         print(f"dynahoi verify: {error}", file=sys.stderr)
         return BAD_INPUT
-    refused = None
-    if args.replay and resimulate is None:
-        resimulate, refused = _simulator(args.root)
     with tqdm(total=_episodes(args.root), unit="episode", disable=None) as bar:
 
         def show(done: int) -> None:
             bar.update(done - bar.n)
 
-        findings = verify(
-            args.root,
-            decoded=decoded,
-            resimulate=resimulate if args.replay else None,
-            replayed=args.replay,
-            progress=show,
-        )
-    findings += [Finding("replay", refused)] if refused else []
+        findings = verify(args.root, decoded=decoded, replayed=args.replay, resimulate=resimulate, progress=show)
     _report(args, findings)
     return FAILED if findings else PASSED
 
@@ -91,20 +79,3 @@ def _decoded(text: str) -> int | None:
     if not text.isdigit():
         raise ValueError(f"--decode is {text!r}; it is a number of episodes or 'all'")
     return int(text)
-
-
-def _simulator(root: Path) -> tuple[Resimulate | None, str | None]:
-    """Return what makes the dataset's episodes again, or a sentence about why nothing can."""
-    from dynahoi_lerobot.rollout.replay import simulator
-
-    dataset = CheckedDataset(root, 0)
-    try:
-        made_with, images = dataset.manifest.provenance, CAMERA_KEY in dataset.features
-    except (OSError, ValueError, KeyError):
-        return None, None  # `verify` names the file
-    if dataset.recipe is None:
-        return None, "the manifest names no recipe that can be read, so no episode can be made again"
-    if (code := made_with.get("code")) != code_fingerprint():
-        here = code_fingerprint()
-        return None, f"the dataset was made by other code ({code}, here is {here}); only the same code makes it again"
-    return simulator(made_with["recipe"], images=images), None

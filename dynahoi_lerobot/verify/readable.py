@@ -10,13 +10,15 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dynahoi_lerobot.dataset.episode_table import OWN_COLUMNS
+from dynahoi_lerobot.dataset.columns import arrow_schema
+from dynahoi_lerobot.dataset.episode_table import OWN_COLUMNS, row_schema
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import HISTOGRAMS_PATH, INFO_PATH, MANIFEST_PATH, STATS_PATH, TASKS_PATH
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.tables import read_tasks
 
-NOT_READ = "cannot be read"
+DTYPES = ("float32", "int64", "bool", "image", "video")
+SHOWN = 5
+"""Columns that a finding names."""
 
 
 def unreadable(root: Path) -> Iterator[str]:
@@ -26,20 +28,33 @@ def unreadable(root: Path) -> Iterator[str]:
         INFO_PATH: _info,
         STATS_PATH: _object,
         HISTOGRAMS_PATH: _object,
-        TASKS_PATH: read_tasks,
         MANIFEST_PATH: lambda path: Manifest.read(root),
+        TASKS_PATH: lambda path: _table(path, ["task", "task_index"]),
     }
-    tables = [path.relative_to(root).as_posix() for path in (*store.row_files(), *store.data_files())]
-    for name, read in {**readers, **dict.fromkeys(tables, pq.read_table)}.items():
-        try:
-            read(root / name)
-        except FileNotFoundError:
-            yield f"{name} is missing"
-        except (OSError, ValueError, KeyError, RecursionError, pa.ArrowException) as error:
-            yield f"{name} {NOT_READ}: {_first_line(error)}"
-    for folder, found in (("meta/episodes", store.row_files()), ("data", store.data_files())):
-        if not found:
+    problems = [problem for name, read in readers.items() if (problem := _problem(root / name, name, read))]
+    yield from problems
+    if any(problem.startswith(INFO_PATH) for problem in problems):
+        return
+    for folder, paths, columns in (
+        ("meta/episodes", store.row_files(), row_schema(store.features).names),
+        ("data", store.data_files(), arrow_schema(store.features).names),
+    ):
+        if not paths:
             yield f"{folder} holds no parquet file"
+        for path in paths:
+            name = path.relative_to(root).as_posix()
+            if problem := _problem(path, name, lambda path, columns=columns: _table(path, columns)):
+                yield problem
+
+
+def _problem(path: Path, name: str, read: Callable[[Path], object]) -> str | None:
+    try:
+        read(path)
+    except FileNotFoundError:
+        return f"{name} is missing"
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, pa.ArrowException) as error:
+        return f"{name} cannot be read: {(str(error).splitlines() or [type(error).__name__])[0]}"
+    return None
 
 
 def rewritten(root: Path) -> str | None:
@@ -72,12 +87,22 @@ def _object(path: Path) -> dict[str, Any]:
 
 def _info(path: Path) -> None:
     features = _object(path).get("features")
-    sound = isinstance(features, dict) and all(
-        isinstance(feature, dict) and {"dtype", "shape", "names"} <= feature.keys() for feature in features.values()
+    described = isinstance(features, dict) and all(
+        isinstance(feature, dict)
+        and feature.get("dtype") in DTYPES
+        and isinstance(shape := feature.get("shape"), list)
+        and shape
+        and all(isinstance(side, int) and side > 0 for side in shape)
+        for feature in features.values()
     )
-    if not sound:
-        raise ValueError("it has no table of features with dtype, shape and names")
+    if not described:
+        raise ValueError("it has no table of features with a known dtype and a shape each")
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
+def _table(path: Path, columns: list[str]) -> None:
+    if path.is_dir():
+        raise ValueError("it is a folder")
+    if missing := sorted(set(columns) - set(pq.read_schema(path).names)):
+        raise ValueError(f"it lacks the columns {', '.join(missing[:SHOWN])}{', ...' if len(missing) > SHOWN else ''}")
+    if not pq.read_table(path).num_rows:
+        raise ValueError("it has no rows")

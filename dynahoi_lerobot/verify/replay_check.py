@@ -12,7 +12,8 @@ from dynahoi_lerobot.dataset.episode_arrays import content_arrays
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_histogram
 from dynahoi_lerobot.dataset.statistics import picture_histogram, sampled_frames
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import IMAGE_PREFIX, episode_features
+from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX, episode_features
+from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.verify.checks.base import CheckedDataset, Finding, stratified
 
 if TYPE_CHECKING:
@@ -32,14 +33,18 @@ HISTOGRAM_TOLERANCE = 0.001
 """Share of pixels whose level another renderer may change in the stored histogram."""
 
 
-def compare_replays(dataset: CheckedDataset, resimulate: Resimulate, count: int) -> Iterator[Finding]:
+def compare_replays(dataset: CheckedDataset, count: int, resimulate: Resimulate | None = None) -> Iterator[Finding]:
     """Make ``count`` episodes again, stratified by kind of motion, and yield what differs.
 
     Args:
         dataset: the dataset under test.
-        resimulate: makes the episode of a seed.
         count: how many episodes.
+        resimulate: makes the episode of a seed; by default the expert of the manifest's recipe.
     """
+    if (refusal := _refusal(dataset)) is not None:
+        yield Finding("replay", refusal)
+        return
+    resimulate = resimulate or _simulator(dataset)
     for index in stratified(dataset.rows, count):
         stored = dataset.episode(index)
         made = resimulate(stored.meta.seed)
@@ -49,6 +54,22 @@ def compare_replays(dataset: CheckedDataset, resimulate: Resimulate, count: int)
         problems = [*_values(made, stored), *_arrays(made, stored), *_pictures(made, stored)]
         problems += _histograms(made, dataset.stats_rows[index])
         yield from (Finding("replay", f"episode {index} replays to {problem}") for problem in problems)
+
+
+def _refusal(dataset: CheckedDataset) -> str | None:
+    """Return why no episode can be made again, None if nothing is in the way."""
+    if dataset.recipe is None:
+        return "the manifest names no recipe that can be read, so no episode can be made again"
+    made_with, here = dataset.manifest.provenance.get("code"), code_fingerprint()
+    if made_with == here:
+        return None
+    return f"the dataset was made by other code ({made_with}, here is {here}); only the same code makes it again"
+
+
+def _simulator(dataset: CheckedDataset) -> Resimulate:
+    from dynahoi_lerobot.rollout.replay import simulator  # compiles the scene
+
+    return simulator(dataset.manifest.provenance["recipe"], images=CAMERA_KEY in dataset.features)
 
 
 def _values(made: Episode, stored: Episode) -> Iterator[str]:

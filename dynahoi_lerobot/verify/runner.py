@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 DECODED = 64
 """Episodes whose pictures are decoded by default."""
-REPLAYED = 8
-"""Episodes that are simulated again by default."""
 SHOWN = 5
 """Findings reported per check; the rest are counted."""
 
@@ -25,8 +23,8 @@ def verify(
     root: Path,
     *,
     decoded: int | None = DECODED,
+    replayed: int = 0,
     resimulate: Resimulate | None = None,
-    replayed: int = REPLAYED,
     progress: Callable[[int], object] = lambda _: None,
 ) -> list[Finding]:
     """Run every check on a dataset.
@@ -34,8 +32,8 @@ def verify(
     Args:
         root: the dataset's folder.
         decoded: how many episodes' pictures are decoded, None for all. Every packet of every video is read anyway.
-        resimulate: the simulator, which makes episodes again; None leaves that out.
-        replayed: how many episodes are made again.
+        replayed: how many episodes are made again from their seeds and compared.
+        resimulate: makes the episode of a seed; by default the expert of the manifest's recipe.
         progress: called with the number of episodes checked so far.
 
     Returns:
@@ -53,8 +51,8 @@ def verify(
     checks = [(name, check()) for name, check in CHECKS.items()]
     findings = [finding for name, check in checks for finding in _guarded(name, check.check_dataset(dataset))]
     findings += _guarded("reading", _episodes(dataset, checks, progress))
-    if resimulate is not None:
-        findings += _guarded("replay", compare_replays(dataset, resimulate, replayed))
+    if replayed:
+        findings += _guarded("replay", compare_replays(dataset, replayed, resimulate))
     return list(_shortened(findings))
 
 

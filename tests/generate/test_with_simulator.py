@@ -74,8 +74,8 @@ def test_a_replay_compares_what_the_expert_commands(tmp_path):
         action[episode.meta.window_frames + 3, 0] += 0.01
         return dataclasses.replace(episode, action=action)
 
-    assert verify(tmp_path / "d", resimulate=replay) == []
-    (finding,) = verify(tmp_path / "d", resimulate=edited)
+    assert verify(tmp_path / "d", replayed=1, resimulate=replay) == []
+    (finding,) = verify(tmp_path / "d", replayed=1, resimulate=edited)
     assert "replays to another action from frame" in finding.message
 
 
@@ -105,7 +105,7 @@ def test_further_views_are_stored_read_and_replayed(tmp_path, codec):
     recipe = Recipe(motions=("constant", "struck"), image_size=48, views=VIEWS)
     plan = GenerationPlan(recipe, 2, encoding=Encoding(codec), shard_episodes=1)  # two shards, merged
     generate(plan, tmp_path / "d", record=record)
-    assert verify(tmp_path / "d", decoded=None, resimulate=simulator(plan.identity()["recipe"], images=True)) == []
+    assert verify(tmp_path / "d", decoded=None, replayed=2) == []
     for episode in read_episodes(tmp_path / "d"):
         assert list(episode.images) == ["ego", *VIEWS]
         assert len({images.shape for images in episode.images.values()}) == 1
