@@ -100,7 +100,7 @@ def test_replay_compares_facts_columns_and_pictures(replayed):
     (column,) = replayed(target_velocity=lambda v: v + np.where(np.arange(len(v)) == 7, 1e-3, 0)[:, None])
     assert "another target.velocity from frame 7 on, up to 0.001 apart" in column
     assert any("another picture of ego at frame" in said for said in replayed(images=lambda i: {"ego": i["ego"][::-1]}))
-    assert any("of shape (19, 18)" in said for said in replayed(state=lambda state: state[:19]))
+    assert any("palm_distance of shape (19,)" in said for said in replayed(palm_distance=lambda values: values[:19]))
 
 
 def test_a_seed_that_the_expert_does_not_manage_is_named(simulated):

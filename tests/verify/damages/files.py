@@ -49,7 +49,7 @@ FILES: Table = {
     "a flipped byte in a video's index": (
         file(VIDEO, lambda c: flip((c.index(b"stsz") + 21) / len(c))(c)), "default", "file-000.mp4"
     ),
-    "a flipped byte in a video's pictures": (file(VIDEO, flip(0.1)), "replay", "another picture of ego"),
+    "a flipped byte in a video's pictures": (file(VIDEO, flip(0.3)), "decode", "does not show what its statistics"),
     **{
         f"{kind} of {name}": (file(name, change), "default", f"{name} cannot be read")
         for name in (INFO, STATS, HIST, MANIFEST)
