@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from docs.scripts import damage_table
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
@@ -67,3 +68,8 @@ def test_damage_is_found(intact, tmp_path, findings, name):
 
 def test_the_intact_dataset_has_no_findings(intact, findings):
     assert all(not findings(intact, mode) for mode in MODES)
+
+
+def test_the_page_shows_these_damages():
+    page = damage_table.PAGE.read_text()
+    assert page == damage_table.with_table(page), "run: uv run python -m docs.scripts.damage_table"
