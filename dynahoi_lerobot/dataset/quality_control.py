@@ -24,7 +24,7 @@ Columns = Mapping[str, np.ndarray]
 class TrajectoryLimits:
     """Bounds that no intact recording exceeds.
 
-    "Seen" is the greatest value in 252 recordings of both capture rules' experts: every kind of motion, faster and
+    "Seen" is the greatest value in 560 recordings of both capture rules' experts: every kind of motion, faster and
     held-out ones, disturbances up to the 0.2 m that recipes allow.
 
     Attributes:
@@ -33,9 +33,10 @@ class TrajectoryLimits:
         joint_range_rad: least and greatest angle: beyond the 0 to 1.6 that is commanded, what a target that is hit or
             gripped bends a finger (seen: -0.23 and 1.62), and room for the joint ranges of other hands.
         palm_step_m: greatest step of the palm between frames: the servo's ramp covers 2 m/s * 0.05 s; a palm that its
-            force limit left one such step behind, catches up at twice that (seen: 0.17).
+            force limit left one such step behind catches up at twice that, and a fifth for overshoot (seen: 0.222).
         joint_step_rad: greatest step of a joint: 20 rad/s * 0.05 s, and a fifth for contact forces (seen: 0.83).
-        target_slack_m: greatest step of the target beyond the larger of its two speeds times 0.05 s: what gravity adds
+        target_slack_m: greatest step of the target beyond the larger of its two speeds times 0.05 s, and beyond the
+            palm's step, which may carry it: what gravity adds
             within a frame, 9.81 m/s^2 * (0.05 s)^2 / 2, and what a collision within it does (seen: 0.016 together).
         palm_saturated_share: share of the control phase that the palm may be commanded to an end of a slide (seen:
             0.66). Fingers may be commanded to their end in all but the frames of the approach (seen: 0.94).
@@ -47,7 +48,7 @@ class TrajectoryLimits:
     palm_range_m: tuple[tuple[float, float], ...] = GANTRY_RANGE_M
     palm_slack_m: float = 0.005
     joint_range_rad: tuple[float, float] = (-0.5, 2.0)
-    palm_step_m: float = 2 * MAX_PALM_SPEED_M_S * CONTROL_DT
+    palm_step_m: float = 2.4 * MAX_PALM_SPEED_M_S * CONTROL_DT
     joint_step_rad: float = 1.2 * MAX_JOINT_SPEED_RAD_S * CONTROL_DT
     target_slack_m: float = GRAVITY_M_S2 * CONTROL_DT**2 / 2 + 0.025
     palm_saturated_share: float = 0.9
@@ -110,14 +111,15 @@ def jumps(columns: Columns, limits: TrajectoryLimits) -> str | None:
 
 
 def teleports(columns: Columns, limits: TrajectoryLimits) -> str | None:
-    """Find steps of the target that its own velocity does not explain."""
+    """Find steps of the target that neither its own velocity nor a palm that carries it explains."""
     steps = np.linalg.norm(np.diff(columns["target.pose"][:, :3], axis=0), axis=1)  # (T - 1,)
+    carried = np.linalg.norm(np.diff(columns["observation.state"][:, :PALM_DOF], axis=0), axis=1)
     speed = np.linalg.norm(columns["target.velocity"][:, :3], axis=1)  # (T,)
-    allowed = np.maximum(speed[1:], speed[:-1]) * CONTROL_DT + limits.target_slack_m
+    allowed = np.maximum(np.maximum(speed[1:], speed[:-1]) * CONTROL_DT, carried) + limits.target_slack_m
     if not (steps > allowed).any():
         return None
     frame = int((steps - allowed).argmax())
-    possible = f"at its velocity {allowed[frame]:.2f} m is possible"
+    possible = f"with its velocity {allowed[frame]:.2f} m is possible"
     return f"target.pose jumps by {steps[frame]:.2f} m at frame {frame + 1}; {possible}"
 
 

@@ -28,7 +28,7 @@ def with_outlier(tmp_path_factory) -> Path:
     action[10, 5] = 2.2
     episodes[7] = dataclasses.replace(episodes[7], action=action)
     root = tmp_path_factory.mktemp("outlier") / "d"
-    write_episodes(root, episodes, 16)
+    write_episodes(root, episodes)
     return root
 
 

@@ -13,9 +13,6 @@ def shuffled(root: Path) -> None:
 
 
 VIDEOS: Table = {
-    "a video frame replaced by a near one": (
-        pictures(lambda x: [*x[:12], x[15], *x[13:]]), "replay", "ego at frame 12"
-    ),
     "pictures in reverse": (shuffled, "replay", "another picture of ego"),
     "black pictures": (pictures(lambda x: [f * 0 for f in x]), "decode", "does not show what its statistics"),
     "mirrored pictures": (pictures(lambda x: [f[:, ::-1] for f in x]), "replay", "another picture of ego"),
