@@ -83,7 +83,7 @@ def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, ca
     first_of_eighth = sum(20 + seed % 7 for seed in kept[:7])
     np.testing.assert_array_equal(opened[first_of_eighth + 3]["action"], varied_episode(8).action[3])
     image = np.moveaxis(opened[first_of_eighth + 3]["observation.images.ego"].numpy() * 255, 0, -1)
-    assert np.abs(image - varied_episode(8, 16).images[3]).mean() < 6
+    assert np.abs(image - varied_episode(8, 16).images["ego"][3]).mean() < 6
     assert verify(tmp_path / "new", decoded=None) == []
     assert Manifest.read(tmp_path / "new").provenance["kept"] == kept
     assert hash_files(with_outlier) == before
