@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.world.batch import TOUCH_M
 
 REFERENCE = np.full(15, 1.0, np.float32)
 
@@ -25,6 +25,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     target = meeting + [0, 0, miss_m] + moving * CONTROL_DT * velocity
     joints = progress * REFERENCE
     distance = np.linalg.norm(palm - target, axis=1)
+    tips = np.maximum(distance - 0.02, 0)
     localized = np.maximum.accumulate(distance < LOCALIZATION_RADIUS_M)
     state = np.hstack([palm, joints]).astype(np.float32)
     command = np.vstack([state[1:], state[-1:]])
@@ -36,7 +37,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     pose = np.hstack([target, np.tile([1.0, 0, 0, 0], (frames, 1))])
     meta = EpisodeMeta(
         seed=seed, split="train", motion="constant", category="straight_line", object="ball",
-        parameters=json.dumps({"speed_m_s": float(np.linalg.norm(velocity))}), task="Catch the moving ball.",
+        parameters=_straight(meeting + [0, 0, miss_m], velocity, arrival * CONTROL_DT), task="Catch the moving ball.",
         agent="intercept", capture="attach", protocol="observe_before_act", control_class="standard",
         window_frames=window,
         length_frames=frames, intercept_frame=arrival, attempts=1, fingerprint="synthetic",
@@ -47,9 +48,16 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
         phase=(np.arange(frames) >= window).astype(np.float32)[:, None], action=command,
         target_pose=pose.astype(np.float32),
         target_velocity=np.tile(np.r_[velocity, 0, 0, 0], (frames, 1)).astype(np.float32),
-        target_contacts=np.zeros((frames, 5), np.float32), palm_distance=distance.astype(np.float32),
-        fingertip_distance=np.maximum(distance - 0.02, 0).astype(np.float32), localized=localized,
+        target_contacts=np.tile(tips[:, None] <= TOUCH_M, (1, 5)).astype(np.float32),
+        palm_distance=distance.astype(np.float32),
+        fingertip_distance=tips.astype(np.float32), localized=localized,
         captured=localized, intercept_position=meeting.astype(np.float32), intercept_time=arrival * CONTROL_DT,
         open_joints=np.zeros(15, np.float32), reference_joints=REFERENCE, success=bool(localized[-1]),
         stage="captured" if localized[-1] else "missed",
     )  # fmt: skip
+
+
+def _straight(meeting: np.ndarray, velocity: np.ndarray, time_s: float) -> str:
+    """Return the parameters of the motion that passes ``meeting`` at a time."""
+    speed = float(np.linalg.norm(velocity))
+    return Constant(tuple(meeting.tolist()), tuple((velocity / speed).tolist()), time_s, speed, 0.0).parameters()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,9 @@ from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 
 FORMAT = 1
 BLOCK = 1 << 20
-LISTED = ("data/", "videos/", "meta/")
-"""Folders in which the manifest lists every file."""
+CARD_FILES = ("README.md", "LICENSE", ".gitattributes")
+CARD_FOLDERS = (".cache/", ".git/")
+"""What the Hub and git put beside a dataset; everything else in its folder is in the manifest."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Manifest:
         seeds: every episode's seed, in the dataset's order.
         provenance: recipe, seed, encoding and code fingerprint of the generation plan.
         yields: how many seeds were tried and how many were kept, missed or rejected.
+        sha256: what the file says ``digest`` is; empty for a manifest that was not read from a file.
     """
 
     episodes: int
@@ -37,10 +39,21 @@ class Manifest:
     seeds: list[int] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
     yields: dict[str, int] = field(default_factory=dict)
+    sha256: str = field(default="", compare=False)
+
+    @property
+    def digest(self) -> str:
+        """The sha256 of all else it says, as canonical JSON: sorted keys, no spaces, ASCII.
+
+        It stands for the whole dataset: every file's hash is in it.
+        """
+        content = {name: value for name, value in self._content().items() if name != "sha256"}
+        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(canonical.encode()).hexdigest()
 
     def write(self, root: Path) -> None:
-        """Write it below ``root``."""
-        write_json({"format": FORMAT, **asdict(self)}, root / MANIFEST_PATH)
+        """Write it below ``root``, with its ``digest``."""
+        write_json(self._content() | {"sha256": self.digest}, root / MANIFEST_PATH)
 
     @classmethod
     def read(cls, root: Path) -> Manifest:
@@ -54,21 +67,58 @@ class Manifest:
         names = {field.name for field in fields(cls)}
         if not isinstance(content, dict) or content.pop("format", None) != FORMAT or set(content) != names:
             raise ValueError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
-        return cls(**content)
+        manifest = cls(**content)
+        if wrong := [name for name, kind in _TYPES.items() if not isinstance(content[name], kind)]:
+            raise ValueError(f"{root / MANIFEST_PATH} holds a {type(content[wrong[0]]).__name__} as {wrong[0]!r}")
+        return manifest
+
+    def _content(self) -> dict[str, Any]:
+        return {"format": FORMAT, **asdict(self)}
+
+
+_TYPES = {
+    "episodes": int, "frames": int, "files": dict, "seeds": list, "provenance": dict, "yields": dict, "sha256": str,
+}  # fmt: skip
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    """Yield every file that is missing, has changed or is not in the manifest; every byte is read."""
+    """Yield every file that is missing or has changed; every byte is read."""
+    if manifest.sha256 != manifest.digest:
+        said, found = manifest.sha256[:12], manifest.digest[:12]
+        yield f"{MANIFEST_PATH} has changed: the sha256 of its content is {found}..., it says {said or 'nothing'}..."
     for name, digest in manifest.files.items():
         path = root / name
-        if not path.is_file():
+        if ".." in Path(name).parts or Path(name).is_absolute():
+            yield f"the manifest names {name!r}, outside the dataset"
+        elif not path.is_file():
             yield f"{name} is missing"
         elif (found := sha256(path)) != digest:
-            yield f"{name} has changed: its sha256 is {found[:12]}..., the manifest says {digest[:12]}..."
-    present = {path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()}
-    for name in sorted(present - set(manifest.files) - {MANIFEST_PATH}):
-        if name.startswith(LISTED):
+            yield f"{name} has changed: its sha256 is {found[:12]}..., the manifest says {str(digest)[:12]}..."
+
+
+def stray_files(root: Path, listed: Collection[str]) -> Iterator[str]:
+    """Yield symbolic links, and files and empty folders that are not ``listed`` in the manifest.
+
+    What the Hub and git put beside a dataset is none, nor is a link of the Hub's cache to its blob.
+    """
+    for path in sorted(root.rglob("*")):
+        name = path.relative_to(root).as_posix()
+        if name.startswith(CARD_FOLDERS) or f"{name}/" in CARD_FOLDERS:
+            continue
+        if path.is_symlink() and not _in_hub_cache(root, path):
+            yield f"{name} is a symbolic link, to {path.readlink()}; a dataset holds its own files"
+        elif path.is_dir():
+            if not any(path.iterdir()):
+                yield f"{name} is an empty folder"
+        elif not path.is_file():
+            yield f"{name} is no regular file"
+        elif name not in {*listed, MANIFEST_PATH, *CARD_FILES}:
             yield f"{name} is not in the manifest"
+
+
+def _in_hub_cache(root: Path, link: Path) -> bool:
+    """Tell whether a link is how the Hub's cache stores a snapshot: to a blob beside all snapshots."""
+    return root.parent.name == "snapshots" and link.resolve().parent == (root.parent.parent / "blobs").resolve()
 
 
 def hash_files(root: Path, known: dict[str, str] | None = None) -> dict[str, str]:

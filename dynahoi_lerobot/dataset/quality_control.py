@@ -11,7 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.hands.gantry import GANTRY_RANGE_M
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
+from dynahoi_lerobot.scene.servo import MAX_JOINT_SPEED_RAD_S, MAX_PALM_SPEED_M_S
 
 Columns = Mapping[str, np.ndarray]
 """An episode's numeric columns by key, each (T, D)."""
@@ -19,25 +22,38 @@ Columns = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class TrajectoryLimits:
-    """Bounds that no intact recording exceeds; wider than those of any hand, so that only corruption is rejected.
+    """Bounds that no intact recording exceeds.
+
+    "Seen" is the greatest value in 560 recordings of both capture rules' experts: every kind of motion, faster and
+    held-out ones, disturbances up to the 0.2 m that recipes allow.
 
     Attributes:
-        palm_m: largest distance of the palm from the origin along an axis [m].
-        joint_low_rad: least joint angle [rad].
-        joint_high_rad: greatest joint angle [rad].
-        palm_speed_m_s: greatest speed of the palm between two frames [m/s].
-        joint_speed_rad_s: greatest speed of a joint between two frames [rad/s].
-        object_speed_m_s: greatest speed of the target between two frames [m/s].
-        saturated_share: share of the control phase that a command may stay at a limit.
+        palm_range_m: least and greatest palm position along each axis: the slides' range; commands are clipped to it.
+        palm_slack_m: how far soft stops let the palm beyond (seen: 0.0001).
+        joint_range_rad: least and greatest angle: beyond the 0 to 1.6 that is commanded, what a target that is hit or
+            gripped bends a finger (seen: -0.23 and 1.62), and room for the joint ranges of other hands.
+        palm_step_m: greatest step of the palm between frames: the servo's ramp covers 2 m/s * 0.05 s; a palm that its
+            force limit left one such step behind catches up at twice that, and a fifth for overshoot (seen: 0.222).
+        joint_step_rad: greatest step of a joint: 20 rad/s * 0.05 s, and a fifth for contact forces (seen: 0.83).
+        target_slack_m: greatest step of the target beyond the larger of its two speeds times 0.05 s, and beyond the
+            palm's step, which may carry it: what gravity adds
+            within a frame, 9.81 m/s^2 * (0.05 s)^2 / 2, and what a collision within it does (seen: 0.016 together).
+        palm_saturated_share: share of the control phase that the palm may be commanded to an end of a slide (seen:
+            0.66). Fingers may be commanded to their end in all but the frames of the approach (seen: 0.94).
+        frozen_frames: how long no degree of freedom may change to the last bit while the command is ``frozen_gap_m``
+            or more away from the palm (seen: 0).
+        frozen_gap_m: see there.
     """
 
-    palm_m: float = 5.0
-    joint_low_rad: float = -1.0
-    joint_high_rad: float = 2.5
-    palm_speed_m_s: float = 6.0
-    joint_speed_rad_s: float = 40.0
-    object_speed_m_s: float = 25.0
-    saturated_share: float = 0.9
+    palm_range_m: tuple[tuple[float, float], ...] = GANTRY_RANGE_M
+    palm_slack_m: float = 0.005
+    joint_range_rad: tuple[float, float] = (-0.5, 2.0)
+    palm_step_m: float = 2.4 * MAX_PALM_SPEED_M_S * CONTROL_DT
+    joint_step_rad: float = 1.2 * MAX_JOINT_SPEED_RAD_S * CONTROL_DT
+    target_slack_m: float = GRAVITY_M_S2 * CONTROL_DT**2 / 2 + 0.025
+    palm_saturated_share: float = 0.9
+    frozen_frames: int = 2
+    frozen_gap_m: float = 0.005
 
 
 Rule = Callable[[Columns, TrajectoryLimits], str | None]
@@ -48,7 +64,8 @@ def trajectory_problems(columns: Columns, limits: TrajectoryLimits | None = None
     problems = not_finite(columns)
     if problems:
         return [problems]
-    found = (rule(columns, limits or TrajectoryLimits()) for rule in (out_of_limits, jumps, saturation, phase_order))
+    rules = (out_of_limits, jumps, teleports, saturation, frozen, phase_order)
+    found = (rule(columns, limits or TrajectoryLimits()) for rule in rules)
     return [problem for problem in found if problem]
 
 
@@ -63,30 +80,47 @@ def not_finite(columns: Columns) -> str | None:
 
 def out_of_limits(columns: Columns, limits: TrajectoryLimits) -> str | None:
     """Find positions and angles that the hand cannot take."""
+    low, high = np.array(limits.palm_range_m).T
+    least, most = limits.joint_range_rad
     for key in ("observation.state", "action"):
         palm, joints = columns[key][:, :PALM_DOF], columns[key][:, PALM_DOF:]
-        if (worst := float(np.abs(palm).max())) > limits.palm_m:
-            return f"{key} has the palm at {worst:.2f} m from the origin; {limits.palm_m} m is the limit"
-        low, high = float(joints.min()), float(joints.max())
-        if low < limits.joint_low_rad or high > limits.joint_high_rad:
-            allowed = f"{limits.joint_low_rad} to {limits.joint_high_rad} rad"
-            return f"{key} has joint angles from {low:.2f} to {high:.2f} rad; {allowed} are possible"
+        beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
+        frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
+        if beyond[frame, axis] > limits.palm_slack_m:
+            allowed = f"{low[axis]} to {high[axis]} m are possible"
+            return f"{key} has the palm at {palm[frame, axis]:.2f} m along axis {axis} at frame {frame}; {allowed}"
+        if joints.min() < least or joints.max() > most:
+            found = f"{float(joints.min()):.2f} to {float(joints.max()):.2f} rad"
+            return f"{key} has joint angles from {found}; {least} to {most} rad are possible"
     return None
 
 
 def jumps(columns: Columns, limits: TrajectoryLimits) -> str | None:
-    """Find steps between frames that are too large for the control rate."""
+    """Find steps of the hand that its servos cannot make within a frame."""
     groups = (
-        ("observation.state", slice(0, PALM_DOF), limits.palm_speed_m_s, "m"),
-        ("observation.state", slice(PALM_DOF, None), limits.joint_speed_rad_s, "rad"),
-        ("target.pose", slice(0, 3), limits.object_speed_m_s, "m"),
+        (slice(0, PALM_DOF), limits.palm_step_m, "m"),
+        (slice(PALM_DOF, HAND_DOF), limits.joint_step_rad, "rad"),
     )
-    for key, part, speed, unit in groups:
-        steps = np.abs(np.diff(columns[key][:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
-        if steps.size and (worst := float(steps.max())) > speed * CONTROL_DT:
-            frame = int(np.argmax(steps)) + 1
-            return f"{key} jumps by {worst:.2f} {unit} at frame {frame}; {speed * CONTROL_DT:.2f} {unit} is possible"
+    for key in ("observation.state", "action"):
+        for part, allowed, unit in groups:
+            steps = np.abs(np.diff(columns[key][:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
+            if steps.size and (worst := float(steps.max())) > allowed:
+                frame = int(steps.argmax()) + 1
+                return f"{key} jumps by {worst:.2f} {unit} at frame {frame}; {allowed:.2f} {unit} is possible"
     return None
+
+
+def teleports(columns: Columns, limits: TrajectoryLimits) -> str | None:
+    """Find steps of the target that neither its own velocity nor a palm that carries it explains."""
+    steps = np.linalg.norm(np.diff(columns["target.pose"][:, :3], axis=0), axis=1)  # (T - 1,)
+    carried = np.linalg.norm(np.diff(columns["observation.state"][:, :PALM_DOF], axis=0), axis=1)
+    speed = np.linalg.norm(columns["target.velocity"][:, :3], axis=1)  # (T,)
+    allowed = np.maximum(np.maximum(speed[1:], speed[:-1]) * CONTROL_DT, carried) + limits.target_slack_m
+    if not (steps > allowed).any():
+        return None
+    frame = int((steps - allowed).argmax())
+    possible = f"with its velocity {allowed[frame]:.2f} m is possible"
+    return f"target.pose jumps by {steps[frame]:.2f} m at frame {frame + 1}; {possible}"
 
 
 def saturation(columns: Columns, limits: TrajectoryLimits) -> str | None:
@@ -95,12 +129,27 @@ def saturation(columns: Columns, limits: TrajectoryLimits) -> str | None:
     commands = columns["action"][acting]
     if not len(commands):
         return None
-    at_limit = np.zeros(commands.shape, bool)
-    at_limit[:, :PALM_DOF] = np.abs(commands[:, :PALM_DOF]) > limits.palm_m - 1e-3
-    at_limit[:, PALM_DOF:] = commands[:, PALM_DOF:] > limits.joint_high_rad - 1e-3
-    share = at_limit.mean(axis=0)
-    if share.max() > limits.saturated_share:
+    low, high = np.array(limits.palm_range_m).T
+    palm, joints = commands[:, :PALM_DOF], commands[:, PALM_DOF:]
+    share = ((palm < low + 1e-3) | (palm > high - 1e-3)).mean(axis=0)  # (3,)
+    if share.max() > limits.palm_saturated_share:
         return f"action[{int(share.argmax())}] is at its limit in {share.max():.0%} of the control phase"
+    closed = (joints >= joints.max()).all(axis=0) & (joints.max() > 1.0)
+    if closed.any():
+        return f"action[{PALM_DOF + int(closed.argmax())}] is at its limit in all of the control phase"
+    return None
+
+
+def frozen(columns: Columns, limits: TrajectoryLimits) -> str | None:
+    """Find a measured state that stays the same to the last bit while it is commanded elsewhere."""
+    state, action = columns["observation.state"], columns["action"]
+    still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
+    away = np.abs(action[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > limits.frozen_gap_m
+    run = 0
+    for frame, stuck in enumerate(still & away):
+        run = run + 1 if stuck else 0
+        if run > limits.frozen_frames:
+            return f"observation.state is frozen from frame {frame + 1 - run} on while the hand is commanded to move"
     return None
 
 

@@ -155,6 +155,7 @@ def _summary(root: Path, manifest: Manifest) -> dict[str, Any]:
         "megabytes": round(size / 1e6, 1),
         "yield": round(manifest.yields["kept"] / manifest.yields["tried"], 4),
         "rejected": manifest.yields["rejected"],
+        "sha256": manifest.digest,
     }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
@@ -14,16 +13,7 @@ from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.features import Feature, frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
-
-REDRAW_STRIDE = math.lcm(*range(1, 25))
-"""A slot whose seed fails is drawn again with ``seed + k * REDRAW_STRIDE``, k = 1, 2, ...
-
-Recipes choose the kind of motion by the seed modulo the number of kinds; a multiple of every number up to 24 keeps the
-slot's kind, so failures do not unbalance the dataset.
-"""
-
-MAX_DRAWS = 16
-"""Draws per slot before the recipe is called impossible."""
+from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
 
 
 class Recipe(Protocol):

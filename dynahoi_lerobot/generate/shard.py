@@ -17,7 +17,8 @@ from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, GenerationPlan, Record
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
+from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
 
 logger = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""Play stored actions again in the world their seed describes."""
+"""Make an episode again: from its seed alone, or by stored actions in the world that the seed describes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import draccus
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
-from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.rollout.loop import Job, make_batch, play
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.rollout.loop import Job, make_batch, play, record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
 
-Resimulate = Callable[[EpisodeMeta, np.ndarray], tuple[np.ndarray, dict[str, np.ndarray]]]
-"""Plays (T, 18) actions in the episode's world; returns (T, 18) states and (T, H, W, 3) images by view."""
+Resimulate = Callable[[int], Episode | None]
+"""Makes the episode of a seed again, from nothing but its recipe; None if the expert does not manage it."""
 
 
 class Player(Agent):
@@ -40,7 +40,7 @@ class Player(Agent):
 
 
 def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
-    """Return a function that replays episodes of a recipe.
+    """Return a function that makes the expert's episodes of a recipe again.
 
     Args:
         recipe: the recipe as the manifest keeps it.
@@ -48,9 +48,8 @@ def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
     """
     played = draccus.decode(Recipe, recipe)
 
-    def resimulate(meta: EpisodeMeta, actions: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        episode = replay(played, meta.seed, actions, attempt=meta.attempts, images=images)
-        return episode.state, episode.images
+    def resimulate(seed: int) -> Episode | None:
+        return next(record(played, [seed], images=images), None)
 
     return resimulate
 

@@ -13,9 +13,8 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.features import CAMERA_KEY
 from dynahoi_lerobot.foundation.arguments import path, whole
-from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
+from dynahoi_lerobot.verify.checks.base import Finding
 from dynahoi_lerobot.verify.runner import DECODED, verify
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("root", type=path, help="the dataset's folder")
     parser.add_argument("--decode", default=str(DECODED), help="episodes whose pictures are decoded, or 'all'")
     parser.add_argument(
-        "--replay", type=whole(0, 10**9), default=0, help="episodes to simulate again from their actions"
+        "--replay", type=whole(0, 10**9), default=0, help="episodes to make again from their seeds and to compare"
     )
     parser.add_argument("--json", type=path, help="write the findings there as well")
 
@@ -39,30 +38,42 @@ def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> in
 
     Args:
         args: the parsed arguments of ``add_arguments``.
-        resimulate: plays (T, 18) actions in the world of an episode; this project's simulator by default.
+        resimulate: makes the episode of a seed; this project's simulator by default.
 
     Returns:
         The exit code: 0 no findings, 1 findings, 2 bad input.
     """
     try:
         decoded = _decoded(args.decode)
-        episodes = Store(args.root).episodes
-        simulator = (resimulate or _simulator(args.root)) if args.replay else None
-    except (OSError, ValueError, KeyError) as error:
+        Store(args.root)  # raises where there is no dataset
+    except (OSError, ValueError) as error:
         print(f"dynahoi verify: {error}", file=sys.stderr)
         return BAD_INPUT
-    with tqdm(total=episodes, unit="episode", disable=None) as bar:
+    with tqdm(total=_episodes(args.root), unit="episode", disable=None) as bar:
 
         def show(done: int) -> None:
             bar.update(done - bar.n)
 
-        findings = verify(args.root, decoded=decoded, resimulate=simulator, replayed=args.replay, progress=show)
+        findings = verify(args.root, decoded=decoded, replayed=args.replay, resimulate=resimulate, progress=show)
+    _report(args, findings)
+    return FAILED if findings else PASSED
+
+
+def _report(args: argparse.Namespace, findings: list[Finding]) -> None:
     for finding in findings:
         print(finding)
-    print(f"{args.root}: {len(findings)} findings" if findings else f"{args.root}: {episodes} episodes, no findings")
+    found = f"{len(findings)} findings" if findings else f"{_episodes(args.root)} episodes, no findings"
+    print(f"{args.root}: {found}")
     if args.json:
         args.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
-    return FAILED if findings else PASSED
+
+
+def _episodes(root: Path) -> int | None:
+    """Return how many episodes the manifest promises, None where there is none that can be read."""
+    try:
+        return Manifest.read(root).episodes
+    except (OSError, ValueError):
+        return None
 
 
 def _decoded(text: str) -> int | None:
@@ -71,15 +82,3 @@ def _decoded(text: str) -> int | None:
     if not text.isdigit():
         raise ValueError(f"--decode is {text!r}; it is a number of episodes or 'all'")
     return int(text)
-
-
-def _simulator(root: Path) -> Resimulate:
-    from dynahoi_lerobot.rollout.replay import simulator
-
-    made_with = Manifest.read(root).provenance
-    if made_with.get("code") != code_fingerprint():
-        raise ValueError(
-            f"{root} was made by other code ({made_with.get('code')}, here is {code_fingerprint()}); only the same "
-            "code replays it"
-        )
-    return simulator(made_with["recipe"], images=CAMERA_KEY in Store(root).features)

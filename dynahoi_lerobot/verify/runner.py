@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Finding
+from dynahoi_lerobot.verify.readable import rewritten, unreadable
 from dynahoi_lerobot.verify.replay_check import compare_replays
 
 if TYPE_CHECKING:
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
 
 DECODED = 64
 """Episodes whose pictures are decoded by default."""
-REPLAYED = 8
-"""Episodes that are simulated again by default."""
 SHOWN = 5
 """Findings reported per check; the rest are counted."""
 
@@ -24,8 +23,8 @@ def verify(
     root: Path,
     *,
     decoded: int | None = DECODED,
+    replayed: int = 0,
     resimulate: Resimulate | None = None,
-    replayed: int = REPLAYED,
     progress: Callable[[int], object] = lambda _: None,
 ) -> list[Finding]:
     """Run every check on a dataset.
@@ -33,22 +32,27 @@ def verify(
     Args:
         root: the dataset's folder.
         decoded: how many episodes' pictures are decoded, None for all. Every packet of every video is read anyway.
-        resimulate: the simulator, for replaying stored actions; None leaves that out.
-        replayed: how many episodes are replayed.
+        replayed: how many episodes are made again from their seeds and compared.
+        resimulate: makes the episode of a seed; by default the expert of the manifest's recipe.
         progress: called with the number of episodes checked so far.
 
     Returns:
-        At most ``SHOWN`` findings per check and a count of the rest; empty if every check passed.
+        At most ``SHOWN`` findings per check and a count of the rest; empty if every check passed. If a table cannot be
+        read, or another tool has rewritten the dataset, that alone.
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
     """
     dataset = CheckedDataset(root, decoded)
+    if (sentence := rewritten(root)) is not None:
+        return [Finding("reading", sentence)]
+    if findings := _guarded("reading", unreadable(root)):
+        return list(_shortened(findings))
     checks = [(name, check()) for name, check in CHECKS.items()]
     findings = [finding for name, check in checks for finding in _guarded(name, check.check_dataset(dataset))]
     findings += _guarded("reading", _episodes(dataset, checks, progress))
-    if resimulate is not None:
-        findings += _guarded("replay", compare_replays(dataset, resimulate, replayed))
+    if replayed:
+        findings += _guarded("replay", compare_replays(dataset, replayed, resimulate))
     return list(_shortened(findings))
 
 
@@ -57,17 +61,18 @@ def _episodes(
 ) -> Iterator[Finding]:
     for number, (row, columns) in enumerate(dataset.each_episode(), 1):
         for name, check in checks:
-            yield from _guarded(name, check.check_episode(dataset, row, columns))
+            where = f"episode {row['episode_index']} "
+            yield from _guarded(name, check.check_episode(dataset, row, columns), where)
         progress(number)
 
 
-def _guarded(name: str, found: Iterator[str] | Iterator[Finding]) -> list[Finding]:
+def _guarded(name: str, found: Iterator[str] | Iterator[Finding], where: str = "") -> list[Finding]:
     """Collect what one check finds; an exception in a check is a finding, too."""
     findings: list[Finding] = []
     try:
         findings.extend(item if isinstance(item, Finding) else Finding(name, item) for item in found)
     except Exception as error:
-        findings.append(Finding(name, f"cannot be checked: {type(error).__name__}: {error}"))
+        findings.append(Finding(name, f"{where}cannot be checked: {type(error).__name__}: {error}"))
     return findings
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.generate.plan import REDRAW_STRIDE
+from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
 from tests.dataset.episodes import varied_episode
 
 

@@ -12,8 +12,9 @@ from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate import workers
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import MAX_DRAWS, REDRAW_STRIDE, GenerationError, GenerationPlan, shard_size
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, shard_size
 from dynahoi_lerobot.generate.workspace import workspace_path
+from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
 from tests.dataset.episodes import write
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe

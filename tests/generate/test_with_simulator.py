@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 from functools import partial
 
@@ -61,20 +62,21 @@ def test_bad_input_is_one_sentence(words, sentence, capsys):
     assert sentence in capsys.readouterr().err
 
 
-def test_edited_actions_do_not_replay(tmp_path):
+def test_a_replay_compares_what_the_expert_commands(tmp_path):
     recipe = Recipe(motions=("constant",))
     plan = GenerationPlan(recipe, 1, camera=False)
     generate(plan, tmp_path / "d", record=partial(record, images=False))
     replay = simulator(plan.identity()["recipe"], images=False)
 
-    def edited(meta, actions):
-        actions = actions.copy()
-        actions[meta.window_frames + 3, 0] += 0.01
-        return replay(meta, actions)
+    def edited(seed):
+        episode = replay(seed)
+        action = episode.action.copy()
+        action[episode.meta.window_frames + 3, 0] += 0.01
+        return dataclasses.replace(episode, action=action)
 
-    assert verify(tmp_path / "d", resimulate=replay) == []
-    (finding,) = verify(tmp_path / "d", resimulate=edited)
-    assert "replays to other states from frame" in finding.message
+    assert verify(tmp_path / "d", replayed=1, resimulate=replay) == []
+    (finding,) = verify(tmp_path / "d", replayed=1, resimulate=edited)
+    assert "replays to another action from frame" in finding.message
 
 
 def test_a_physical_dataset_holds_forces_and_replays(tmp_path, capsys):
@@ -103,7 +105,7 @@ def test_further_views_are_stored_read_and_replayed(tmp_path, codec):
     recipe = Recipe(motions=("constant", "struck"), image_size=48, views=VIEWS)
     plan = GenerationPlan(recipe, 2, encoding=Encoding(codec), shard_episodes=1)  # two shards, merged
     generate(plan, tmp_path / "d", record=record)
-    assert verify(tmp_path / "d", decoded=None, resimulate=simulator(plan.identity()["recipe"], images=True)) == []
+    assert verify(tmp_path / "d", decoded=None, replayed=2) == []
     for episode in read_episodes(tmp_path / "d"):
         assert list(episode.images) == ["ego", *VIEWS]
         assert len({images.shape for images in episode.images.values()}) == 1

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import draccus
 import numpy as np
 import pyarrow.parquet as pq
 
@@ -18,8 +19,12 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.quality_control import Columns
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 CHECKS: Registry[type[Check]] = Registry("check", "dynahoi_lerobot.verify.checks")
+
+LONGEST = 600
+"""Characters of a finding that are shown."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +40,9 @@ class Finding:
     message: str
 
     def __str__(self) -> str:
-        """Return both on one line."""
-        return f"{self.check}: {self.message}"
+        """Return both on one line, with what cannot be printed escaped: it may come from a hostile dataset."""
+        line = f"{self.check}: {self.message}"
+        return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line[:LONGEST])
 
 
 class CheckedDataset(Store):
@@ -61,6 +67,15 @@ class CheckedDataset(Store):
             ValueError: if it cannot be read.
         """
         return Manifest.read(self.root)
+
+    @cached_property
+    def recipe(self) -> Recipe | None:
+        """The recipe that the manifest names; None if it names none, or none that this project can read."""
+        stored = self.manifest.provenance.get("recipe")
+        try:
+            return None if stored is None else draccus.decode(Recipe, stored)
+        except (draccus.utils.DraccusException, ValueError, TypeError, AttributeError):
+            return None
 
     @cached_property
     def stats_rows(self) -> list[EpisodeRow]:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, info_features
-from dynahoi_lerobot.dataset.episode_table import OWN_COLUMNS
-from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, ROBOT_TYPE
+from dynahoi_lerobot.dataset.episode_table import row_schema
+from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, ROBOT_TYPE, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
+
+LIMITS = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb")
+LARGEST = 1e6
+"""Of a limit: files per folder, or MiB."""
+KNOWN = {"features", "total_episodes", "total_frames", "total_tasks", "splits"}
+"""Entries of ``info.json`` that are compared with the tables here and in `counts`."""
+TASKS_SCHEMA = pa.schema([("task_index", pa.int64()), ("task", pa.string())])
 
 
 @CHECKS.register("schema")
@@ -22,18 +31,32 @@ class Schema(Check):
 
     def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield constants and columns that differ."""
-        constants = {"fps": CONTROL_HZ, "codebase_version": CODEBASE_VERSION, "robot_type": ROBOT_TYPE}
-        for key, wanted in constants.items():
-            if (found := dataset.info[key]) != wanted:
-                yield f"info.json says {key} is {found!r}; it is {wanted!r}"
+        yield from self._constants(dataset)
         yield from self._features(dataset)
-        schema = arrow_schema(dataset.features)
-        for path in dataset.data_files():
-            if not pq.read_schema(path).equals(schema):
-                yield f"{path.relative_to(dataset.root)} has columns or types that info.json does not describe"
-        for path in dataset.row_files():
-            if missing := sorted(set(OWN_COLUMNS) - set(pq.read_schema(path).names)):
-                yield f"{path.relative_to(dataset.root)} lacks the columns {', '.join(missing)}"
+        for paths, schema in (
+            (dataset.data_files(), arrow_schema(dataset.features)),
+            (dataset.row_files(), row_schema(dataset.features)),
+            ([dataset.root / TASKS_PATH], TASKS_SCHEMA),
+        ):
+            for path in paths:
+                yield from (f"{path.relative_to(dataset.root)} {problem}" for problem in _columns(path, schema))
+
+    def _constants(self, dataset: CheckedDataset) -> Iterator[str]:
+        constants = {
+            "codebase_version": CODEBASE_VERSION,
+            "fps": CONTROL_HZ,
+            "robot_type": ROBOT_TYPE,
+            "data_path": DATA_PATH,
+            "video_path": VIDEO_PATH if dataset.has_video else None,
+        }
+        for key, wanted in constants.items():
+            if (found := dataset.info.get(key)) != wanted:
+                yield f"info.json says {key} is {found!r}; it is {wanted!r}"
+        for key in LIMITS:
+            if not isinstance(found := dataset.info.get(key), int | float) or not 0 < found < LARGEST:
+                yield f"info.json says {key} is {found!r}; it is a positive number"
+        if unknown := sorted(dataset.info.keys() - constants.keys() - KNOWN - set(LIMITS)):
+            yield f"info.json has the unknown entries {', '.join(unknown)}"
 
     def _views(self, dataset: CheckedDataset) -> list[str]:
         """The views that the recipe asks for; those that are stored where the recipe is not known."""
@@ -51,3 +74,19 @@ class Schema(Check):
             found = {name: value for name, value in dataset.features.get(key, {}).items() if name != "info"}
             if found != {name: value for name, value in wanted.get(key, {}).items() if name != "info"}:
                 yield f"feature {key} is {found or 'missing'}; the specification has {wanted.get(key, 'no such one')}"
+
+
+def _columns(path: Path, schema: pa.Schema) -> Iterator[str]:
+    """Yield columns that a table lacks, has too many, or in other types or another order."""
+    found = pq.read_schema(path)
+    if missing := sorted(set(schema.names) - set(found.names)):
+        yield f"lacks the columns {', '.join(missing)}"
+    if unknown := sorted(set(found.names) - set(schema.names)):
+        yield f"has the unknown columns {', '.join(unknown)}"
+    if missing or unknown:
+        return
+    for field in schema:
+        if found.field(field.name).type != field.type:
+            yield f"holds {field.name} as {found.field(field.name).type}; it is {field.type}"
+    if found.names != schema.names:
+        yield "has its columns in another order"

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import av
+import numpy as np
 from av.error import FFmpegError
 
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
+from dynahoi_lerobot.verify.mp4 import container_problems
 
 
 @CHECKS.register("videos")
@@ -35,8 +37,9 @@ def _view(dataset: CheckedDataset, key: str) -> Iterator[str]:
         name = path.relative_to(dataset.root)
         yield from (f"{name} {problem}" for problem in _ranges(rows, key))
         try:
+            yield from (f"{name} {problem}" for problem in container_problems(path))
             yield from (f"{name} {problem}" for problem in _stream(path, rows, dataset.features[key], key))
-        except (OSError, FFmpegError, IndexError) as error:
+        except (OSError, FFmpegError, IndexError, ValueError) as error:
             yield f"{name} cannot be read as a video: {error}"
 
 
@@ -66,6 +69,9 @@ def _stream(path: Path, rows: list[EpisodeRow], feature: dict[str, Any], key: st
         if len(packets) != wanted:
             yield f"holds {len(packets)} frames; its episodes have {wanted}"
             return
+        gap = max(np.diff([*(n for n, packet in enumerate(packets) if packet.is_keyframe), len(packets)]), default=0)
+        if gap > (most := feature["info"]["video.g"]):
+            yield f"has {gap} frames from a key frame to the next; info.json says at most {most}"
         times = sorted(float((packet.pts or 0) * packet.time_base) for packet in packets)
         if any(abs(time - number / CONTROL_HZ) > 1e-6 for number, time in enumerate(times)):
             yield f"has frames that are not 1/{CONTROL_HZ} s apart"

@@ -1,0 +1,114 @@
+"""Distances, localisation and contacts are those of the stored poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS, LOCALIZATION_RADIUS_M, PALM_DOF
+from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
+from dynahoi_lerobot.world.batch import TOUCH_M
+
+START_TOLERANCE_M = 1e-5
+"""At the start ``palm_distance`` is the distance itself, up to float32."""
+ABOVE_M = 0.005
+"""A least distance exceeds the distance at the end of its step by at most this: where contact releases the target, the
+step is simulated twice (0.002 m seen)."""
+BELOW_M = 0.006
+"""How far a least distance lies below the straight line between two frames, beyond what changing velocities explain."""
+TIP_REACH_M = 0.25
+"""No point of a target's surface is further than this from its centre: fingertip distances differ by less."""
+
+
+@CHECKS.register("distances")
+class Distances(Check):
+    """Bounds ``palm_distance`` and ``fingertip_distance`` by the poses; ``localized`` and contacts follow from them."""
+
+    def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
+        """Yield distances that the poses do not have, and flags that the distances do not give."""
+        palm = np.asarray(row["stats/palm_distance"], float)
+        tips = np.asarray(row["stats/fingertip_distance"], float)
+        frames = len(columns["index"])
+        if palm.shape != (frames,) or tips.shape != (frames,):
+            return  # said by `episode_columns`
+        problems = (
+            _palm(palm, columns),
+            _localized(palm, columns),
+            _tips(tips, columns),
+            _contacts(row, tips, columns),
+        )
+        yield from (f"episode {row['episode_index']}, frame {problem}" for problem in problems if problem)
+
+
+def _palm(palm: np.ndarray, columns: Columns) -> str | None:
+    """Find a least distance of a step that is larger than at its end, or smaller than on the straight line."""
+    state, target = columns["observation.state"][:, :PALM_DOF], columns["target.pose"][:, :3]
+    offset = target.astype(float) - state
+    distance = np.linalg.norm(offset, axis=1)
+    low = np.concatenate([distance[:1] - START_TOLERANCE_M, _nearest(offset) - _bend(columns) - BELOW_M])
+    high = distance + np.where(np.arange(len(palm)) == 0, START_TOLERANCE_M, ABOVE_M)
+    frame = int(np.maximum(palm - high, low - palm).argmax())
+    if low[frame] <= palm[frame] <= high[frame]:
+        return None
+    return f"{frame}: palm_distance is {palm[frame]:.4f} m; the poses give {low[frame]:.4f} to {high[frame]:.4f} m"
+
+
+def _nearest(offset: np.ndarray) -> np.ndarray:
+    """Return (T - 1,) the least distance to the origin of the segments between (T, 3) points."""
+    start, step = offset[:-1], np.diff(offset, axis=0)
+    share = -(start * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12)
+    return np.linalg.norm(start + np.clip(share, 0, 1)[:, None] * step, axis=1)
+
+
+def _bend(columns: Columns) -> np.ndarray:
+    """Return (T - 1,) how far from a straight line changes of velocity may have led target and palm [m].
+
+    A change v of velocity leads at most v * 0.05 s / 4 astray. The target's is stored; the palm's, which is not, is
+    at most twice the change of its mean velocity from a frame to the next or from the one before.
+    """
+    target = np.linalg.norm(np.diff(columns["target.velocity"][:, :3], axis=0), axis=1)
+    steps = np.diff(columns["observation.state"][:, :PALM_DOF], axis=0)  # (T - 1, 3)
+    turns = np.linalg.norm(np.diff(steps, axis=0, prepend=steps[:1], append=steps[-1:]), axis=1)  # (T,)
+    return CONTROL_DT / 4 * target + np.maximum(turns[:-1], turns[1:]) / 2
+
+
+def _localized(palm: np.ndarray, columns: Columns) -> str | None:
+    """Find a frame that is localised without the palm having been near, or the other way round."""
+    acting = columns["observation.phase"][:, 0] > 0.5
+    acting = np.concatenate([[False], acting[:-1]])  # a distance is that of the step before its frame
+    wanted = np.maximum.accumulate((palm < LOCALIZATION_RADIUS_M) & acting)
+    wrong = np.flatnonzero(columns["localized"][:, 0].astype(bool) != wanted)
+    if not wrong.size:
+        return None
+    frame = int(wrong[0])
+    return f"{frame}: localized is {bool(columns['localized'][frame, 0])}; palm_distance says {bool(wanted[frame])}"
+
+
+def _tips(tips: np.ndarray, columns: Columns) -> str | None:
+    """Find a fingertip distance that no object between fingertips and target centre explains."""
+    pads = columns["observation.fingertips"].reshape(len(tips), len(FINGERS), 6)[..., :3]
+    centre = np.linalg.norm(pads - columns["target.pose"][:, None, :3], axis=-1).min(axis=1)
+    wrong = (tips < 0) | (tips > centre + START_TOLERANCE_M) | (tips < centre - TIP_REACH_M)
+    if not wrong.any():
+        return None
+    frame = int(wrong.argmax())
+    return f"{frame}: fingertip_distance is {tips[frame]:.3f} m, the target's centre is {centre[frame]:.3f} m away"
+
+
+def _contacts(row: EpisodeRow, tips: np.ndarray, columns: Columns) -> str | None:
+    """Find contacts that forces or distances contradict."""
+    contacts = columns["target.contacts"]
+    if not np.isin(contacts, (0, 1)).all():
+        return f"{int((~np.isin(contacts, (0, 1))).any(axis=1).argmax())}: target.contacts is neither 0 nor 1"
+    if CAPTURES[row["capture"]].uses_contact_sensors:
+        wrong = (contacts != (columns["observation.touch"] > 0)).any(axis=1)
+    else:
+        near = np.abs(tips - TOUCH_M) > START_TOLERANCE_M  # not on the edge
+        wrong = near & (contacts.any(axis=1) != (tips <= TOUCH_M))
+    if not wrong.any():
+        return None
+    frame = int(wrong.argmax())
+    return f"{frame}: target.contacts is {contacts[frame].tolist()}, which touch and fingertip_distance contradict"

@@ -1,0 +1,68 @@
+"""No recording of an expert is rejected; corrupt ones are."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.dataset.episode_arrays import content_arrays
+from dynahoi_lerobot.dataset.quality_control import trajectory_problems
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import MAX_DISTURBANCE_M, Recipe
+from tests.synthetic import synthetic_episode
+
+KINDS = len(BENCHMARK.splits["train"].motions)
+STRAYING = {"disturbance_m": MAX_DISTURBANCE_M}
+
+
+@pytest.mark.parametrize(
+    ("capture", "options", "count"),
+    [
+        ("attach", {}, KINDS),
+        ("contact", {}, KINDS),
+        ("attach", STRAYING, 8),
+        ("contact", STRAYING, 8),
+        ("attach", {"split": "ood_speed"}, 8),
+        ("contact", {"split": "ood_speed"}, 8),
+    ],
+)
+def test_experts_recordings_pass(capture, options, count):
+    episodes = list(record(Recipe(capture=capture, **options), range(count), images=False))
+    assert len(episodes) > 0.8 * count
+    found = {episode.meta.seed: trajectory_problems(content_arrays(episode)) for episode in episodes}
+    assert not any(found.values()), found
+
+
+def corrupted(name: str, where: object, value: object) -> Episode:
+    """A sound episode with ``value`` in an array, or added to it if it is a function."""
+    episode = synthetic_episode(0)
+    array = getattr(episode, name).copy()
+    array[where] = value(array[where]) if callable(value) else value
+    return dataclasses.replace(episode, **{name: array})
+
+
+@pytest.mark.parametrize(
+    ("episode", "sentence"),
+    [
+        (corrupted("state", (9, 0), np.nan), "observation.state is not finite at frame 9"),
+        (corrupted("state", (9, 2), 3.0), "has the palm at 3.00 m along axis 2 at frame 9"),
+        (corrupted("action", (9, 5), 2.4), "action has joint angles from"),
+        (corrupted("state", (9, 1), lambda y: y + 0.25), "observation.state jumps by 0.2"),
+        (corrupted("state", (9, 8), 1.5), "observation.state jumps by 1.5"),
+        (corrupted("target_pose", (9, 1), lambda y: y + 1), "target.pose jumps by 1.0"),
+        (corrupted("action", (slice(8, None), 0), 2.0), "action[0] is at its limit in 100%"),
+        (corrupted("action", (slice(8, None), 6), 1.6), "action[6] is at its limit in all"),
+        (corrupted("state", slice(9, 20), lambda s: s[:1]), "observation.state is frozen from frame"),
+        (corrupted("phase", 9, 0.5), "observation.phase is not a window"),
+    ],
+)
+def test_corrupt_recordings_are_rejected(episode, sentence):
+    assert any(sentence in problem for problem in trajectory_problems(content_arrays(episode)))
+
+
+def test_the_sound_episode_passes():
+    assert not trajectory_problems(content_arrays(synthetic_episode(0)))
