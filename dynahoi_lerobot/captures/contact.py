@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Release, Substeps, Track
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGERS
-from dynahoi_lerobot.hands.gantry import GANTRY_SPEED_M_S
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGERS, GANTRY_SPEED_M_S
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.scene.model import ENVIRONMENT, HAND_BIT
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
-from dynahoi_lerobot.hands.gantry import GANTRY_RANGE_M
+from dynahoi_lerobot.control_class import CONTROL_CLASSES
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
-from dynahoi_lerobot.scene.servo import MAX_JOINT_SPEED_RAD_S, MAX_PALM_SPEED_M_S
 
+FASTEST = CONTROL_CLASSES["unlimited"]
 Columns = Mapping[str, np.ndarray]
 """An episode's numeric columns by key, each (T, D)."""
 
@@ -48,8 +48,8 @@ class TrajectoryLimits:
     palm_range_m: tuple[tuple[float, float], ...] = GANTRY_RANGE_M
     palm_slack_m: float = 0.005
     joint_range_rad: tuple[float, float] = (-0.5, 2.0)
-    palm_step_m: float = 2.4 * MAX_PALM_SPEED_M_S * CONTROL_DT
-    joint_step_rad: float = 1.2 * MAX_JOINT_SPEED_RAD_S * CONTROL_DT
+    palm_step_m: float = 2.4 * FASTEST.palm_speed_m_s * CONTROL_DT
+    joint_step_rad: float = 1.2 * FASTEST.joint_speed_rad_s * CONTROL_DT
     target_slack_m: float = GRAVITY_M_S2 * CONTROL_DT**2 / 2 + 0.025
     palm_saturated_share: float = 0.9
     frozen_frames: int = 2

@@ -9,8 +9,7 @@ import numpy as np
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.experts.planned import PlannedExpert
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, PALM_DOF
-from dynahoi_lerobot.hands.gantry import GANTRY_SPEED_M_S
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, GANTRY_SPEED_M_S, PALM_DOF
 
 PALM_FACE_M = -0.036
 """The palm's surface, from the palm centre along x."""

@@ -56,3 +56,9 @@ HAND_SPEED_M_S = 0.3
 WINDOW_FRACTION = 0.2
 MIN_WINDOW_FRAMES = 8
 """The observation window is the first 20 % of the frames, at least this many."""
+
+GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
+"""Reach of the palm centre along each axis [m], world."""
+
+GANTRY_SPEED_M_S = 2.0
+"""Greatest speed of each slide that carries the palm where hand and target collide [m/s]."""

@@ -5,16 +5,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import PALM_AXES
+from dynahoi_lerobot.foundation.conventions import GANTRY_RANGE_M, PALM_AXES
 from dynahoi_lerobot.hands.base import EGO_CAMERA, PALM_BODY, PALM_SITE, camera_quat
 
 PALM_MASS_KG = 0.8
 PALM_FORCE_N = 120.0
-GANTRY_SPEED_M_S = 2.0
-"""Greatest speed of each slide where hand and target collide [m/s]."""
 PALM_BANDWIDTH_RAD_S = 150.0
-GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
-"""Range of the palm centre along each axis, world."""
 FINGER_BANDWIDTH_RAD_S = 120.0
 
 CAMERA_POS = (-0.15, 0.03, 0.21)

@@ -19,6 +19,8 @@ ABOVE_M = 0.005
 step is simulated twice (0.002 m seen)."""
 BELOW_M = 0.006
 """How far a least distance lies below the straight line between two frames, beyond what changing velocities explain."""
+HOLLOW, HOLLOW_M = ("ring", "cup"), 0.05
+"""Objects whose centre is no part of them, and how far it is from their surface at most."""
 TIP_REACH_M = 0.25
 """No point of a target's surface is further than this from its centre: fingertip distances differ by less."""
 
@@ -37,7 +39,7 @@ class Distances(Check):
         problems = (
             _palm(palm, columns),
             _localized(palm, columns),
-            _tips(tips, columns),
+            _tips(row, tips, columns),
             _contacts(row, tips, columns),
         )
         yield from (f"episode {row['episode_index']}, frame {problem}" for problem in problems if problem)
@@ -87,11 +89,12 @@ def _localized(palm: np.ndarray, columns: Columns) -> str | None:
     return f"{frame}: localized is {bool(columns['localized'][frame, 0])}; palm_distance says {bool(wanted[frame])}"
 
 
-def _tips(tips: np.ndarray, columns: Columns) -> str | None:
+def _tips(row: EpisodeRow, tips: np.ndarray, columns: Columns) -> str | None:
     """Find a fingertip distance that no object between fingertips and target centre explains."""
     pads = columns["observation.fingertips"].reshape(len(tips), len(FINGERS), 6)[..., :3]
     centre = np.linalg.norm(pads - columns["target.pose"][:, None, :3], axis=-1).min(axis=1)
-    wrong = (tips < 0) | (tips > centre + START_TOLERANCE_M) | (tips < centre - TIP_REACH_M)
+    farther_m = START_TOLERANCE_M + (HOLLOW_M if row["object"] in HOLLOW else 0.0)
+    wrong = (tips < 0) | (tips > centre + farther_m) | (tips < centre - TIP_REACH_M)
     if not wrong.any():
         return None
     frame = int(wrong.argmax())

@@ -60,7 +60,7 @@ AUDIT: Table = {
     "another capture rule": (row_is(capture="contact"), "default", "capture is 'contact'"),
     "another split": (row_is(split="test"), "default", "split is 'test'"),
     "another stage": (row_is(stage="localized"), "default", "stage is 'localized'; rule 'attach' says 'captured'"),
-    "another number of attempts": (row_is(attempts=2), "replay", "to attempts 1; stored is 2"),
+    "another number of attempts": (row_is(attempts=2), "default", "attempts is 2; seed and recipe allow 1"),
     "palm distance": (entry_of("palm_distance", 3, lambda x: 0.5), "default", "palm_distance is 0.5000"),
     "code of the plan": (plan(code="0" * 16), "default", "fingerprint is"),
     "seed of the plan": (plan(seed=1), "default", "the plan draws 6 seeds from 1 on"),
