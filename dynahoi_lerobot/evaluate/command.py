@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         actor.name if args.policy == VLM else args.policy,
         args.split,
         args.capture,
-        " ".join(sys.argv),
+        " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         recipe.fingerprint(),
         {"recipe": asdict(recipe), "delay_ms": args.delay_ms, "settings": args.set},
     )

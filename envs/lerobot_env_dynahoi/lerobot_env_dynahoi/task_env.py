@@ -46,7 +46,7 @@ class ResultsLog:
         if not self._unwritten:
             return
         extra = {"recipe": asdict(self._recipe)}
-        name, command = policy_name(sys.argv), " ".join(sys.argv)
+        name, command = policy_name(sys.argv), " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
         info = RunInfo(name, self._split, self._recipe.capture, command, self._fingerprint, extra)
         results = self._recorder.write(self.folder, info)
         self._unwritten = 0
