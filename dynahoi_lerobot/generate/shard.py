@@ -7,13 +7,14 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from av.error import FFmpegError
 
 from dynahoi_lerobot.dataset.episode_arrays import content_arrays
 from dynahoi_lerobot.dataset.files import temporary_sibling
-from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
+from dynahoi_lerobot.dataset.manifest import Manifest, file_problems, stray_files
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
@@ -104,7 +105,7 @@ class ShardMaker:
             return "it belongs to another plan"
         if sorted(seed % REDRAW_STRIDE for seed in manifest.seeds) != list(self.plan.slots(shard)):
             return f"its seeds are not those of shard {shard}"
-        return next(file_problems(folder, manifest), None)
+        return next(chain(file_problems(folder, manifest), stray_files(folder, manifest.files)), None)
 
     def discard_damaged(self) -> list[int]:
         """Remove shards that are not the plan's, so that they are made again; say which and why.

@@ -52,7 +52,7 @@ def test_an_export_acts_by_the_average_and_shows_its_results(tmp_path: Path) -> 
     make_pre_post_processors(exported.config, pretrained_path=str(out))
 
     card = (out / "README.md").read_text()
-    assert f"dynahoi view --policy {out} --capture attach" in card
+    assert "dynahoi evaluate --policy" in card
     assert "## Results on `test_small`, 44 episodes" in card
     assert "| S_loc | " in card
     assert "| Averaged weights (EMA) | off |" in card

@@ -55,13 +55,13 @@ def batch_of(renderer: str, specs: list[EpisodeSpec]) -> WorldBatch:
 @pytest.fixture(scope="module")
 def ray_casting(specs: list[EpisodeSpec]) -> WorldBatch:
     """Plainly painted worlds under the default renderer."""
-    return batch_of(DEFAULT_RENDERER, [plain(spec) for spec in specs[:22:3]])
+    return batch_of(DEFAULT_RENDERER, [plain(spec) for spec in specs[:21:3]])
 
 
 @pytest.fixture(scope="module")
 def opengl_worlds(specs: list[EpisodeSpec]) -> WorldBatch:
     """The same worlds under OpenGL."""
-    return batch_of("opengl", [plain(spec) for spec in specs[:22:3]])
+    return batch_of("opengl", [plain(spec) for spec in specs[:21:3]])
 
 
 @needs_opengl

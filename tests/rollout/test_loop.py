@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch, play, record
 from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.replay import simulator
+from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.world.playing import digest
 
@@ -123,8 +123,8 @@ def test_pushes_move_the_hand_and_not_what_is_recorded_as_its_command(batch_size
 def test_a_pushed_episode_plays_again_from_its_commands():
     recipe = replace(QUICK, disturbance_m=0.02)
     (episode,) = record(recipe, [3], threads=1, images=False)
-    state, _ = simulator(asdict(recipe), images=False)(episode.meta, episode.action)
-    np.testing.assert_allclose(state, episode.state, atol=1e-6)
+    again = replay(recipe, 3, episode.action, images=False)
+    np.testing.assert_allclose(again.state, episode.state, atol=1e-6)
 
 
 @pytest.mark.parametrize("batch_size", [1, 32])

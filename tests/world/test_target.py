@@ -74,7 +74,8 @@ def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_
     assert abs(batch.target_pose[0, [3, 6]] @ half) == pytest.approx(1.0, abs=1e-6)
     assert isinstance(spec.motion, PrescribedMotion)
     now = np.array([spec.window_frames * CONTROL_DT])
-    np.testing.assert_allclose(batch.target_velocity[0, :3], spec.motion.velocity(now)[0], atol=0.005)
+    half_a_step = 0.012  # of physics, at a peak of 1.5 m/s and 1 Hz [m/s]
+    np.testing.assert_allclose(batch.target_velocity[0, :3], spec.motion.velocity(now)[0], atol=half_a_step)
 
 
 def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpec]):
