@@ -69,6 +69,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--batch-size", type=whole(1, 4096), default=32, help="worlds simulated together; no influence on the result"
     )
+    parser.add_argument("--gifs", type=whole(0, 10**6), default=0, help="number of episodes to record as GIFs in --out")
+    parser.add_argument("--per-kind", action="store_true", help="also print a row for each motion")
+    _add_policy_arguments(parser)
+
+
+def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what concerns LeRobot policies and vision-language models."""
     parser.add_argument("--device", help="torch device of the policy")
     add_trust_argument(parser)
     parser.add_argument(
@@ -103,8 +110,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("PROMPT", "COMPLETION"),
         help="with --policy vlm: prices of a million tokens",
     )
-    parser.add_argument("--gifs", type=whole(0, 10**6), default=0, help="number of episodes to record as GIFs in --out")
-    parser.add_argument("--per-kind", action="store_true", help="also print a row for each motion")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -218,7 +223,7 @@ def _reported(episodes: Iterator[Episode], progress: tqdm, out: Path | None, gif
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             episode_gif(out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
-        yield replace(episode, images=None)
+        yield replace(episode, images={})
     for episode in episodes:
         progress.update()
-        yield replace(episode, images=None)
+        yield replace(episode, images={})
