@@ -132,15 +132,20 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self._images, self._threads, self._on_episode = images, threads, on_episode
         self._batch = make_batch(self.recipe, num_envs, threads)
-        contact_sensors = self._batch.rule.uses_contact_sensors
-        features = frame_features(image_size if images else None, self.recipe.views, contact_sensors=contact_sensors)
-        self.single_observation_space = observation_space(features)
-        self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._set_spaces()
         self._episodes = RunningEpisodes(self._batch, on_episode)
         self._ended, self._numbers = np.zeros(num_envs, bool), np.zeros(num_envs, int)
         self._one_episode = False
+
+    def _set_spaces(self) -> None:
+        """Derive the spaces from the feature table and the hand's limits."""
+        image_size, contact_sensors = self.recipe.image_size, self._batch.rule.uses_contact_sensors
+        size = image_size if self._images else None
+        features = frame_features(size, self.recipe.views, contact_sensors=contact_sensors)
+        self.single_observation_space = observation_space(features)
+        self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
