@@ -7,9 +7,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
+
+
+def observed(row: EpisodeRow) -> int:
+    """Return for how many frames the phase is 0: it rises with the first command that takes effect after the window."""
+    control = CONTROL_CLASSES.get(row["control_class"])
+    return max(row["window_frames"] - (control.latency_frames if control else 0), 0)
 
 
 @CHECKS.register("episode_columns")
@@ -22,7 +29,7 @@ class EpisodeColumns(Check):
         intercept = float(columns["intercept.time"][0, 0])
         facts = (
             ("length_frames is {}, the recording has {} frames", row["length_frames"], frames),
-            ("window_frames is {}, {} frames observe", row["window_frames"], window),
+            ("{} frames observe by window_frames and control_class, {} by observation.phase", observed(row), window),
             ("palm_distance has {} values for {} frames", len(row["stats/palm_distance"]), frames),
             ("fingertip_distance has {} values for {} frames", len(row["stats/fingertip_distance"]), frames),
             ("success is {}, only successes are stored ({})", row["success"], True),

@@ -8,6 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.captures.base import Weld
+from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.hands import HANDS
@@ -21,8 +22,8 @@ RANGE_TOLERANCE = 1e-5
 """Of commands at an end of their range, in float32 [m, rad]."""
 PALM_LAG_M = 0.01
 """An undisturbed palm reaches its command within a frame (0.0033 m seen, where it carries a target)."""
-JOINT_LAG_RAD = 0.01
-"""So do fingers that touch nothing (0.0015 rad seen)."""
+JOINT_LAG_RAD = 0.03
+"""So do fingers that touch nothing (0.010 rad seen, at the fastest closing of 20 rad/s)."""
 
 
 @CHECKS.register("hand")
@@ -62,13 +63,14 @@ def _lag(recipe: Recipe, columns: Columns) -> str | None:
     """Find a state that is not where its command led; contact holds fingers back, a disturbance the palm."""
     if recipe.disturbance_m:
         return None
-    apart = np.abs(columns["observation.state"][1:] - columns["action"][:-1])  # (T - 1, 18)
+    frames = 1 + CONTROL_CLASSES[recipe.control_class].latency_frames  # until a command has been followed
+    apart = np.abs(columns["observation.state"][frames:] - columns["action"][:-frames])  # (T - frames, 18)
     groups = [("palm", apart[:, :PALM_DOF], PALM_LAG_M, "m")]
     if isinstance(CAPTURES[recipe.capture].effect, Weld):
         groups.append(("a joint", apart[:, PALM_DOF:], JOINT_LAG_RAD, "rad"))
     for name, gap, tolerance, unit in groups:
         if gap.size and gap.max() > tolerance:
-            frame = int(gap.max(axis=1).argmax()) + 1
+            frame = int(gap.max(axis=1).argmax()) + frames
             return f", frame {frame}: observation.state has {name} {gap.max():.3f} {unit} from where action led"
     return None
 
