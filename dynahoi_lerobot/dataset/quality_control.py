@@ -6,7 +6,7 @@ rejected episode again; ``dynahoi verify`` applies the same rules to what is sto
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,9 +54,6 @@ class TrajectoryLimits:
     palm_saturated_share: float = 0.9
     frozen_frames: int = 2
     frozen_gap_m: float = 0.005
-
-
-Rule = Callable[[Columns, TrajectoryLimits], str | None]
 
 
 def trajectory_problems(columns: Columns, limits: TrajectoryLimits | None = None) -> list[str]:
