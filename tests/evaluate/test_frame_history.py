@@ -29,6 +29,7 @@ def diffusion():
         n_groups=4,
         pretrained_backbone_weights=None,
         crop_ratio=1.0,
+        noise_scheduler_type="DDIM",
         num_inference_steps=2,
         device="cpu",
     )
