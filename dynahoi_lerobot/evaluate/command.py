@@ -21,6 +21,7 @@ from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.arguments import names, number, path, whole
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS, protocol_of
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC, Inference
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
@@ -54,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hand", default="", help="hand model; the capture rule's own by default")
     parser.add_argument(
         "--protocol",
-        default="observe_before_act",
-        help="observe_before_act or direct_act, which has no observation window",
+        default=DEFAULT_PROTOCOL,
+        help="; ".join(f"{protocol.name}: {protocol.meaning}" for protocol in PROTOCOLS.values()),
     )
     parser.add_argument(
         "--objects", type=names, default=(), help="comma-separated objects; all of the split by default"
@@ -182,6 +183,8 @@ def _vlm(args: argparse.Namespace) -> Agent:
 
     if not args.model:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
+    if protocol_of(args.protocol).blind_control:
+        raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
     audit = args.out / "vlm.jsonl" if args.out else None
