@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import draccus
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
@@ -14,6 +15,8 @@ from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.result_files import ResultsError
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
+from dynahoi_lerobot.rollout.replay import ActionLog
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 __all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
 
@@ -70,6 +73,25 @@ class Results:
     def summary(self) -> Summary:
         """Return every metric with its interval over all episodes."""
         return summarise_rows(self.rows)
+
+    def recipe(self) -> Recipe:
+        """Return what was played.
+
+        Raises:
+            ResultsError: if the folder does not say it, or what it says is damaged.
+        """
+        if "recipe" not in self.info.extra:
+            raise ResultsError(f"{self.folder} does not say what was played; evaluate again with this version")
+        try:
+            return draccus.decode(Recipe, self.info.extra["recipe"])
+        except Exception as error:  # whatever a damaged recipe makes the decoder raise
+            reason = " ".join(str(error).split())
+            raise ResultsError(f"the recipe in {self.folder} is damaged ({reason}); evaluate again") from error
+
+    def log(self, index: int) -> ActionLog:
+        """Return what row ``index`` was played with."""
+        row = self.rows[index]
+        return ActionLog(row["seed"], self.actions[index], row["attempts"])
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``metrics.json``: per metric its value, interval, unit and count."""
