@@ -24,7 +24,7 @@ class EpisodeMeta:
         parameters: the motion's parameters, JSON with SI units.
         task: the instruction given to the policy.
         agent: who moved the hand (``intercept``, ``hold``, a policy's name).
-        capture: the capture rule, ``attach`` or ``contact``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         protocol: ``observe_before_act`` or ``direct_act``.
         control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.
         window_frames: length of the observation window [frames].

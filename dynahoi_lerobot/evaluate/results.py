@@ -25,7 +25,7 @@ class RunInfo:
     Attributes:
         policy: the policy's name or path.
         split: the split that was played.
-        capture: the capture rule, ``attach`` or ``contact``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
         extra: further JSON values: ``delay_ms`` [ms] and ``settings`` where the policy was delayed or its config
@@ -175,7 +175,7 @@ def write_results(
         episodes: the played episodes; their images are not kept.
         policy: the policy's name or path.
         split: the split that was played.
-        capture: the capture rule, ``attach`` or ``contact``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
         extra: JSON values that a figure may need, such as ``{"n_obs_frames": 5}``.
