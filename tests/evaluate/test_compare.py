@@ -9,7 +9,7 @@ from dynahoi_lerobot.foundation.registry import UnknownNameError
 
 
 def rows(values: list[float | None], metric: str = "S_loc", first_seed: int = 0, **changes: object):
-    base = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40, **changes}
+    base = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40, "benchmark": "v1", **changes}
     return [{**base, "seed": first_seed + i, metric: value} for i, value in enumerate(values)]
 
 

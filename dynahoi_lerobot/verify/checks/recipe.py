@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.instructions import NEUTRAL, REVEALING
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.timing import window_frames
@@ -49,6 +50,7 @@ def _allowed(recipe: Recipe, row: EpisodeRow, code: str | None) -> dict[str, lis
         "protocol": [recipe.protocol],
         "split": [recipe.split],
         "fingerprint": [recipe.fingerprint(code)],
+        "benchmark": [BENCHMARK.version],
     }
 
 
