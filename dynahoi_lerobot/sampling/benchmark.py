@@ -2,7 +2,7 @@
 
 What is listed here, and nothing else, decides which episodes the splits hold. Any other registered motion or object is
 played when a recipe names it and never enters a split by itself, so registering one changes no published episode.
-A change to this file, or to what it refers to, is a new version of the benchmark: `python -m benchmarks.pin --check`
+A change to this file, or to what it refers to, is a new version of the benchmark: `python benchmarks/pin.py --check`
 compares it, the episodes of all splits and some pictures with the digests that are committed.
 """
 
