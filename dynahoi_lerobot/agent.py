@@ -49,6 +49,7 @@ class WorldState:
         target_contacts: (N, 5) 1 where the finger touches the target.
         localized: (N,) bool, the target has been localised in the control phase.
         control: the limits of the hand and the latency of its commands.
+        localization_radius_m: palm centre to target centre, below which the target is localised [m].
         state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect, [m] and [rad].
     """
 
@@ -61,6 +62,7 @@ class WorldState:
     target_contacts: np.ndarray
     localized: np.ndarray
     control: ControlClass
+    localization_radius_m: float
     state_when_due: np.ndarray
 
 

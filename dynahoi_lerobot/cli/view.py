@@ -43,7 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--split", default="test", help="with --motion: train, val, test or one of the ood_ splits")
     parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint, or the name of an expert")
-    parser.add_argument("--capture", default="attach", help="with --motion: capture rule, attach or contact")
+    parser.add_argument(
+        "--capture", default="attach", help="with --motion: capture rule, attach, attach_lenient or contact"
+    )
     parser.add_argument(
         "--control-class", default=DEFAULT_CONTROL_CLASS, help="with --motion: unlimited, standard or late"
     )

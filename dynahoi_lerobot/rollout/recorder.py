@@ -14,6 +14,7 @@ from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.features import FEATURES, frame_features
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -164,4 +165,5 @@ def _meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta
         intercept_frame=spec.intercept_frame,
         attempts=job.attempt,
         fingerprint=spec.fingerprint,
+        benchmark=BENCHMARK.version,
     )

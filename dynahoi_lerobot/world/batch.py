@@ -252,6 +252,7 @@ class WorldBatch:
             target_contacts=self.touching(),
             localized=self.localized.copy(),
             control=self.control,
+            localization_radius_m=self.rule.localization_radius_m,
             state_when_due=self._state_when_due(),
         )
 
