@@ -49,7 +49,7 @@ class PolicyAgent(Agent):
         self._policy.reset()
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) float commands: palm position [m] world and joint angles [rad]."""
+        """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad]."""
         import torch
         from lerobot.envs.utils import preprocess_observation
 

@@ -24,7 +24,7 @@ class Player(Agent):
     name = "player"
 
     def __init__(self, actions: np.ndarray) -> None:
-        """Take the (T, 18) commands of one world: palm position [m] world and joint angles [rad]."""
+        """Take the (T, 18) commands of one world: palm position [m], home frame, and joint angles [rad]."""
         self._actions = actions
         self._frame = 0
 
@@ -60,7 +60,7 @@ def replay(recipe: Recipe, seed: int, actions: np.ndarray, *, attempt: int = 1, 
     Args:
         recipe: what was played.
         seed: of the episode.
-        actions: palm positions [m] world and joint angles [rad].
+        actions: palm positions [m], home frame, and joint angles [rad].
         attempt: the try that was recorded.
         images: whether to render.
     """

@@ -39,7 +39,7 @@ def play(count: int, skill: float, capture: str = "attach", image_size: int | No
         stage = episode.stage
         if capture == "contact":
             stage = str(rng.choice(["missed", "touched", "enclosed", "slipped"])) if miss else "held"
-        start = episode.palm_pos_w[episode.meta.window_frames]
+        start = episode.palm_pos_h[episode.meta.window_frames]
         yield replace(
             episode, meta=meta, action=action, stage=stage, success=not miss, intercept_position=start + travel
         )
