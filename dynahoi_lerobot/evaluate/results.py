@@ -66,7 +66,7 @@ class Results:
         folder: where it was read from or written to.
         info: what was evaluated and how.
         rows: one row an episode, as ``episode_row`` makes them.
-        actions: one (T, 18) float32 array an episode, palm position [m] world and joint angles [rad].
+        actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint angles [rad].
     """
 
     folder: Path

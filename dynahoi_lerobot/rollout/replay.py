@@ -25,7 +25,7 @@ class ActionLog:
 
     Attributes:
         seed: of the episode.
-        actions: (T, 18) palm positions [m] and joint angles [rad].
+        actions: (T, 18) palm positions [m], home frame, and joint angles [rad].
         attempt: the try that was recorded.
     """
 
