@@ -60,7 +60,7 @@ class Track:
         localized: (T,) bool.
         contacts: of shape (T,), what touched the target; zero if the rule uses no contact sensors.
         palm_distance: (T,) palm centre to target centre [m].
-        palm_pos_w: (T, 3) palm centre [m], world.
+        palm_pos_h: (T, 3) palm centre [m], world.
     """
 
     joints: np.ndarray
@@ -69,7 +69,7 @@ class Track:
     localized: np.ndarray
     contacts: TargetContacts
     palm_distance: np.ndarray
-    palm_pos_w: np.ndarray
+    palm_pos_h: np.ndarray
 
 
 class CaptureRule(ABC):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import draccus
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
@@ -14,7 +15,9 @@ from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.result_files import ResultsError
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
+from dynahoi_lerobot.rollout.replay import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 __all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
 
@@ -29,7 +32,7 @@ class RunInfo:
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: further JSON values: ``delay_ms`` [ms] and ``settings`` where the policy was delayed or its config
+        extra: further JSON values: ``inference`` and ``settings`` where inference took time or the policy's config was
             changed, ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
         benchmark: version of the benchmark.
     """
@@ -45,7 +48,7 @@ class RunInfo:
     @property
     def conditions(self) -> dict[str, Any]:
         """What must be equal for an evaluation to be resumed, by a name for messages."""
-        changed = {name: self.extra.get(name) or "none" for name in ("delay_ms", "settings")}
+        changed = {name: self.extra.get(name) or "none" for name in ("inference", "settings")}
         return {
             "policy": self.policy,
             "split": self.split,
@@ -63,7 +66,7 @@ class Results:
         folder: where it was read from or written to.
         info: what was evaluated and how.
         rows: one row an episode, as ``episode_row`` makes them.
-        actions: one (T, 18) float32 array an episode, palm position [m] world and joint angles [rad].
+        actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint angles [rad].
     """
 
     folder: Path
@@ -79,6 +82,25 @@ class Results:
     def summary(self) -> Summary:
         """Return every metric with its interval over all episodes."""
         return summarise_rows(self.rows)
+
+    def recipe(self) -> Recipe:
+        """Return what was played.
+
+        Raises:
+            ResultsError: if the folder does not say it, or what it says is damaged.
+        """
+        if "recipe" not in self.info.extra:
+            raise ResultsError(f"{self.folder} does not say what was played; evaluate again with this version")
+        try:
+            return draccus.decode(Recipe, self.info.extra["recipe"])
+        except Exception as error:  # whatever a damaged recipe makes the decoder raise
+            reason = " ".join(str(error).split())
+            raise ResultsError(f"the recipe in {self.folder} is damaged ({reason}); evaluate again") from error
+
+    def log(self, index: int) -> ActionLog:
+        """Return what row ``index`` was played with."""
+        row = self.rows[index]
+        return ActionLog(row["seed"], self.actions[index], row["attempts"])
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``metrics.json``: per metric its value, interval, unit and count."""

@@ -23,6 +23,6 @@ def s_loc_planar(episode: Episode) -> bool:
     if episode.first_localized is not None:
         return True
     frames = until_localized(episode)
-    offset = episode.palm_pos_w[frames, :2] - episode.target_pose[frames, :2]  # (T, 2)
+    offset = episode.palm_pos_h[frames, :2] - episode.target_pose[frames, :2]  # (T, 2)
     radius_m = LENIENT_RADIUS_M if episode.meta.capture == "attach_lenient" else LOCALIZATION_RADIUS_M
     return bool((np.linalg.norm(offset, axis=1) < radius_m).any())

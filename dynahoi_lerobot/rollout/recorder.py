@@ -89,7 +89,7 @@ class WorldRecorder:
             self.images.setdefault(view, []).append(pixels[i])
 
     def add_action(self, executed: np.ndarray) -> None:
-        """Record the command (18,) that was executed from this frame on, palm [m] world and joints [rad]."""
+        """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad]."""
         self.actions.append(executed.copy())
 
     def settled(self, rule: CaptureRule) -> bool:
@@ -114,7 +114,8 @@ class WorldRecorder:
         columns |= {
             "action": np.stack(self.actions),
             "captured": captured,
-            "intercept_position": spec.intercept_pos_w,
+            "intercept_position": spec.intercept_pos_h,
+            "home_position": spec.home_pos_w,
             "open_joints": track.open_joints,
             "reference_joints": track.reference_joints,
         }
@@ -142,7 +143,7 @@ class WorldRecorder:
             localized=columns["localized"][control],
             contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
             palm_distance=columns["palm_distance"][control],
-            palm_pos_w=columns["state"][control, :PALM_DOF],
+            palm_pos_h=columns["state"][control, :PALM_DOF],
         )
 
 

@@ -44,7 +44,7 @@ def play(
         stage = episode.stage
         if capture == "contact":
             stage = str(rng.choice(["missed", "touched", "enclosed", "slipped"])) if miss else "held"
-        start = episode.palm_pos_w[episode.meta.window_frames]
+        start = episode.palm_pos_h[episode.meta.window_frames]
         yield replace(
             episode, meta=meta, action=action, stage=stage, success=not miss, intercept_position=start + travel
         )
