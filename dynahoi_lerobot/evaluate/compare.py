@@ -11,6 +11,7 @@ import numpy as np
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.intervals import bootstrap_means
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,10 @@ def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Compar
 
     Raises:
         UnknownNameError: if the metric is not registered.
-        ValueError: if no episode is in both sets with the metric applying.
+        ValueError: if the rows are of different salts, or if no episode is in both sets with the metric applying.
     """
     aggregation = METRICS[metric].aggregation
+    refuse_mixed_streams((name, row["split"]) for name, rows in (("A", rows_a), ("B", rows_b)) for row in rows)
     pairs = paired_values(rows_a, rows_b, metric)
     if len(pairs) == 0:
         raise ValueError(f"the result sets share no episode with a value of {metric}; evaluate both on the same split")

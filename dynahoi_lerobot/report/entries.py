@@ -12,6 +12,7 @@ from pathlib import Path
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
+from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
@@ -57,9 +58,11 @@ def read_entries(folders: Sequence[Path]) -> list[Entry]:
 
     Raises:
         ResultsError: if a folder is missing or damaged.
+        ValueError: if they are of different salts, or of a salt and the public stream.
     """
     unique = dict.fromkeys(Path(folder).resolve() for folder in folders)
     results = [read_results(folder) for folder in unique]
+    refuse_mixed_streams((result.folder, result.info.split) for result in results)
     results.sort(key=lambda result: -sum(row["S_loc"] for row in result.rows) / len(result.rows))
     labels = unique_labels(results)
     return [
