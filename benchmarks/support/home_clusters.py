@@ -1,10 +1,11 @@
-"""Where hands wait, in a few clusters, and the best path of a hand that sees nothing for each."""
+"""Where hands wait, in a few clusters, each with a path of its own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
+from support.path_search import hits_along
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 
@@ -30,30 +31,16 @@ def nearest(homes_w: np.ndarray, centres: np.ndarray) -> np.ndarray:
     return np.linalg.norm(homes_w[:, None] - centres, axis=2).argmin(axis=1)
 
 
-def paths_by_cluster(
-    homes_w: np.ndarray, targets: np.ndarray, centres: np.ndarray, search: Callable[[np.ndarray], np.ndarray]
-) -> np.ndarray:
-    """Return (C, K, 3) for each centre the path (K, 3) that ``search`` finds for the targets of its homes."""
-    labels = nearest(homes_w, centres)
-    return np.stack([search(targets[labels == k]) for k in range(len(centres))])
-
-
-def hits_by_cluster(
-    homes_w: np.ndarray,
-    targets: np.ndarray,
-    table: tuple[np.ndarray, np.ndarray],
-    hits: Callable[[np.ndarray, np.ndarray], np.ndarray],
-) -> np.ndarray:
+def hits_by_cluster(homes_w: np.ndarray, targets: np.ndarray, table: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """Return (N,) bool: the targets (N, F + 1, 3) that the path of the nearest centre meets.
 
     Args:
         homes_w: (N, 3) [m], world.
         targets: as ``relative_paths`` returns them.
-        table: (C, 3) centres and (C, K, 3) their paths.
-        hits: tells which targets a path meets.
+        table: (C, 3) centres [m], world, and (C, K, 3) their paths.
     """
     centres, paths = table
     met, labels = np.zeros(len(homes_w), bool), nearest(homes_w, centres)
     for k, path in enumerate(paths):
-        met[labels == k] = hits(path, targets[labels == k])
+        met[labels == k] = hits_along(path, targets[labels == k])
     return met
