@@ -17,7 +17,7 @@ class EpisodeMeta:
 
     Attributes:
         seed: the seed that determines everything drawn for the episode.
-        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``).
+        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``), and digits of a salt's hash.
         motion: kind of motion, one of the 22 names.
         category: its category, one of the 8 names.
         object: the object's name, one of the 11.

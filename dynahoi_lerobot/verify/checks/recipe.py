@@ -49,7 +49,7 @@ def _allowed(recipe: Recipe, row: EpisodeRow, code: str | None) -> dict[str, lis
         "attempts": list(range(1, 2 + expert.retries)),
         "capture": [recipe.capture],
         "protocol": [recipe.protocol],
-        "split": [recipe.split],
+        "split": [recipe.split_label],
         "fingerprint": [recipe.fingerprint(code)],
         "benchmark": [BENCHMARK.version],
     }
