@@ -12,6 +12,8 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from dynahoi_lerobot.foundation.mixing import refuse_to_mix
+
 SEALED = "sha256:"
 """A salt that begins so is the hash of an unknown one, as files hold it."""
 LEAST_LENGTH = 16
@@ -21,6 +23,7 @@ WORDS = 8
 JOINT = "+"
 OPTION = "--salt"
 HIDDEN = "(hidden)"
+PUBLIC = "public"
 
 
 def add_salt_argument(parser: argparse.ArgumentParser) -> None:
@@ -71,6 +74,11 @@ def stream_label(split: str, salt: str) -> str:
     return split + JOINT + seal(salt).removeprefix(SEALED)[:8] if salt else split
 
 
+def split_of(label: str) -> str:
+    """Return the split's name in a ``stream_label``."""
+    return label.partition(JOINT)[0]
+
+
 def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
     """Refuse results of different salts, or of a salt and the public stream.
 
@@ -78,12 +86,10 @@ def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
         found: what holds the results, for the message, and the ``stream_label`` of its split.
 
     Raises:
-        ValueError: naming two that do not go together.
+        MixedError: naming two that do not go together.
     """
-    streams = {label.partition(JOINT)[2]: (where, label) for where, label in found}
-    if len(streams) > 1:
-        (one, first), (other, second), *_ = streams.values()
-        raise ValueError(f"{one} has episodes of {first}, {other} of {second}; results of different salts do not mix")
+    streams = ((where, label.partition(JOINT)[2] or PUBLIC) for where, label in found)
+    refuse_to_mix("seed stream", streams, "results of different salts do not mix")
 
 
 def without_salt(words: Sequence[str]) -> list[str]:

@@ -90,11 +90,11 @@ def test_a_recipe_read_back_has_the_fingerprint_of_the_salted_one():
 def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: dict[str, Path]):
     assert len(read_entries([runs["salted"], runs["again"]])) == 2
     for name in ("public", "other"):
-        with pytest.raises(ValueError, match=rf"salted has .* of test_small\+\w{{8}}, .*{name} .*salts do not mix"):
+        with pytest.raises(ValueError, match=rf"salted has seed stream '\w{{8}}', .*{name} has .*salts do not mix"):
             read_entries([runs["salted"], runs[name]])
     rows = {name: read_results(folder).rows for name, folder in runs.items()}
     assert compare(rows["salted"], rows["again"], "S_loc").n == 3
-    with pytest.raises(ValueError, match=r"A has episodes of test\+\w{8}, B of test; .* do not mix"):
+    with pytest.raises(ValueError, match=r"A has seed stream '\w{8}', B has seed stream 'public'; .* do not mix"):
         compare(rows["salted"], rows["public"], "S_loc")
 
 
