@@ -52,6 +52,8 @@ class Recipe:
             average two thirds of those show an object that is already held, of which a training set needs few.
         disturbance_m: standard deviation of the disturbance that is injected into the palm's commands [m]; see
             ``world.disturbance``.
+        keep_failures: whether to record the expert's last attempt, with ``success`` false, where all of them failed;
+            otherwise another episode takes its place.
     """
 
     split: str = "train"
@@ -69,6 +71,7 @@ class Recipe:
     renderer: str = DEFAULT_RENDERER
     hold_frames: int | None = None
     disturbance_m: float = 0.0
+    keep_failures: bool = False
 
     def __post_init__(self) -> None:
         """Check every name against what exists.
