@@ -41,7 +41,8 @@ class TrajectoryLimits:
         palm_saturated_share: share of the control phase that the palm may be commanded to an end of a slide (seen:
             0.66). Fingers may be commanded to their end in all but the frames of the approach (seen: 0.94).
         frozen_frames: how long no degree of freedom may change to the last bit while the command is ``frozen_gap_m``
-            or more away from the palm (seen: 0).
+            or more away from the palm: the latency of class ``late``, in which a hand that starts rests, and two more
+            (seen: the latency).
         frozen_gap_m: see there.
     """
 
@@ -52,7 +53,7 @@ class TrajectoryLimits:
     joint_step_rad: float = 1.2 * FASTEST.joint_speed_rad_s * CONTROL_DT
     target_slack_m: float = GRAVITY_M_S2 * CONTROL_DT**2 / 2 + 0.025
     palm_saturated_share: float = 0.9
-    frozen_frames: int = 2
+    frozen_frames: int = 2 + CONTROL_CLASSES["late"].latency_frames
     frozen_gap_m: float = 0.005
 
 
