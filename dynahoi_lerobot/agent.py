@@ -135,6 +135,45 @@ class Agent(Actor):
         """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame."""
 
 
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What an inference returns, for n worlds.
+
+    Attributes:
+        actions: (n, H, 18) commands for the observed frame and those after it.
+        seconds: (n,) what the inference took [s].
+    """
+
+    actions: np.ndarray
+    seconds: np.ndarray
+
+
+class ChunkAgent(Agent):
+    """An agent that can say what it would do in the next frames.
+
+    Attributes:
+        accepts_guidance: whether ``plan`` can continue what the previous chunk has committed to.
+    """
+
+    accepts_guidance: bool = False
+
+    def watch(self, observation: Observation) -> None:
+        """Note a frame in which no chunk is asked for."""
+
+    @abstractmethod
+    def plan(
+        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+    ) -> Plan:
+        """Return a chunk for each of some worlds; it counts as noting the frame.
+
+        Args:
+            observation: of all worlds.
+            worlds: (n,) sorted worlds that need a chunk.
+            executed: actions of the previous chunk that are past, to continue the others; None for a chunk of its own.
+            delay: actions that will be past when this chunk is ready.
+        """
+
+
 class Expert(Actor):
     """Maps the full simulator state of N worlds to N commands, deterministically, world by world.
 

@@ -25,7 +25,7 @@ class EpisodeMeta:
         task: the instruction given to the policy.
         agent: who moved the hand (``intercept``, ``hold``, a policy's name).
         capture: the capture rule, ``attach`` or ``contact``.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        protocol: see `protocol.py`.
         control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.
         window_frames: length of the observation window [frames].
         length_frames: L, the length of the expert's recording [frames]; a policy gets L control steps.

@@ -18,6 +18,7 @@ from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisode
 from dynahoi_lerobot.env.spaces import as_gym, observation_space
 from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW, SEED_LIMIT
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -88,7 +89,7 @@ class DynahoiVectorEnv(VectorEnv):
         images: bool = True,
         views: Sequence[str] = (),
         appearance: Sequence[str] = (),
-        protocol: str = "observe_before_act",
+        protocol: str = DEFAULT_PROTOCOL,
         control_class: str = DEFAULT_CONTROL_CLASS,
         capture: str = "attach",
         hand: str = "",

@@ -28,7 +28,7 @@ class RunInfo:
         capture: the capture rule, ``attach`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: further JSON values: ``delay_ms`` [ms] and ``settings`` where the policy was delayed or its config
+        extra: further JSON values: ``inference`` and ``settings`` where inference took time or the policy's config was
             changed, ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
     """
 
@@ -42,7 +42,7 @@ class RunInfo:
     @property
     def conditions(self) -> dict[str, Any]:
         """What must be equal for an evaluation to be resumed, by a name for messages."""
-        changed = {name: self.extra.get(name) or "none" for name in ("delay_ms", "settings")}
+        changed = {name: self.extra.get(name) or "none" for name in ("inference", "settings")}
         return {
             "policy": self.policy,
             "split": self.split,

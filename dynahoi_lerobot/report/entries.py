@@ -69,8 +69,8 @@ def read_entries(folders: Sequence[Path]) -> list[Entry]:
 
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
-    """Return a label per result: policy and delay; folder, then a number, are added where it is not unique."""
-    labels = [_delayed(short_name(result.info.policy), result.info.extra.get("delay_ms")) for result in results]
+    """Return a label per result: policy and inference; folder, then a number, are added where it is not unique."""
+    labels = [_timed(short_name(result.info.policy), result.info.extra.get("inference")) for result in results]
     labels = [
         clip(f"{label} ({result.folder.name})") if _is_repeated(label, labels) else label
         for label, result in zip(labels, results, strict=True)
@@ -101,8 +101,8 @@ def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
     return list(rows.values())
 
 
-def _delayed(name: str, delay_ms: float | None) -> str:
-    return clip(f"{name} +{delay_ms:g} ms") if delay_ms else name
+def _timed(name: str, inference: str | None) -> str:
+    return clip(f"{name}, {inference}") if inference else name
 
 
 def _is_repeated(label: str, labels: Sequence[str]) -> bool:

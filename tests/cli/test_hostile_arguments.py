@@ -94,7 +94,7 @@ HARMLESS = {
     "view --episode": ("0",),
     "evaluate --gifs": ("0",),
     "evaluate --episodes": (str(10**30),),
-    "evaluate --delay-ms": ("0", "1e3"),
+    "evaluate --inference-ms": ("0",),
     "evaluate --prices": ("0", "1e3"),
     "evaluate --request-timeout": ("1e3",),
     "filter --margin": ("0", "1e3", str(10**30)),

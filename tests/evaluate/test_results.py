@@ -124,7 +124,7 @@ def test_a_stopped_run_goes_on_where_it_ended(tmp_path: Path):
         ({"split": "val"}, "split test, not val"),
         ({"capture": "contact"}, "capture rule attach, not contact"),
         ({"fingerprint": "f2"}, "recipe f1, not f2"),
-        ({"extra": {"delay_ms": 150.0}}, "delay_ms none, not 150.0"),
+        ({"extra": {"inference": "async 150 ms"}}, "inference none, not async 150 ms"),
         ({"extra": {"settings": ["n_action_steps=2"]}}, r"settings none, not \['n_action_steps=2'\]"),
     ],
 )

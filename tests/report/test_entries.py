@@ -47,9 +47,9 @@ def test_equal_names_are_told_apart_by_folder_and_then_by_number():
     assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
 
 
-def test_a_delayed_policy_is_labelled_as_such():
-    late = replace(named("obact"), info=replace(named("obact").info, extra={"delay_ms": 150.0}))
-    assert unique_labels([late, named("obact")]) == ["obact +150 ms", "obact"]
+def test_a_policy_whose_inference_takes_time_is_labelled_as_such():
+    late = replace(named("obact"), info=replace(named("obact").info, extra={"inference": "async 150 ms"}))
+    assert unique_labels([late, named("obact")]) == ["obact, async 150 ms", "obact"]
 
 
 def test_entries_come_best_first_and_once(tmp_path: Path):
