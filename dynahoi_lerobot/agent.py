@@ -18,10 +18,12 @@ if TYPE_CHECKING:
 class Observation:
     """What a policy may see of N worlds at one frame.
 
+    The home frame has the axes of the world and its origin where the palm waits in this episode.
+
     Attributes:
         images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
-        state: (N, 18) float32, palm centre position [m] world and joint angles [rad].
-        fingertips: (N, 30) float32, 5 x (position [m], rotation vector [rad]), world.
+        state: (N, 18) float32, palm centre position [m], home frame, and joint angles [rad].
+        fingertips: (N, 30) float32, 5 x (position [m], home frame, rotation vector [rad]).
         phase: (N, 1) float32, 0 observing, 1 acting.
         tasks: N instructions.
         touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
@@ -44,12 +46,14 @@ class WorldState:
         specs: the N episodes being played, None where no world is in use; each knows its untouched target's path.
         frame: (N,) int, frame index within the episode.
         attempt: (N,) int, 1 for the first try at an episode.
-        target_pose: (N, 7) position [m] and quaternion wxyz, world.
-        target_velocity: (N, 6) linear [m/s] and angular [rad/s], world.
+        target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
+        target_velocity: (N, 6) linear [m/s] and angular [rad/s], along the world's axes.
         target_contacts: (N, 5) 1 where the finger touches the target.
         localized: (N,) bool, the target has been localised in the control phase.
         control: the limits of the hand and the latency of its commands.
-        state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect, [m] and [rad].
+        localization_radius_m: palm centre to target centre, below which the target is localised [m].
+        state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect: [m],
+            home frame, and [rad].
     """
 
     observation: Observation
@@ -61,6 +65,7 @@ class WorldState:
     target_contacts: np.ndarray
     localized: np.ndarray
     control: ControlClass
+    localization_radius_m: float
     state_when_due: np.ndarray
 
 
@@ -111,7 +116,7 @@ class Actor(ABC):
 
     @abstractmethod
     def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame.
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame.
 
         Args:
             observation: what a policy may see.
@@ -132,7 +137,7 @@ class Agent(Actor):
 
     @abstractmethod
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame."""
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,4 +196,4 @@ class Expert(Actor):
 
     @abstractmethod
     def act(self, world: WorldState) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame."""
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""

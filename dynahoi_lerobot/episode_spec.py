@@ -65,7 +65,12 @@ class EpisodeSpec:
     @property
     def travel_m(self) -> float:
         """Straight distance from home to the intercept [m]."""
-        return float(np.linalg.norm(self.intercept_pos_w - self.home_pos_w))
+        return float(np.linalg.norm(self.intercept_pos_h))
+
+    @property
+    def intercept_pos_h(self) -> np.ndarray:
+        """(3,) position of the untouched target at the intercept [m], home frame."""
+        return self.intercept_pos_w - self.home_pos_w
 
     @property
     def horizon_frames(self) -> int:

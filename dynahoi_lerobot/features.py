@@ -1,5 +1,8 @@
 """The one feature table: every array of an episode, and what it is called in each interface.
 
+Positions are in the home frame: axes of the world (z up, the open palm faces +x), origin where the palm's centre waits
+in this episode. Rotations and velocities are along the same axes.
+
 From ``FEATURES`` are derived the Gymnasium spaces (`env/spaces.py`), the features of ``--env.type=dynahoi``, what a
 rollout records (`rollout/recorder.py`), the dataset's columns and reader (`dataset/columns.py`) and the documentation
 (``dynahoi list features``). A new feature is one entry here, an attribute of that name in ``Episode`` (and in
@@ -108,11 +111,11 @@ class Feature:
 _TABLE = (
     Feature(
         "state", "observation.state", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "palm centre position, world; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
+        "palm centre position, home frame; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
     ),
     Feature(
         "fingertips", "observation.fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
-        "position and rotation vector of each fingertip, world", gym_key="fingertips", low=-10.0, high=10.0,
+        "position, home frame, and rotation vector of each fingertip", gym_key="fingertips", low=-10.0, high=10.0,
     ),
     Feature(
         "phase", "observation.phase", (1,), ("phase",), "1",
@@ -125,16 +128,19 @@ _TABLE = (
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "target for the next frame, after clipping: palm centre position, world; joint angles", gym_key="action",
+        "target for the next frame, after clipping: palm centre position, home frame; joint angles", gym_key="action",
     ),
-    Feature("target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position and quaternion wxyz, world"),
+    Feature(
+        "target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
+    ),
     Feature(
         "target_velocity", "target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
-        "target linear and angular velocity, world",
+        "target linear and angular velocity, along the world's axes",
     ),
     Feature("target_contacts", "target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
     Feature(
-        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, world", constant=True
+        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, home frame",
+        constant=True,
     ),
     Feature(
         "intercept_time", "intercept.time", (), ("time",), "s", "time of the oracle intercept in the episode",
@@ -162,6 +168,10 @@ _TABLE = (
         "least distance of a fingertip to the target's surface, 0 inside",
     ),
     Feature(
+        "home_position", "stats/home_position", (3,), POSITION_NAMES, "m",
+        "origin of the home frame, world; the floor is at z = 0", constant=True,
+    ),
+    Feature(
         "open_joints", "stats/open_joints", (FINGER_DOF,), JOINT_NAMES, "rad", "joint angles of the open hand",
         constant=True,
     ),
@@ -185,24 +195,25 @@ _TABLE = (
     ),
     Feature(
         "object_friction", "stats/object_friction", (2,), ("hand", "surface"), "1",
-        "sliding friction coefficients of the object against the hand and against surfaces", constant=True,
+        "sliding friction coefficients of the object against the hand and against the roughest surface it meets",
+        constant=True,
     ),
     Feature(
         "object_restitution", "stats/object_restitution", (), ("restitution",), "1",
-        "rebound speed over impact speed that the motion asks for; 0 if it asks for none", constant=True,
+        "rebound speed over impact speed of the impacts of its motion; 0 if it has none", constant=True,
     ),
     Feature(
         "ego_camera", "stats/ego_camera", (7,), POSE_NAMES, "m, 1",
-        "pose of the hand's camera from the palm centre, along the axes of the positions; it looks along its -z, +y up",
+        "pose of the hand's camera from the palm centre; it looks along its -z, y is up",
         constant=True,
     ),
     Feature(
         "side_camera", "stats/side_camera", (7,), POSE_NAMES, "m, 1",
-        "pose of the side camera from the palm centre's position in frame 0, likewise", constant=True,
+        "pose of the side camera, home frame, likewise", constant=True,
     ),
     Feature(
         "ego_intrinsics", "stats/ego_intrinsics", (4,), INTRINSICS_NAMES, "px",
-        "pinhole focal lengths and principal point of the views of the hand's camera", constant=True,
+        "focal lengths and principal point of the views of the hand's camera", constant=True,
     ),
     Feature(
         "side_intrinsics", "stats/side_intrinsics", (4,), INTRINSICS_NAMES, "px", "likewise of the side camera",
@@ -210,13 +221,13 @@ _TABLE = (
     ),
     Feature(
         "hand_limits", "stats/hand_limits", (3,), ("palm_speed", "joint_speed", "latency"), "m/s, rad/s, ms",
-        "greatest norm of the palm's velocity (under contact, of each component), greatest speed of each joint, time "
-        "until a command takes effect", constant=True,
+        "greatest speed of the palm (under contact: along an axis) and of a joint; latency of commands",
+        constant=True,
     ),
     Feature(
         "first_plan", "stats/first_plan", (2,), ("speed", "lead_time"), "m/s, s",
-        "the palm's straight way from control start to the meeting that the expert plans then, over its duration; this "
-        "duration; 0 if the actor plans none", constant=True,
+        "the expert's plan at control start: the palm's straight way to the meeting over the time to it; this time; "
+        "0 if the actor plans none", constant=True,
     ),
     Feature(
         "attempt_success", "stats/attempt_success", (), ("success",), "1",

@@ -16,10 +16,13 @@ import pandas as pd
 import pyarrow.parquet as pq
 
 UNIT_M = 0.1
-RADIUS_M = 0.03
+RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1, "contact": 0.03}
+"""Palm centre to object centre, below which the object is localised, by capture rule."""
 GRASP_SHARE = 0.9
 REST_M = 1e-6
 """Steps of the palm up to this length are jitter of a servo that holds still."""
+STILL_M = 1e-3
+"""A palm that stays this close to where it begins stands still, though closing fingers shake it."""
 
 
 def metrics(root: Path) -> pd.DataFrame:
@@ -49,7 +52,9 @@ def _table(folder: Path) -> pd.DataFrame:
 def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
     start = int(episode["window_frames"])
     palm_distance = np.asarray(episode["stats/palm_distance"], float)  # least of the step that ends at the frame
-    inside = np.flatnonzero(palm_distance[start + 1 :] < RADIUS_M)  # the hand moves from frame `start` on
+    inside = np.flatnonzero(
+        palm_distance[start + 1 :] < RADIUS_M[episode["capture"]]
+    )  # the hand moves from frame `start` on
     first = start + 1 + int(inside[0]) if inside.size else None
     state = np.stack(frames["observation.state"]).astype(float)
     path = state[start : None if first is None else first + 1, :3]
@@ -72,6 +77,8 @@ def _grasps(episode: pd.Series, joints: np.ndarray) -> bool:
 
 
 def _steps(path: np.ndarray) -> np.ndarray:
+    if np.linalg.norm(path - path[0], axis=1).max() <= STILL_M:
+        return np.zeros((len(path) - 1, 3))
     steps = np.diff(path, axis=0)
     return np.where(np.linalg.norm(steps, axis=1, keepdims=True) > REST_M, steps, 0.0)
 

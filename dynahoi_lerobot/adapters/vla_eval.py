@@ -115,7 +115,7 @@ class DynahoiBenchmark(StepBenchmark):
         return {"max_steps": 256, "action_dim": HAND_DOF}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
-        """Return the action space: absolute palm position [m] and joint angles [rad]."""
+        """Return the action space: palm position [m], absolute in the home frame, and joint angles [rad]."""
         return {"position": DimSpec("position", 3, "absolute_xyz"), "joints": DimSpec("joints", 15, "absolute_rad")}
 
     def get_observation_spec(self) -> dict[str, DimSpec]:

@@ -7,7 +7,7 @@ rejected episode again; ``dynahoi verify`` applies the same rules to what is sto
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,8 @@ class TrajectoryLimits:
     held-out ones, disturbances up to the 0.2 m that recipes allow.
 
     Attributes:
-        palm_range_m: least and greatest palm position along each axis: the slides' range; commands are clipped to it.
+        palm_range_m: least and greatest palm position along each axis: the slides' range, to which commands are
+            clipped; world, or home frame after ``seen_from``.
         palm_slack_m: how far soft stops let the palm beyond (seen: 0.0001).
         joint_range_rad: least and greatest angle: beyond the 0 to 1.6 that is commanded, what a target that is hit or
             gripped bends a finger (seen: -0.23 and 1.62), and room for the joint ranges of other hands.
@@ -56,14 +57,26 @@ class TrajectoryLimits:
     frozen_frames: int = 2 + CONTROL_CLASSES["late"].latency_frames
     frozen_gap_m: float = 0.005
 
+    def seen_from(self, home_pos_w: np.ndarray) -> TrajectoryLimits:
+        """Return the limits in the frame whose origin is at (3,) [m], world."""
+        moved = np.array(self.palm_range_m) - np.asarray(home_pos_w, float)[:, None]  # (3, 2)
+        return replace(self, palm_range_m=tuple((float(low), float(high)) for low, high in moved))
 
-def trajectory_problems(columns: Columns, limits: TrajectoryLimits | None = None) -> list[str]:
-    """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or infinity."""
+
+def trajectory_problems(columns: Columns, home_pos_w: np.ndarray, limits: TrajectoryLimits | None = None) -> list[str]:
+    """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or infinity.
+
+    Args:
+        columns: of the frame table, positions in the home frame.
+        home_pos_w: (3,) the home frame's origin [m], world, on which the slides' range in that frame depends.
+        limits: bounds of the rules.
+    """
     problems = not_finite(columns)
     if problems:
         return [problems]
     rules = (out_of_limits, jumps, teleports, saturation, frozen, phase_order)
-    found = (rule(columns, limits or TrajectoryLimits()) for rule in rules)
+    seen_from_home = (limits or TrajectoryLimits()).seen_from(home_pos_w)
+    found = (rule(columns, seen_from_home) for rule in rules)
     return [problem for problem in found if problem]
 
 
@@ -85,7 +98,7 @@ def out_of_limits(columns: Columns, limits: TrajectoryLimits) -> str | None:
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
         if beyond[frame, axis] > limits.palm_slack_m:
-            allowed = f"{low[axis]} to {high[axis]} m are possible"
+            allowed = f"{low[axis]:.2f} to {high[axis]:.2f} m are possible"
             return f"{key} has the palm at {palm[frame, axis]:.2f} m along axis {axis} at frame {frame}; {allowed}"
         if joints.min() < least or joints.max() > most:
             found = f"{float(joints.min()):.2f} to {float(joints.max()):.2f} rad"

@@ -48,17 +48,20 @@ class DynahoiVectorEnv(VectorEnv):
         A floating five-fingered hand (3 palm translations, 15 flexion joints) and a target that moves on a path of its
         own, at 20 Hz. In the observation window (the first 20 % of the frames, at least 8) actions are ignored and the
         hand is held still; ``phase`` turns from 0 to 1 when the control phase begins. Then the hand has L control
-        steps. World frame, z up, SI units.
+        steps. SI units; positions are in the home frame: axes of the world, z up, origin where the palm's centre waits
+        in this episode, so that the palm begins at (0, 0, 0).
     Observation:
         A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
-        view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], world, and joint angles [rad];
-        ``fingertips`` (30,) positions [m] and rotation vectors [rad], world; ``phase`` (1,); and, if the capture rule
-        uses contact sensors, ``touch`` (5,) force of each finger on the target [N].
+        view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], home frame, and joint angles
+        [rad]; ``fingertips`` (30,) positions [m], home frame, and rotation vectors [rad]; ``phase`` (1,); and, if the
+        capture rule uses contact sensors, ``touch`` (5,) force of each finger on the target [N].
     Action:
-        (18,) float32 target for the next frame: palm centre [m], world, and joint angles [rad]. Clipped to the joint
-        ranges and cut to the speed of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``,
-        ``late``) or 2 m/s (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It
-        takes effect at once, or after 150 ms (``late``).
+        (18,) float32 target for the next frame: palm centre [m], home frame, and joint angles [rad]. The palm's bounds
+        are the length of the gantry's slides either way (4, 4 and 2.48 m), the same in every episode; where on the
+        slides the home lies is not told. Clipped to the joint ranges and, in the world, to the slides; cut to the speed
+        of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``, ``late``) or 2 m/s
+        (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It takes effect at once,
+        or after 150 ms (``late``).
     Reward:
         1 at the frame at which the episode ends in success, else 0.
     Episode end:
@@ -174,7 +177,7 @@ class DynahoiVectorEnv(VectorEnv):
         """Advance every world by one frame of 0.05 s; a world whose episode has ended begins the next one instead.
 
         Args:
-            actions: (N, 18) targets for the next frame, palm centres [m], world, and joint angles [rad].
+            actions: (N, 18) targets for the next frame, palm centres [m], home frame, and joint angles [rad].
 
         Raises:
             ValueError: for a wrong shape or element type, or a value that is not finite; nothing moves then.

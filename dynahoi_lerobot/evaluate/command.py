@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motions", type=names, default=(), help="comma-separated motions; all of the split by default"
     )
-    parser.add_argument("--capture", default="attach", help="capture rule: attach or contact")
+    parser.add_argument("--capture", default="attach", help="capture rule: attach, attach_lenient or contact")
     parser.add_argument(
         "--control-class",
         default=DEFAULT_CONTROL_CLASS,

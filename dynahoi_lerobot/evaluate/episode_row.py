@@ -26,6 +26,7 @@ PLAIN = {
     "intercept_frame": "int64",
     "attempts": "int64",
     "fingerprint": "string",
+    "benchmark": "string",
 }
 """Columns copied from ``EpisodeMeta``."""
 

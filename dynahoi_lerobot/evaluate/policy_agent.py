@@ -53,7 +53,7 @@ class PolicyAgent(ChunkAgent):
         self._chunk = None
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) float commands: palm position [m] world and joint angles [rad]."""
+        """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad]."""
         import torch
 
         with torch.inference_mode():

@@ -25,6 +25,7 @@ HEAD_TYPES: dict[str, type] = {
     "metrics": dict,
     "per_kind": dict,
     "fingerprint": str,
+    "benchmark": str,
     "command": str,
 }
 """Keys that ``metrics.json`` must have, with the types of their values; ``extra``, a dict, may stand beside them."""

@@ -181,7 +181,7 @@ class _Filling:
             if seed not in expected - seen:
                 raise GenerationError(f"the recorder gave an episode of seed {seed}, which was not asked for")
             seen.add(seed)
-            if not trajectory_problems(content_arrays(episode)):
+            if not trajectory_problems(content_arrays(episode), episode.home_position):
                 self._writer.add(episode)
                 kept.add(seed)
                 self._tally["failed"] += not episode.success

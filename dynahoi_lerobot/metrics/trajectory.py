@@ -20,8 +20,8 @@ def until_localized(episode: Episode) -> slice:
 
 
 def palm_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
-    """Return the palm's (M - 1, 3) steps [m] and its (3,) displacement [m], world frame, of M trajectory frames."""
-    points = episode.palm_pos_w[until_localized(episode)].astype(np.float64)  # (M, 3)
+    """Return the palm's (M - 1, 3) steps [m] and its (3,) displacement [m] of M trajectory frames."""
+    points = episode.palm_pos_h[until_localized(episode)].astype(np.float64)  # (M, 3)
     steps = np.diff(points, axis=0)
     steps[np.linalg.norm(steps, axis=1) <= REST_M] = 0.0
     displacement = points[-1] - points[0]

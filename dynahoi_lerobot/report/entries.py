@@ -12,6 +12,8 @@ from pathlib import Path
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
+from dynahoi_lerobot.foundation.mixing import refuse_to_mix
+from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
@@ -52,14 +54,18 @@ class Entry:
         return self._by_stratum[stratum]
 
 
-def read_entries(folders: Sequence[Path]) -> list[Entry]:
+def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = False) -> list[Entry]:
     """Read result folders, each once, best S_loc first.
 
     Raises:
         ResultsError: if a folder is missing or damaged.
+        MixedError: if they are of different versions of the benchmark, unless ``allow_version_mismatch``.
     """
     unique = dict.fromkeys(Path(folder).resolve() for folder in folders)
     results = [read_results(folder) for folder in unique]
+    if not allow_version_mismatch:
+        found = [(result.folder, result.info.benchmark) for result in results]
+        refuse_to_mix("benchmark", found, f"evaluate both under one version, or add {ALLOW_MISMATCH}")
     results.sort(key=lambda result: -sum(row["S_loc"] for row in result.rows) / len(result.rows))
     labels = unique_labels(results)
     return [

@@ -12,6 +12,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
+from dynahoi_lerobot.motions.launch import Launch
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.objects.primitives import as_table, extent
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
@@ -28,7 +29,8 @@ def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | N
     """
     model = batch.scene.model
     return object_constants(spec.motion, spec.target) | {
-        "intercept_position": spec.intercept_pos_w,
+        "home_position": spec.home_pos_w,
+        "intercept_position": spec.intercept_pos_h,
         "open_joints": spec.open_joints,
         "reference_joints": spec.reference_joints,
         "ego_camera": camera_pose(model, EGO_CAMERA),
@@ -42,15 +44,17 @@ def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | N
 
 def object_constants(motion: Motion, target: TargetObject) -> dict[str, Any]:
     """Return what is known of the target besides its motion; SI units."""
-    launch = motion.launch(target) if isinstance(motion, PhysicalMotion) else None
-    surface = target.friction if launch is None or launch.friction is None else launch.friction
+    launch = motion.launch(target) if isinstance(motion, PhysicalMotion) else Launch((0.0, 0.0, 0.0))
+    own = target.friction if launch.friction is None else launch.friction
+    struck = () if launch.striker is None else (launch.striker,)
     return {
         "object_primitives": as_table(target.primitives),
         "object_size": extent(target.primitives),
         "object_mass": target.mass_kg,
         "object_inertia": target.inertia,
-        "object_friction": [max(target.friction, surface), surface],  # of two that touch the greater counts
-        "object_restitution": getattr(motion, "restitution", 0.0),  # a parameter of the motions that rebound
+        # of two that touch, the greater counts
+        "object_friction": [target.friction, max(own, *(box.friction for box in launch.boxes), 0.0)],
+        "object_restitution": max(launch.restitution, *(body.restitution for body in (*launch.boxes, *struck)), 0.0),
     }
 
 

@@ -15,6 +15,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.features import FEATURES, Feature, frame_features
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.rollout.constants import episode_constants
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -89,7 +90,7 @@ class WorldRecorder:
             self.images.setdefault(view, []).append(pixels[i])
 
     def add_action(self, executed: np.ndarray) -> None:
-        """Record the command (18,) that was executed from this frame on, palm [m] world and joints [rad]."""
+        """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad]."""
         self.actions.append(executed.copy())
 
     def settled(self, rule: CaptureRule) -> bool:
@@ -142,7 +143,7 @@ class WorldRecorder:
             localized=columns["localized"][control],
             contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
             palm_distance=columns["palm_distance"][control],
-            palm_pos_w=columns["state"][control, :PALM_DOF],
+            palm_pos_h=columns["state"][control, :PALM_DOF],
         )
 
 
@@ -176,4 +177,5 @@ def _meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta
         intercept_frame=spec.intercept_frame,
         attempts=job.attempt,
         fingerprint=spec.fingerprint,
+        benchmark=BENCHMARK.version,
     )

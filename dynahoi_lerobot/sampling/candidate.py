@@ -13,6 +13,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PhysicalMotion
+from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.sampling.instructions import draw_instruction
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
@@ -87,6 +88,11 @@ class Candidate:
         if not isinstance(self.motion, PhysicalMotion):
             return True
         return self.motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
+
+    @property
+    def fixtures(self) -> tuple[Box, ...]:
+        """The static boxes around the motion last drawn."""
+        return self.motion.launch(self.target).boxes if isinstance(self.motion, PhysicalMotion) else ()
 
     def _draw_target(self) -> TargetObject:
         allowed = [name for name in self.recipe.object_names if name in self.kind.objects()]

@@ -39,7 +39,7 @@ class VlmAgent(ChunkAgent):
         """Return the next command of each world, after waiting for the decisions that are due.
 
         Returns:
-            (N, 18) palm centre position [m] world and joint angles [rad].
+            (N, 18) palm centre position [m], home frame, and joint angles [rad].
         """
         due = [i for i, queue in enumerate(self._planned) if not queue and self._in_play(observation, i)]
         states = observation.state.astype(np.float64)

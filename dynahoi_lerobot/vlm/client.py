@@ -85,11 +85,11 @@ class VlmClient:
 
         Args:
             task: the instruction.
-            state: (18,) palm centre position [m] world and joint angles [rad].
+            state: (18,) palm centre position [m], home frame, and joint angles [rad].
             image: (H, W, 3) uint8 RGB of the hand's camera.
 
         Returns:
-            (10, 18) palm centre position [m] world and joint angles [rad], one row for each frame of 0.05 s.
+            (10, 18) palm centre position [m], home frame, and joint angles [rad], one row for each frame of 0.05 s.
         """
         attempt = self._attempts(messages(task, state, image), task)
         with self._lock:

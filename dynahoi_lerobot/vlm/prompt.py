@@ -18,7 +18,7 @@ SKILLS = ("WAIT", "APPROACH", "INTERCEPT", "GRASP", "LIFT", "ADJUST")
 SYSTEM = "You are a Vision-Language-Action agent for dynamic hand-object interaction."
 REQUEST = """Task: {task}
 Input: the RGB image of the camera on the hand, and the current hand state s_t, 18 numbers \
-[x, y, z in metres (world, z up), 15 joint angles in radians, 0 open to 1.6 closed]: {state}
+[x, y, z in metres (from where the palm started, z up), 15 joint angles in radians, 0 open to 1.6 closed]: {state}
 The order of the joints is {names}. The palm faces +x; one frame lasts 0.05 s; the palm moves at most 0.1 m a frame.
 Skill set: {{{skills}}}.
 Output: (i) a parameterized skill program whose durations sum to {horizon}, and (ii) an explicit low-level rollout of \
@@ -34,7 +34,7 @@ def messages(task: str, state: np.ndarray, image: np.ndarray, horizon: int = HOR
 
     Args:
         task: the instruction.
-        state: (18,) palm centre position [m] world and joint angles [rad].
+        state: (18,) palm centre position [m], home frame, and joint angles [rad].
         image: (H, W, 3) uint8 RGB of the hand's camera.
         horizon: T, the number of frames to command.
     """

@@ -20,6 +20,7 @@ REQUIRED = {
     "verify": ["nothing"],
     "filter": ["nothing", "--out", "made"],
     "evaluate": ["--policy", "hold", "--motions", "constant", "--episodes", "1", "--image-size", "16"],
+    "certify": ["nothing"],
     "report": ["nothing"],
     "view": ["--motion", "constant", "--image-size", "16", "--out", "made.gif"],
     "quickstart": ["--out", "file/made"],

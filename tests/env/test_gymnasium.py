@@ -90,7 +90,7 @@ def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
     assert fresh is not None
     assert fresh is not first
     assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
-    np.testing.assert_allclose(observation["agent_pos"][0, :3], fresh.home_pos_w, atol=1e-6)
+    np.testing.assert_allclose(observation["agent_pos"][0, :3], 0.0, atol=1e-6)
     del results
 
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
+from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.report.entries import LABEL_LENGTH, distinct_episodes, read_entries, short_name, unique_labels
+from dynahoi_lerobot.report.tables import leaderboard
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.report.example_runs import example_run
 
 
@@ -72,3 +77,21 @@ def test_a_stratum_is_computed_once(tmp_path: Path):
 def test_a_missing_folder_is_named(tmp_path: Path):
     with pytest.raises(ResultsError, match="nowhere"):
         read_entries([tmp_path / "nowhere"])
+
+
+def test_versions_of_the_benchmark_are_not_mixed_unless_asked(tmp_path: Path, capsys: pytest.CaptureFixture):
+    old, new = tmp_path / "old", tmp_path / "new"
+    example_run(old, "old", 0.5, 4, benchmark="v0")
+    example_run(new, "new", 0.5, 4)
+    sentence = f"{old} has benchmark 'v0', {new} has benchmark '{BENCHMARK.version}'; evaluate both under one version"
+    with pytest.raises(MixedError, match=re.escape(sentence)):
+        read_entries([old, new])
+    assert main(["report", str(old), str(new), "--out", str(tmp_path / "page.html")]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "page.html").exists()
+    words = ["report", str(old), str(new), "--out", str(tmp_path / "page.html"), "--allow-version-mismatch"]
+    assert main(words) == 0
+    assert all(version in (tmp_path / "page.html").read_text() for version in ("v0", BENCHMARK.version))
+    assert not any(
+        cell.mark for row in leaderboard(read_entries([old, new], allow_version_mismatch=True)).rows for cell in row
+    )

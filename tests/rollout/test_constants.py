@@ -83,8 +83,11 @@ def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
         kept = episode_constants(batch, spec, None)
         assert kept["object_mass"] == fields["body_mass"][i, scene.target_body]
         np.testing.assert_array_equal(kept["object_inertia"], fields["body_inertia"][i, scene.target_body])
-        target, hand = (fields["geom_friction"][i, geoms, 0].max() for geoms in (scene.target_geoms, scene.hand_geoms))
-        assert kept["object_friction"] == [max(target, hand), target], spec.motion.name
+        hand, *surfaces = (
+            fields["geom_friction"][i, list(geoms), 0].max()
+            for geoms in (scene.hand_geoms, scene.target_geoms, scene.box_geoms)
+        )
+        assert kept["object_friction"] == [hand, max(surfaces)], spec.motion.name
         for solid, geom in zip(from_table(kept["object_primitives"]), scene.slots_of(spec.target), strict=True):
             np.testing.assert_allclose(fields["geom_size"][i, geom], solid.half_size, rtol=1e-6, atol=1e-9)
             np.testing.assert_allclose(fields["geom_pos"][i, geom], solid.pos, rtol=1e-6, atol=1e-9)

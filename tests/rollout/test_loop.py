@@ -13,7 +13,7 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch, play, record
 from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.world.playing import digest
 
@@ -123,7 +123,7 @@ def test_pushes_move_the_hand_and_not_what_is_recorded_as_its_command(batch_size
 def test_a_pushed_episode_plays_again_from_its_commands():
     recipe = replace(QUICK, disturbance_m=0.02)
     (episode,) = record(recipe, [3], threads=1, images=False)
-    again = replay(recipe, 3, episode.action, images=False)
+    (again,) = replay(recipe, [ActionLog(3, episode.action)], images=False)
     np.testing.assert_allclose(again.state, episode.state, atol=1e-6)
 
 
@@ -148,7 +148,7 @@ def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(sp
     for job, episode in played.items():
         assert len(episode) == job.frames
         shown = agent.shown[job.index // 3]
-        np.testing.assert_array_equal(shown[0].state[job.index % 3, :3], np.float32(job.spec.home_pos_w))
+        np.testing.assert_array_equal(shown[0].state[job.index % 3, :3], 0)
         np.testing.assert_array_equal(episode.state, [o.state[job.index % 3] for o in shown[: job.frames]])
 
 

@@ -34,7 +34,9 @@ STRAYING = {"disturbance_m": MAX_DISTURBANCE_M}
 def test_experts_recordings_pass(capture, options, count):
     episodes = list(record(Recipe(capture=capture, **options), range(count), images=False))
     assert len(episodes) > 0.8 * count
-    found = {episode.meta.seed: trajectory_problems(content_arrays(episode)) for episode in episodes}
+    found = {
+        episode.meta.seed: trajectory_problems(content_arrays(episode), episode.home_position) for episode in episodes
+    }
     assert not any(found.values()), found
 
 
@@ -62,8 +64,17 @@ def corrupted(name: str, where: object, value: object) -> Episode:
     ],
 )
 def test_corrupt_recordings_are_rejected(episode, sentence):
-    assert any(sentence in problem for problem in trajectory_problems(content_arrays(episode)))
+    assert any(sentence in problem for problem in trajectory_problems(content_arrays(episode), episode.home_position))
 
 
 def test_the_sound_episode_passes():
-    assert not trajectory_problems(content_arrays(synthetic_episode(0)))
+    episode = synthetic_episode(0)
+    assert not trajectory_problems(content_arrays(episode), episode.home_position)
+
+
+def test_the_range_of_the_slides_is_that_of_the_world():
+    """The same numbers in the home frame are possible at one home and not at another."""
+    episode = synthetic_episode(0)
+    beside_the_end = np.array([1.9, 0.0, 1.0])
+    (problem,) = trajectory_problems(content_arrays(episode), beside_the_end)
+    assert "-3.90 to 0.10 m are possible" in problem

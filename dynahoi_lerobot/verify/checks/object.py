@@ -8,6 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.features import PRIMITIVE_NAMES
+from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.objects.base import FRICTION_RANGE, MASS_RANGE_KG
 from dynahoi_lerobot.objects.primitives import Primitive, extent, from_table, solid_inertia
@@ -32,12 +33,12 @@ class ObjectCheck(Check):
         if shapes != wanted:
             yield f"{where}: object {row['object']!r} has the solids {', '.join(shapes)}; it has {', '.join(wanted)}"
         motion = stored_motion(row["motion"], row["parameters"])
-        hand, surface = row["stats/object_friction"]
+        (hand, surface), prescribed = row["stats/object_friction"], isinstance(motion, PrescribedMotion)
         known = {
             "object_size": extent(solids),
             "object_inertia": solid_inertia(solids, row["stats/object_mass"]),
             "object_restitution": getattr(motion, "restitution", 0.0),
-            "object_friction": [max(hand, surface), getattr(motion, "friction", surface)],
+            "object_friction": [hand, getattr(motion, "friction", hand if prescribed else surface)],
         }
         for name, value in known.items():
             found, given = np.atleast_1d(row[f"stats/{name}"]).astype(float), np.atleast_1d(value).astype(float)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
@@ -15,4 +17,5 @@ class Plausibility(Check):
 
     def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield the rules that the episode breaks."""
-        yield from (f"episode {row['episode_index']}: {problem}" for problem in trajectory_problems(columns))
+        problems = trajectory_problems(columns, np.asarray(row["stats/home_position"], float))
+        yield from (f"episode {row['episode_index']}: {problem}" for problem in problems)

@@ -8,6 +8,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.protocol import protocol_of
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.instructions import NEUTRAL, REVEALING
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.timing import window_frames
@@ -50,6 +51,7 @@ def _allowed(recipe: Recipe, row: EpisodeRow, code: str | None) -> dict[str, lis
         "protocol": [recipe.protocol],
         "split": [recipe.split],
         "fingerprint": [recipe.fingerprint(code)],
+        "benchmark": [BENCHMARK.version],
     }
 
 

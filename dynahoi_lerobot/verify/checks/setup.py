@@ -11,7 +11,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import control_class_of
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.features import CAMERA_KEY
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.rollout.constants import camera_pose, intrinsics
@@ -43,7 +43,7 @@ class Setup(Check):
             found = np.asarray(row[f"stats/{name}"], float)
             if found.shape != wanted.shape or np.abs(found - wanted).max() > TOLERANCE:
                 yield f"{where}: {name} is {found.round(3).tolist()}; the recipe gives {wanted.round(3).tolist()}"
-        if problem := _plan(row, columns):
+        if problem := _plan(row):
             yield f"{where}: {problem}"
 
 
@@ -64,7 +64,7 @@ def _limits(recipe: Recipe) -> np.ndarray:
     return np.array([palm_speed, control.joint_speed_rad_s, control.latency_ms])
 
 
-def _plan(row: EpisodeRow, columns: Columns) -> str | None:
+def _plan(row: EpisodeRow) -> str | None:
     """Find a lead time that is no number of frames, and a plan of the expert that does not lead to the target."""
     speed, lead_s = row["stats/first_plan"]
     frames = round(lead_s / CONTROL_DT)
@@ -73,9 +73,8 @@ def _plan(row: EpisodeRow, columns: Columns) -> str | None:
     motion = stored_motion(row["motion"], row["parameters"])
     if row["agent"] != STRAIGHT or not isinstance(motion, PrescribedMotion):
         return None
-    begin, meeting = motion.position(np.array([0.0, (row["window_frames"] + frames) * CONTROL_DT]))
-    target = columns["target.pose"][0, :3] + meeting - begin
-    way_m = float(np.linalg.norm(target - columns["observation.state"][0, :PALM_DOF]))
+    meeting_w = motion.position(np.array([(row["window_frames"] + frames) * CONTROL_DT]))[0]
+    way_m = float(np.linalg.norm(meeting_w - row["stats/home_position"]))
     if abs(way_m - speed * lead_s) <= TOLERANCE and frames > 0:
         return None
     return f"first_plan is {speed:.3f} m/s for {lead_s:.2f} s; the target is {way_m:.3f} m from home then"
