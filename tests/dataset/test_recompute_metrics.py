@@ -26,7 +26,7 @@ SEVEN = ("S_loc", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
 KINDS = len(BENCHMARK.splits["train"].motions)
 RECIPES = {
     "attach": Recipe(expert="pursuit", keep_failures=True),
-    "attach_lenient": Recipe(capture="attach_lenient", expert="hold", keep_failures=True),
+    "attach_lenient": Recipe(capture="attach_lenient", expert="pursuit", keep_failures=True),
     "late": Recipe(expert="constant_velocity", control_class="late", protocol="direct_act", keep_failures=True),
     "contact": Recipe(capture="contact", disturbance_m=0.05, keep_failures=True),
 }

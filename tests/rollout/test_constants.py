@@ -11,7 +11,7 @@ import pytest
 from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.hands.base import EGO_CAMERA
@@ -64,7 +64,7 @@ def test_a_point_appears_where_pose_and_intrinsics_project_it(specs: list[Episod
         rows, columns = np.nonzero(pictures[i])
         if len(rows) < 30 or len({*rows} & {0, size - 1}) or len({*columns} & {0, size - 1}):
             continue
-        x, y, z = quat_to_matrix(pose[3:]).T @ (batch.target_pose[i, :3] - batch.state[i, :PALM_DOF] - pose[:3])
+        x, y, z = quat_to_matrix(pose[3:]).T @ (batch.target_pose[i, :3] - pose[:3])
         projected = np.array([cx + fx * x / -z, cy - fy * y / -z])
         extent = np.ptp(columns), np.ptp(rows)
         middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
@@ -107,7 +107,7 @@ def test_the_hand_does_what_the_expert_planned_first(specs: list[EpisodeSpec], c
         assert first is not None
         assert first - start <= round(lead_s / CONTROL_DT)
         if first > start + 2:
-            left = np.linalg.norm(episode.palm_pos_w[start + 2] - episode.palm_pos_w[start + 1]) / CONTROL_DT
+            left = np.linalg.norm(episode.palm_pos_h[start + 2] - episode.palm_pos_h[start + 1]) / CONTROL_DT
             assert left == pytest.approx(speed, abs=0.02), episode.meta.motion
 
 

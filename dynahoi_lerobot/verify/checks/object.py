@@ -23,7 +23,7 @@ EXAMPLE_SEED = 0
 
 @CHECKS.register("object")
 class ObjectCheck(Check):
-    """Computes from solids and mass what follows from them; restitution and friction are parameters of the motion."""
+    """Computes what follows from solids and mass; impacts have the motion's parameters, prescribed paths have none."""
 
     def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield columns of the object that contradict each other."""
@@ -33,12 +33,13 @@ class ObjectCheck(Check):
         if shapes != wanted:
             yield f"{where}: object {row['object']!r} has the solids {', '.join(shapes)}; it has {', '.join(wanted)}"
         motion = stored_motion(row["motion"], row["parameters"])
-        (hand, surface), prescribed = row["stats/object_friction"], isinstance(motion, PrescribedMotion)
+        hand, surface = row["stats/object_friction"]
+        untouched = isinstance(motion, PrescribedMotion)
         known = {
             "object_size": extent(solids),
             "object_inertia": solid_inertia(solids, row["stats/object_mass"]),
-            "object_restitution": getattr(motion, "restitution", 0.0),
-            "object_friction": [hand, getattr(motion, "friction", hand if prescribed else surface)],
+            "object_restitution": getattr(motion, "restitution", 0.0 if untouched else row["stats/object_restitution"]),
+            "object_friction": [hand, getattr(motion, "friction", hand if untouched else surface)],
         }
         for name, value in known.items():
             found, given = np.atleast_1d(row[f"stats/{name}"]).astype(float), np.atleast_1d(value).astype(float)

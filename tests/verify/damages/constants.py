@@ -42,7 +42,7 @@ CONSTANTS: Table = {
     "another mass with its inertia": (forge(heavier), "replay", "another stats/object_"),
     "a mass beyond the range": (constant("object_mass", lambda x: x + 1), "default", "0.04 to 0.18 are possible"),
     "another friction": (constant("object_friction", lambda x: x * 0 + 0.7), "replay", "another stats/object_friction"),
-    "another friction of a path": (constant("object_friction", lambda x: x * [1, 0.9]), "default", "object_friction is"),
+    "another friction of a path": (constant("object_friction", lambda x: x * [1, 0.9]), "default", "object_friction"),
     "another restitution": (constant("object_restitution", lambda x: x + 0.5), "default", "object_restitution is 0.5"),
     "the hand's camera turned": (entry_of("ego_camera", 4, lambda x: x + 0.1), "default", "ego_camera is"),
     "the side camera moved": (entry_of("side_camera", 0, lambda x: x + 0.1), "default", "side_camera is"),
