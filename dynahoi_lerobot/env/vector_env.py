@@ -66,7 +66,8 @@ class DynahoiVectorEnv(VectorEnv):
         1 at the frame at which the episode ends in success, else 0.
     Episode end:
         Terminated when the capture rule's verdict falls, half a second (``attach``) after localisation; truncated
-        after L control steps. Autoreset: the next step begins the world's next episode and ignores its action.
+        after L control steps and one more, whose action has no consequence: it records what the last one led to.
+        Autoreset: the next step begins the world's next episode and ignores its action.
     Info:
         ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
         it does not apply, with its mask ``_<name>``.

@@ -28,6 +28,7 @@ from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import SMALL_TEST, seed_stream, split_seeds
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 
 DEFAULT_IMAGE_SIZE = 128
 """Side of the images [px] for experts and for policies that do not say theirs."""
@@ -101,6 +102,9 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --inference async or rtc: how long an inference takes [ms]; or measured, on this machine",
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
+    parser.add_argument(
+        "--prompt", default=DEFAULT_PROMPT, help=f"with --policy vlm: what the model is asked, {' or '.join(PROMPTS)}"
+    )
     parser.add_argument(
         "--base-url",
         help="with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from OPENAI_API_KEY",
@@ -189,9 +193,14 @@ def _vlm(args: argparse.Namespace) -> Agent:
         args.out.mkdir(parents=True, exist_ok=True)
     audit = args.out / "vlm.jsonl" if args.out else None
     client = VlmClient(
-        args.model, args.base_url, timeout_s=args.request_timeout, prices=tuple(args.prices), audit=audit
+        args.model,
+        args.base_url,
+        timeout_s=args.request_timeout,
+        prices=tuple(args.prices),
+        prompt=args.prompt,
+        audit=audit,
     )
-    return VlmAgent(client, name=f"vlm:{args.model}", concurrency=args.batch_size)
+    return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
 
 
 def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:

@@ -40,8 +40,8 @@ class Job:
 
     @classmethod
     def evaluation(cls, index: int, spec: EpisodeSpec) -> Job:
-        """Return the job of an evaluation: the window and then up to L control steps."""
-        return cls(index, spec, spec.window_frames + spec.length_frames, stop_settled=True)
+        """Return the job of an evaluation: the window, up to L control steps, and the frame the last of them led to."""
+        return cls(index, spec, spec.window_frames + spec.length_frames + 1, stop_settled=True)
 
 
 MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {
