@@ -29,6 +29,7 @@ STRAYING = {"disturbance_m": MAX_DISTURBANCE_M}
         ("contact", {}, KINDS),
         ("attach", STRAYING, 8),
         ("contact", STRAYING, 8),
+        ("attach", {"control_class": "late", "protocol": "direct_act"}, 8),
         ("attach", {"split": "ood_speed"}, 8),
         ("contact", {"split": "ood_speed"}, 8),
     ],
