@@ -51,6 +51,7 @@ class WorldState:
         target_contacts: (N, 5) 1 where the finger touches the target.
         localized: (N,) bool, the target has been localised in the control phase.
         control: the limits of the hand and the latency of its commands.
+        localization_radius_m: palm centre to target centre, below which the target is localised [m].
         state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect: [m],
             home frame, and [rad].
     """
@@ -64,6 +65,7 @@ class WorldState:
     target_contacts: np.ndarray
     localized: np.ndarray
     control: ControlClass
+    localization_radius_m: float
     state_when_due: np.ndarray
 
 
@@ -119,6 +121,45 @@ class Agent(Actor):
     @abstractmethod
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What an inference returns, for n worlds.
+
+    Attributes:
+        actions: (n, H, 18) commands for the observed frame and those after it.
+        seconds: (n,) what the inference took [s].
+    """
+
+    actions: np.ndarray
+    seconds: np.ndarray
+
+
+class ChunkAgent(Agent):
+    """An agent that can say what it would do in the next frames.
+
+    Attributes:
+        accepts_guidance: whether ``plan`` can continue what the previous chunk has committed to.
+    """
+
+    accepts_guidance: bool = False
+
+    def watch(self, observation: Observation) -> None:
+        """Note a frame in which no chunk is asked for."""
+
+    @abstractmethod
+    def plan(
+        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+    ) -> Plan:
+        """Return a chunk for each of some worlds; it counts as noting the frame.
+
+        Args:
+            observation: of all worlds.
+            worlds: (n,) sorted worlds that need a chunk.
+            executed: actions of the previous chunk that are past, to continue the others; None for a chunk of its own.
+            delay: actions that will be past when this chunk is ready.
+        """
 
 
 class Expert(Actor):

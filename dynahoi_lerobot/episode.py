@@ -24,14 +24,15 @@ class EpisodeMeta:
         parameters: the motion's parameters, JSON with SI units, world frame.
         task: the instruction given to the policy.
         agent: who moved the hand (``intercept``, ``hold``, a policy's name).
-        capture: the capture rule, ``attach`` or ``contact``.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
+        protocol: see `protocol.py`.
         control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.
         window_frames: length of the observation window [frames].
         length_frames: L, the length of the expert's recording [frames]; a policy gets L control steps.
         intercept_frame: frame at which the oracle intercept takes place, counted from the episode's start.
         attempts: how many attempts the agent needed, from 1.
         fingerprint: identifies the code and recipe that made the episode.
+        benchmark: version of the benchmark that the episode was drawn and played under.
     """
 
     seed: int
@@ -50,6 +51,7 @@ class EpisodeMeta:
     intercept_frame: int
     attempts: int
     fingerprint: str
+    benchmark: str
 
     @property
     def motion_parameters(self) -> dict[str, Any]:

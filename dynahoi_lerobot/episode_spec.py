@@ -26,7 +26,7 @@ class EpisodeSpec:
         target: the object to catch.
         appearance: textures, colours and light.
         task: the instruction.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        protocol: see `protocol.py`.
         hand: registered name of the hand.
         window_frames: length of the observation window, 0 without one.
         length_frames: L, length of the expert's recording; a policy gets L control steps.

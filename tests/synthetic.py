@@ -7,6 +7,7 @@ import numpy as np
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.world.batch import TOUCH_M
 
 REFERENCE = np.full(15, 1.0, np.float32)
@@ -42,6 +43,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
         agent="intercept", capture="attach", protocol="observe_before_act", control_class="standard",
         window_frames=window,
         length_frames=frames, intercept_frame=arrival, attempts=1, fingerprint="synthetic",
+        benchmark=BENCHMARK.version,
     )  # fmt: skip
     return Episode(
         meta=meta, images=images, state=state,

@@ -82,7 +82,7 @@ class StraightforwardEnv(gym.Env):
         self.frame += 1
         mujoco.mj_forward(self.model, self.data)
         settled = self.localized_frame is not None and self.frame - self.localized_frame > SETTLE_FRAMES
-        late = self.frame >= self.spec.window_frames + self.spec.length_frames
+        late = self.frame > self.spec.window_frames + self.spec.length_frames
         reward = float(self.success and (settled or late))
         return self._observe(), reward, settled, late and not settled, {"is_success": self.success}
 

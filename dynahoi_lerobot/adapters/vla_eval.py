@@ -21,6 +21,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
 
@@ -43,7 +44,7 @@ class DynahoiBenchmark(StepBenchmark):
         image_size: int = 224,
         kinds: list[str] | None = None,
         capture: str = "attach",
-        protocol: str = "observe_before_act",
+        protocol: str = DEFAULT_PROTOCOL,
         control_class: str = DEFAULT_CONTROL_CLASS,
         send_state: bool = True,
     ) -> None:

@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
@@ -81,6 +82,8 @@ class CaptureRule(ABC):
     """Who demonstrates under this rule, unless a recipe says otherwise."""
     hand: ClassVar[str]
     """The hand that plays under it, likewise."""
+    localization_radius_m: ClassVar[float] = LOCALIZATION_RADIUS_M
+    """Palm centre to target centre, below which the target is localised [m]; all metrics follow it."""
     gantry_speed_m_s: ClassVar[float | None] = None
     """Speed limit of each axis of the palm's gantry [m/s], where the rule replaces that of the control class."""
     uses_contact_sensors: ClassVar[bool] = False

@@ -18,6 +18,7 @@ from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisode
 from dynahoi_lerobot.env.spaces import as_gym, observation_space
 from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW, SEED_LIMIT
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -66,7 +67,8 @@ class DynahoiVectorEnv(VectorEnv):
         1 at the frame at which the episode ends in success, else 0.
     Episode end:
         Terminated when the capture rule's verdict falls, half a second (``attach``) after localisation; truncated
-        after L control steps. Autoreset: the next step begins the world's next episode and ignores its action.
+        after L control steps and one more, whose action has no consequence: it records what the last one led to.
+        Autoreset: the next step begins the world's next episode and ignores its action.
     Info:
         ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
         it does not apply, with its mask ``_<name>``.
@@ -92,7 +94,7 @@ class DynahoiVectorEnv(VectorEnv):
         images: bool = True,
         views: Sequence[str] = (),
         appearance: Sequence[str] = (),
-        protocol: str = "observe_before_act",
+        protocol: str = DEFAULT_PROTOCOL,
         control_class: str = DEFAULT_CONTROL_CLASS,
         capture: str = "attach",
         hand: str = "",

@@ -31,6 +31,7 @@ class WorldView:
         localized: the target has been localised.
         attempt: from 1.
         control: limits of the hand, and latency.
+        localization_radius_m: palm centre to target centre, below which the target is localised [m].
     """
 
     spec: EpisodeSpec
@@ -42,6 +43,7 @@ class WorldView:
     localized: bool
     attempt: int
     control: ControlClass
+    localization_radius_m: float
 
 
 class SingleWorldExpert(Expert):
@@ -71,6 +73,7 @@ def _view(world: WorldState, i: int, spec: EpisodeSpec) -> WorldView:
         localized=bool(world.localized[i]),
         attempt=int(world.attempt[i]),
         control=world.control,
+        localization_radius_m=world.localization_radius_m,
     )
 
 

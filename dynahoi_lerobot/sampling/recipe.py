@@ -17,6 +17,7 @@ from dynahoi_lerobot.control_class import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.renderers.camera_views import check_views
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
@@ -25,7 +26,6 @@ from dynahoi_lerobot.sampling.instructions import INSTRUCTION_STYLES
 from dynahoi_lerobot.sampling.randomization import check_appearance
 from dynahoi_lerobot.sampling.salt import check_salt, sealed, stream_label
 
-PROTOCOLS = ("observe_before_act", "direct_act")
 MIN_HOLD_FRAMES = 12
 """The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
 MAX_DISTURBANCE_M = 0.2
@@ -40,7 +40,7 @@ class Recipe:
         motions: kinds of motion that take turns; empty for those of the split. A registered motion that is not part of
             the benchmark is played only if it is named here.
         objects: objects to draw from; likewise.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        protocol: see `protocol.py`.
         control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``.
         capture: name of the capture rule.
         hand: name of the hand; empty for the default of the capture rule.
@@ -60,7 +60,7 @@ class Recipe:
     split: str = "train"
     motions: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
-    protocol: str = "observe_before_act"
+    protocol: str = DEFAULT_PROTOCOL
     control_class: str = DEFAULT_CONTROL_CLASS
     capture: str = "attach"
     hand: str = ""
@@ -82,7 +82,7 @@ class Recipe:
         """
         for value, allowed, noun in (
             (self.split, BENCHMARK.streams, "split"),
-            (self.protocol, PROTOCOLS, "protocol"),
+            (self.protocol, tuple(PROTOCOLS), "protocol"),
             (self.control_class, tuple(CONTROL_CLASSES), "control class"),
             (self.instructions, INSTRUCTION_STYLES, "instructions"),
         ):

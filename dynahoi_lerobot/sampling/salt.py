@@ -12,6 +12,8 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from dynahoi_lerobot.foundation.mixing import refuse_to_mix
+
 SEALED = "sha256:"
 """A salt that begins so is the hash of an unknown one, as files hold it."""
 LEAST_LENGTH = 16
@@ -19,6 +21,7 @@ LEAST_LENGTH = 16
 HASH_DIGITS = 16
 WORDS = 8
 JOINT = "+"
+PUBLIC = "none"
 OPTION = "--salt"
 HIDDEN = "(hidden)"
 
@@ -78,12 +81,10 @@ def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
         found: what holds the results, for the message, and the ``stream_label`` of its split.
 
     Raises:
-        ValueError: naming two that do not go together.
+        MixedError: naming two that do not go together.
     """
-    streams = {label.partition(JOINT)[2]: (where, label) for where, label in found}
-    if len(streams) > 1:
-        (one, first), (other, second), *_ = streams.values()
-        raise ValueError(f"{one} has episodes of {first}, {other} of {second}; results of different salts do not mix")
+    streams = [(where, label.partition(JOINT)[2] or PUBLIC) for where, label in found]
+    refuse_to_mix("salt", streams, "evaluate both with one salt, or without")
 
 
 def without_salt(words: Sequence[str]) -> list[str]:

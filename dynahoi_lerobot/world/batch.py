@@ -15,6 +15,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
+from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
@@ -238,17 +239,23 @@ class WorldBatch:
 
         Args:
             images: whether to render the views; without, they cost nothing.
-            ids: the worlds to render (default: all); the images of the others are black.
+            ids: the worlds to render (default: all); the images of the others are black, as are those of worlds in the
+                control phase of a protocol with ``blind_control``.
         """
         sensed = self.rule.uses_contact_sensors
         return Observation(
-            images={view: self.cameras.render(ids, view) for view in self._views} if images else {},
+            images={view: self.cameras.render(self._seeing(ids), view) for view in self._views} if images else {},
             state=self.state.astype(np.float32),
             fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
             phase=self.accepting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
         )
+
+    def _seeing(self, ids: np.ndarray | None) -> np.ndarray:
+        """(n,) those of worlds ``ids`` (default: all) whose protocol lets them see now."""
+        blind = np.array([spec is not None and protocol_of(spec.protocol).blind_control for spec in self.specs])
+        return np.setdiff1d(np.arange(self.size) if ids is None else ids, np.flatnonzero(blind & self.acting))
 
     def world_state(self, observation: Observation) -> WorldState:
         """Return what an expert sees: the observation and everything the simulator knows."""
@@ -262,6 +269,7 @@ class WorldBatch:
             target_contacts=self.touching(),
             localized=self.localized.copy(),
             control=self.control,
+            localization_radius_m=self.rule.localization_radius_m,
             state_when_due=self._state_when_due(),
         )
 

@@ -130,9 +130,8 @@ STANDARD = CONTROL_CLASSES["standard"]
 def view_of(spec: EpisodeSpec, palm_w: np.ndarray, frame: int, **changes) -> WorldView:
     """What an expert sees of a hand at ``palm_w`` (3,) with open fingers."""
     state = np.concatenate([palm_w, spec.open_joints])
-    seen = WorldView(
-        spec, state, frame, frame, spec.oracle_path[frame], np.zeros(3), False, 1, CONTROL_CLASSES["standard"]
-    )
+    target_w, radius_m = spec.oracle_path[frame], LOCALIZATION_RADIUS_M
+    seen = WorldView(spec, state, frame, frame, target_w, np.zeros(3), False, 1, STANDARD, radius_m)
     return replace(seen, **changes)
 
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.captures.base import Weld
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
@@ -53,7 +55,7 @@ def _off_path(motion: PrescribedMotion, row: EpisodeRow, columns: Columns) -> It
     )
     home_w = np.asarray(row["stats/home_position"], float)
     met = columns["localized"][:, 0].astype(bool) | (columns["target.contacts"] > 0).any(axis=1)
-    if row["capture"] != "attach":
+    if not isinstance(CAPTURES[row["capture"]].effect, Weld):
         met |= np.asarray(row["stats/palm_distance"]) < TOUCHING_M
     free = ~np.maximum.accumulate(met)
     for key, found, wanted, tolerance, unit in (
