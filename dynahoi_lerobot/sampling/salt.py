@@ -24,7 +24,6 @@ JOINT = "+"
 PUBLIC = "none"
 OPTION = "--salt"
 HIDDEN = "(hidden)"
-PUBLIC = "public"
 
 
 def add_salt_argument(parser: argparse.ArgumentParser) -> None:
