@@ -45,8 +45,9 @@ WALLS = {
     "wall_right": ((0, -1, 0), (1, 0, 1)),
     "wall_back": ((-1, 0, 0), (0, 1, 1)),
 }
-"""Direction of each wall from the centre, and the axes along it. They keep targets in; only the first is drawn."""
-BACKDROP = "wall_front"
+"""Direction of each wall from the centre, and the axes along it. They keep targets in."""
+SHOWN_WALLS = ("wall_front", "wall_left", "wall_right")
+"""No camera looks backwards."""
 WALL_HALF_THICKNESS_M = 0.1
 SHOWN_GROUP, HIDDEN_GROUP = 0, 4
 SHININESS = 0.5
@@ -120,7 +121,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=np.multiply(side, half + WALL_HALF_THICKNESS_M),
             size=np.add(np.multiply(np.abs(side), WALL_HALF_THICKNESS_M), np.multiply(aside, 2 * half)),
             contype=0, conaffinity=ENVIRONMENT, material="plain_coarse",
-            group=SHOWN_GROUP if name == BACKDROP else HIDDEN_GROUP,
+            group=SHOWN_GROUP if name in SHOWN_WALLS else HIDDEN_GROUP,
         )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.hands import HANDS, Hand
 from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.scene.model import BACKDROP, DISTRACTORS, FIXTURE_BOXES, SIDE_CAMERA, build_model
+from dynahoi_lerobot.scene.model import DISTRACTORS, FIXTURE_BOXES, SHOWN_WALLS, SIDE_CAMERA, build_model
 from dynahoi_lerobot.scene.slots import TARGET_SLOTS, extra_slots
 
 
@@ -29,6 +29,7 @@ class Scene:
         target_body, target_qpos, target_dof: ids and first addresses of the free target.
         hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of the actuators.
         striker_body, striker_qpos, striker_dof: the striker's body and the addresses of its slide.
+        wall_geoms: geom ids of the walls that are drawn.
         distractor_geoms: geom ids of the things that are only there to be seen, by shape.
         box_geoms, box_mocap: geom ids and mocap indices of the fixture boxes.
         side_mocap: mocap index of the body that carries the side camera, at the hand's home.
@@ -52,7 +53,7 @@ class Scene:
     striker_qpos: int
     striker_dof: int
     floor_geom: int
-    backdrop_geom: int
+    wall_geoms: tuple[int, ...]
     distractor_geoms: dict[str, int]
     box_geoms: tuple[int, ...]
     box_mocap: tuple[int, ...]
@@ -129,7 +130,7 @@ def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
         striker_qpos=int(striker.qposadr[0]),
         striker_dof=int(striker.dofadr[0]),
         floor_geom=geoms["floor"],
-        backdrop_geom=geoms[BACKDROP],
+        wall_geoms=tuple(geoms[name] for name in SHOWN_WALLS),
         distractor_geoms={shape: geoms[f"distractor_{shape}"] for shape in DISTRACTORS},
         box_geoms=tuple(geoms[n] for n in FIXTURE_BOXES),
         box_mocap=tuple(int(model.body(n).mocapid[0]) for n in FIXTURE_BOXES),

@@ -98,7 +98,7 @@ class WorldFields:
         painted = (
             (scene.target_geoms, appearance.target_pattern + "_fine", appearance.target_rgb),
             ([scene.floor_geom], appearance.floor_pattern + "_coarse", appearance.floor_rgb),
-            ([scene.backdrop_geom], appearance.wall_pattern + "_coarse", appearance.wall_rgb),
+            (scene.wall_geoms, appearance.wall_pattern + "_coarse", appearance.wall_rgb),
             (scene.box_geoms, appearance.box_pattern + "_fine", appearance.box_rgb),
         )
         for geoms, material, rgb in painted:

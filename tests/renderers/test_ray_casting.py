@@ -73,7 +73,7 @@ def test_skin_floor_and_backdrop_have_their_colours(
         for geoms, rgb in (
             (scene.hand_geoms, spec.appearance.skin_rgb),
             ([scene.floor_geom], spec.appearance.floor_rgb),
-            ([scene.backdrop_geom], spec.appearance.wall_rgb),
+            (scene.wall_geoms, spec.appearance.wall_rgb),
         ):
             pixels = image[np.isin(seen, geoms)]
             if len(pixels) > 50:  # a table may cover the floor
@@ -122,7 +122,7 @@ def test_pictures_follow_the_world(specs: list[EpisodeSpec]):
 
 def _shown(scene: Scene, spec: EpisodeSpec) -> set[int]:
     """Geoms that a world of ``spec`` may show."""
-    shown = {scene.floor_geom, scene.backdrop_geom, *scene.hand_geoms.tolist()}
+    shown = {scene.floor_geom, *scene.wall_geoms, *scene.hand_geoms.tolist()}
     free = {shape: list(ids) for shape, ids in scene.slots.items()}
     shown |= {free[primitive.shape].pop(0) for primitive in spec.target.primitives}
     if isinstance(spec.motion, PhysicalMotion):

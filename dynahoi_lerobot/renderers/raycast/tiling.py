@@ -39,8 +39,10 @@ class Shape:
         camera: position of the camera [m].
         from_camera: rotation from the camera's axes.
         to_light: unit vector towards the directional light.
+        up: unit vector upwards.
         texture: index, -1 for none.
         repeat: how often the texture repeats along u and v.
+        repeats_per_m: how often it repeats along a metre of the surface, where that is most.
         alpha: opacity, 0 to 1.
         specularity: share of the light's specular colour that it reflects.
     """
@@ -51,8 +53,10 @@ class Shape:
     camera: wp.vec3
     from_camera: wp.mat33
     to_light: wp.vec3
+    up: wp.vec3
     texture: int
     repeat: wp.vec2
+    repeats_per_m: float
     alpha: float
     specularity: float
 
@@ -90,6 +94,7 @@ def place_shapes(
     shape.camera = to_shape * (cam_xpos[w, intrinsics.camera] - geom_xpos[w, geom])
     shape.from_camera = to_shape * cam_xmat[w, intrinsics.camera]
     shape.to_light = -(to_shape * light_xdir[w, 0])
+    shape.up = to_shape * wp.vec3(0.0, 0.0, 1.0)
     shape.alpha = rgba[3]
     shape.specularity = PLAIN_SPECULARITY
     shape.texture = -1
@@ -97,10 +102,22 @@ def place_shapes(
         shape.specularity = 1.0
         shape.texture = texture_of[geom_matid[w, geom]]
         shape.repeat = repeat_of[geom_matid[w, geom]]
+        shape.repeats_per_m = 0.5 * wp.max(shape.repeat) / _textured_half_size(shape)
     shapes[w, s] = shape
     bounds[w, s] = wp.vec4(FAR, -FAR, FAR, -FAR)
     if rgba[3] > 0.0:
         bounds[w, s] = _bounds(intrinsics, shape)
+
+
+@wp.func
+def _textured_half_size(shape: Shape) -> float:
+    """Half of the length [m] over which the texture of a shape repeats once, along its shorter side."""
+    if shape.geom_type == PLANE:
+        return wp.min(shape.size[0], shape.size[1])
+    if shape.geom_type == BOX:
+        least = wp.min(shape.size)
+        return wp.min(shape.size[0] + shape.size[1] + shape.size[2] - wp.max(shape.size) - least, FAR)
+    return 1.5 * shape.size[0]
 
 
 @wp.func

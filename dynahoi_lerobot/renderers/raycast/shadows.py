@@ -1,0 +1,269 @@
+"""Soft shadows: how much of the light a shape takes from a point, and which shapes may shade a tile.
+
+The light is directional and seen as a small disc, so a shadow's edge widens with the distance from what casts it. For
+round shapes the width follows from how closely the ray to the light passes by, for boxes and cylinders from how far it
+runs through the shape.
+"""
+
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
+from __future__ import annotations
+
+import warp as wp
+
+from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row, ray_of
+from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, slab_exit
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Shape
+from dynahoi_lerobot.renderers.raycast.tracing import Worlds
+
+SPREAD = wp.constant(0.02)
+"""Half of the penumbra's width, per distance from what casts the shadow: the light's angular radius [rad]."""
+TINY = wp.constant(1.0e-6)
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
+
+
+@wp.struct
+class LightFrame:
+    """The camera in a world's light frame, whose z axis points towards the light: position [m] and rotation."""
+
+    camera: wp.vec3
+    from_camera: wp.mat33
+
+
+@wp.func
+def shadow_sphere(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share of the light, 0 to 1, that a sphere takes from point ``o``; ``d`` is the way to the light."""
+    along = wp.max(-wp.dot(o, d), 0.0)
+    passing = o + along * d
+    return _covered(size[0], wp.dot(passing, passing), SPREAD * along)
+
+
+@wp.func
+def shadow_ellipsoid(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that an ellipsoid takes: in the space in which it is a sphere."""
+    point, way = wp.cw_div(o, size), wp.cw_div(d, size)
+    along = wp.max(-wp.dot(point, way) / wp.dot(way, way), 0.0)
+    passing = point + along * way
+    return _covered(1.0, wp.dot(passing, passing), 3.0 * SPREAD * along / (size[0] + size[1] + size[2]))
+
+
+@wp.func
+def shadow_capsule(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that a capsule takes: from the nearest approach of ray and axis."""
+    across = wp.max(d[0] * d[0] + d[1] * d[1], TINY)
+    z = wp.clamp(o[2] - d[2] * (o[0] * d[0] + o[1] * d[1]) / across, -size[1], size[1])
+    from_axis = wp.vec3(o[0], o[1], o[2] - z)
+    along = wp.max(-wp.dot(from_axis, d), 0.0)
+    passing = from_axis + along * d
+    return _covered(size[0], wp.dot(passing, passing), SPREAD * along)
+
+
+@wp.func
+def shadow_cylinder(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that a cylinder takes: from the length of the ray inside one that the penumbra widens."""
+    wider = SPREAD * wp.max(-wp.dot(o, d), 0.0)
+    grown = wp.vec3(size[0] + wider, size[1] + wider, 0.0)
+    a, b = wp.max(d[0] * d[0] + d[1] * d[1], TINY), o[0] * d[0] + o[1] * d[1]
+    inside = b * b - a * (o[0] * o[0] + o[1] * o[1] - grown[0] * grown[0])
+    root = wp.sqrt(wp.max(inside, 0.0))
+    begin = wp.max((-b - root) / a, slab_exit(o[2], d[2], -grown[1]))
+    end = wp.min((-b + root) / a, slab_exit(o[2], d[2], grown[1]))
+    return wp.where(inside <= 0.0, 0.0, _thickness(begin, end, wider))
+
+
+@wp.func
+def shadow_box(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that a box takes: from the length of the ray inside one that the penumbra widens."""
+    wider = SPREAD * wp.max(-wp.dot(o, d), 0.0)
+    x, y, z = size[0] + wider, size[1] + wider, size[2] + wider
+    begin = wp.max(slab_exit(o[0], d[0], -x), wp.max(slab_exit(o[1], d[1], -y), slab_exit(o[2], d[2], -z)))
+    end = wp.min(slab_exit(o[0], d[0], x), wp.min(slab_exit(o[1], d[1], y), slab_exit(o[2], d[2], z)))
+    return _thickness(begin, end, wider)
+
+
+@wp.func
+def _covered(radius: float, passing_squared: float, wider: float) -> float:
+    """Share of the light's disc behind a disc of this radius, which the ray passes at this distance from its centre."""
+    outer = radius + wider
+    share = wp.clamp((outer * outer - passing_squared) / (4.0 * radius * wider + TINY), 0.0, 1.0)
+    return _smooth(share) * wp.min(radius / (wider + TINY), 1.0)
+
+
+@wp.func
+def _thickness(begin: float, end: float, wider: float) -> float:
+    """Share of the light that a ray loses which is inside a shape, widened by the penumbra, from begin to end."""
+    return _smooth(wp.clamp((end - wp.max(begin, 0.0)) / (4.0 * wider + TINY), 0.0, 1.0))
+
+
+@wp.func
+def _smooth(share: float) -> float:
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _shading(shadow: wp.Function) -> wp.Function:
+    """Return a function that computes what one type of shape takes from the points of a row."""
+
+    @wp.func
+    def shaded(shape: Shape, depths: Row, xs: Row, ys: Row) -> Row:
+        row = Row()
+        for i in range(TILE):
+            point = shape.camera + depths[i] * ray_of(shape.from_camera, xs[i], ys[i])
+            row[i] = shadow(shape.size, point, shape.to_light)
+        return row
+
+    return shaded
+
+
+_shade_sphere, _shade_capsule, _shade_box = _shading(shadow_sphere), _shading(shadow_capsule), _shading(shadow_box)
+_shade_cylinder, _shade_ellipsoid = _shading(shadow_cylinder), _shading(shadow_ellipsoid)
+
+
+@wp.func
+def _shade(shape: Shape, depths: Row, xs: Row, ys: Row) -> Row:
+    if shape.geom_type == CAPSULE:
+        return _shade_capsule(shape, depths, xs, ys)
+    if shape.geom_type == BOX:
+        return _shade_box(shape, depths, xs, ys)
+    if shape.geom_type == CYLINDER:
+        return _shade_cylinder(shape, depths, xs, ys)
+    if shape.geom_type == ELLIPSOID:
+        return _shade_ellipsoid(shape, depths, xs, ys)
+    return _shade_sphere(shape, depths, xs, ys)
+
+
+@wp.func
+def sunlight_row(
+    worlds: Worlds, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row
+) -> Row:
+    """Return the share of the light, 0 to 1, that reaches the points of a row; no shape shades itself."""
+    row = Row(1.0)
+    for k in range(worlds.caster_counts[w, tile]):
+        s = worlds.casters[w, tile, k]
+        taken = _shade(worlds.shapes[w, s], depths, xs, ys)
+        alpha = worlds.shapes[w, s].alpha
+        for i in range(TILE):
+            left = wp.where(visible[i] == s, 1.0, 1.0 - alpha * taken[i])
+            row[i] = wp.min(row[i], left)
+    return row
+
+
+@wp.kernel
+def place_lights(
+    camera: int,
+    cam_xpos: wp.array2d[wp.vec3],
+    cam_xmat: wp.array2d[wp.mat33],
+    light_xdir: wp.array2d[wp.vec3],
+    frames: wp.array[LightFrame],
+):
+    """Write the light frame of each world. Launched over worlds."""
+    w = wp.tid()
+    rotation = _to_light_frame(light_xdir[w, 0])
+    frame = LightFrame()
+    frame.camera = rotation * cam_xpos[w, camera]
+    frame.from_camera = rotation * cam_xmat[w, camera]
+    frames[w] = frame
+
+
+@wp.kernel
+def place_casters(
+    shown: wp.array[int],
+    casts: wp.array[int],
+    shapes: wp.array2d[Shape],
+    geom_xpos: wp.array2d[wp.vec3],
+    geom_xmat: wp.array2d[wp.mat33],
+    light_xdir: wp.array2d[wp.vec3],
+    lows: wp.array2d[wp.vec3],
+    highs: wp.array2d[wp.vec3],
+):
+    """Write the bounds of each shape in its world's light frame [m]; inverted if it casts none.
+
+    Launched over (worlds, shapes).
+    """
+    w, s = wp.tid()
+    lows[w, s] = wp.vec3(FAR)
+    highs[w, s] = wp.vec3(-FAR)
+    if casts[s] == 1 and shapes[w, s].alpha > 0.0:
+        rotation = _to_light_frame(light_xdir[w, 0])
+        center = rotation * geom_xpos[w, shown[s]]
+        turned = rotation * geom_xmat[w, shown[s]]
+        half = _half_extents(shapes[w, s])
+        reach = wp.vec3(_reach(turned, 0, half), _reach(turned, 1, half), _reach(turned, 2, half))
+        lows[w, s] = center - reach
+        highs[w, s] = center + reach
+
+
+@wp.func
+def _to_light_frame(direction: wp.vec3) -> wp.mat33:
+    """Rotation from the world to a frame whose z axis points towards the light."""
+    z = -wp.normalize(direction)
+    x = wp.normalize(wp.cross(wp.vec3(0.0, 1.0, 0.1), z))
+    y = wp.cross(z, x)
+    return wp.mat33(x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2])
+
+
+@wp.func
+def _half_extents(shape: Shape) -> wp.vec3:
+    if shape.geom_type == BOX or shape.geom_type == ELLIPSOID:
+        return shape.size
+    if shape.geom_type == CAPSULE:
+        return wp.vec3(shape.size[0], shape.size[0], shape.size[0] + shape.size[1])
+    if shape.geom_type == CYLINDER:
+        return wp.vec3(shape.size[0], shape.size[0], shape.size[1])
+    return wp.vec3(shape.size[0])
+
+
+@wp.func
+def _reach(turned: wp.mat33, axis: int, half: wp.vec3) -> float:
+    return (
+        wp.abs(turned[axis, 0]) * half[0] + wp.abs(turned[axis, 1]) * half[1] + wp.abs(turned[axis, 2]) * half[2]
+    )
+
+
+@wp.kernel
+def sort_casters(
+    intrinsics: CameraIntrinsics,
+    tiles_across: int,
+    frames: wp.array[LightFrame],
+    depths: wp.array3d[Row],
+    lows: wp.array2d[wp.vec3],
+    highs: wp.array2d[wp.vec3],
+    casters: wp.array3d[int],
+    counts: wp.array2d[int],
+):
+    """List the shapes that may shade something that a tile shows. Launched over (worlds, tiles).
+
+    What a tile shows lies in the part of its pyramid between its least and its greatest depth.
+    """
+    w, tile = wp.tid()
+    left, top = (tile % tiles_across) * TILE, (tile // tiles_across) * TILE
+    nearest, farthest = Row(FAR), Row(0.0)
+    for row in range(top, wp.min(top + TILE, intrinsics.size)):
+        depth = depths[w, row, tile % tiles_across]
+        for i in range(TILE):
+            nearest[i] = wp.min(nearest[i], depth[i])
+            farthest[i] = wp.max(farthest[i], wp.where(depth[i] < FAR, depth[i], 0.0))
+    near, far = wp.min(nearest), wp.max(farthest)
+    counts[w, tile] = 0
+    if far > 0.0:
+        low, high = wp.vec3(FAR), wp.vec3(-FAR)
+        for corner in range(8):
+            x = _slope(intrinsics, left + TILE * (corner & 1))
+            y = -_slope(intrinsics, top + TILE * ((corner >> 1) & 1))
+            point = frames[w].camera + wp.where(corner < 4, near, far) * ray_of(frames[w].from_camera, x, y)
+            low, high = wp.min(low, point), wp.max(high, point)
+        count = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
+        for s in range(lows.shape[1]):
+            edge = SPREAD * wp.max(highs[w, s][2] - low[2], 0.0)
+            a, b = lows[w, s], highs[w, s]
+            beside = a[0] - edge > high[0] or b[0] + edge < low[0] or a[1] - edge > high[1] or b[1] + edge < low[1]
+            if not beside and b[2] > low[2]:
+                casters[w, tile, count] = s
+                count += 1
+        counts[w, tile] = count
+
+
+@wp.func
+def _slope(intrinsics: CameraIntrinsics, pixel: int) -> float:
+    """Slope in the camera's frame of the ray through the near edge of a column of pixels."""
+    return (float(pixel) - 0.5 * float(intrinsics.size)) / intrinsics.focal
