@@ -71,9 +71,9 @@ class Pipeline:
         look, textures = _look(model, shown, self._intrinsics, soft=soft), textures_of(model, filtered=soft)
         first = [0, self._intrinsics]
         tracing = [*first, self._worlds, *self._pixels]
-        sharp = wp.empty_like(self.images) if soft else self.images
-        coloring = [*first, look, textures, self._worlds, *self._pixels, self.images, sharp]
-        smoothing = [*first, self._worlds, *self._pixels, sharp, self.images]
+        colors = wp.empty(rows, dtype=Indices)
+        coloring = [*first, look, textures, self._worlds, *self._pixels, colors]
+        smoothing = [0, int(soft), self._intrinsics, self._worlds, *self._pixels, colors, self.images]
         self._tracing = [_recorded(trace, 2, tracing) for _ in range(threads)]
         self._coloring = [_recorded(render_color, 2, coloring) for _ in range(threads)]
         self._smoothing = [_recorded(smooth_edges, 2, smoothing) for _ in range(threads)]
@@ -88,8 +88,7 @@ class Pipeline:
         if self._soft:
             _launch(self._sorting_casters, n_worlds, self._across**2)
         self._in_bands(self._coloring, n_worlds)
-        if self._soft:
-            self._in_bands(self._smoothing, n_worlds)
+        self._in_bands(self._smoothing, n_worlds)
 
     def draw_labels_and_distances(self, n_worlds: int) -> None:
         """Draw the first ``n_worlds`` rows into ``labels`` and ``distances``."""

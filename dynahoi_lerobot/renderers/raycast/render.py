@@ -44,10 +44,9 @@ def render_color(
     worlds: Worlds,
     visible: wp.array3d[Indices],
     depths: wp.array3d[Row],
-    images: wp.array3d[wp.vec3ub],
-    copies: wp.array3d[wp.vec3ub],
+    colors: wp.array3d[Indices],
 ):
-    """Write the colour of one pixel row of one tile, from the middle of each pixel, twice.
+    """Write the colours of one pixel row of one tile, from the middle of each pixel, as 0xBBGGRR.
 
     Launched as ``trace`` is, after it.
     """
@@ -58,11 +57,10 @@ def render_color(
     red, green, blue = color_row(
         worlds, look, textures, w, tile, depths[w, y, column], visible[w, y, column], xs, ys
     )
-    r, g, b = _levels(red), _levels(green), _levels(blue)
-    for i in range(wp.min(TILE, intrinsics.size - column * TILE)):
-        color = wp.vec3ub(wp.uint8(r[i]), wp.uint8(g[i]), wp.uint8(b[i]))
-        images[w, y, column * TILE + i] = color
-        copies[w, y, column * TILE + i] = color
+    packed = Indices()
+    for i in range(TILE):
+        packed[i] = _level(red[i]) + (_level(green[i]) << 8) + (_level(blue[i]) << 16)
+    colors[w, y, column] = packed
 
 
 @wp.kernel
@@ -116,8 +114,5 @@ def tile_of(intrinsics: CameraIntrinsics, y: int, column: int) -> int:
 
 
 @wp.func
-def _levels(values: Row) -> Indices:
-    row = Indices()
-    for i in range(TILE):
-        row[i] = int(wp.clamp(values[i], 0.0, 1.0) * 255.0)
-    return row
+def _level(value: float) -> int:
+    return int(wp.clamp(value, 0.0, 1.0) * 255.0)
