@@ -21,7 +21,7 @@ from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
 from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.pipeline import Pipeline  # noqa: E402
 from dynahoi_lerobot.renderers.raycast.shapes import GEOM_TYPES  # noqa: E402
-from dynahoi_lerobot.scene.model import SHOWN_GROUP  # noqa: E402
+from dynahoi_lerobot.scene.model import SHOWN_GROUPS  # noqa: E402
 from dynahoi_lerobot.scene.scene import Scene  # noqa: E402
 
 APPEARANCE_FIELDS = {
@@ -66,7 +66,7 @@ class TileRenderer(Renderer):
             ValueError: if the scene holds shapes, textures or lights that this renderer does not know.
         """
         super().__init__(scene, batch, image_size, camera)
-        shown = np.flatnonzero(scene.model.geom_group == SHOWN_GROUP).astype(np.int32)
+        shown = np.flatnonzero(np.isin(scene.model.geom_group, SHOWN_GROUPS)).astype(np.int32)
         _check_model(scene.model, shown)
         device = device or default_device()
         casting = ~np.isin(shown, [scene.floor_geom, *scene.wall_geoms])

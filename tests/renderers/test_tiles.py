@@ -8,7 +8,7 @@ import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.renderers import RENDERERS
-from dynahoi_lerobot.scene.model import SHOWN_GROUP
+from dynahoi_lerobot.scene.model import SHOWN_GROUPS
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 
@@ -64,7 +64,7 @@ def test_neighbours_do_not_change_a_byte(drawn: tuple[np.ndarray, np.ndarray], s
 
 def test_a_shape_it_cannot_draw_is_refused(specs: list[EpisodeSpec]) -> None:
     batch: WorldBatch = world(specs[:1])
-    geom = int(np.flatnonzero(batch.scene.model.geom_group == SHOWN_GROUP)[0])
+    geom = int(np.flatnonzero(np.isin(batch.scene.model.geom_group, SHOWN_GROUPS))[0])
     kind = batch.scene.model.geom_type[geom]
     batch.scene.model.geom_type[geom] = mujoco.mjtGeom.mjGEOM_MESH.value
     try:
