@@ -12,7 +12,7 @@ from dynahoi_lerobot.patterns import PATTERNS
 SKIN_TONES = np.array(
     [[0.95, 0.80, 0.69], [0.87, 0.68, 0.55], [0.72, 0.52, 0.39], [0.52, 0.36, 0.27], [0.36, 0.25, 0.2]]
 )
-MOST_SATURATED_FLOOR, MOST_SATURATED_WALL = 0.55, 0.45
+MOST_SATURATED_FLOOR, MOST_SATURATED_WALL = 0.5, 0.4
 LEAST_CONTRAST = 0.25
 """Least distance in RGB, 0 to 1 each, between a target and the surfaces behind it."""
 

@@ -14,10 +14,10 @@ from dynahoi_lerobot.renderers.raycast.edges import smooth_edges
 from dynahoi_lerobot.renderers.raycast.lighting import Look
 from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row
 from dynahoi_lerobot.renderers.raycast.render import render_color, render_ids_and_depth, trace
-from dynahoi_lerobot.renderers.raycast.shadows import LightFrame, place_casters, place_lights, sort_casters
+from dynahoi_lerobot.renderers.raycast.shadows import place_casters, place_lights, sort_casters
 from dynahoi_lerobot.renderers.raycast.textures import textures_of
 from dynahoi_lerobot.renderers.raycast.tiling import TILE, CameraIntrinsics, Shape, place_shapes, sort_into_tiles
-from dynahoi_lerobot.renderers.raycast.tracing import Worlds
+from dynahoi_lerobot.renderers.raycast.tracing import LightFrame, Worlds
 from dynahoi_lerobot.scene.model import ARENA_HALF_M
 
 GROUND_LIGHT, SKY_LIGHT = 0.24, 0.15
@@ -49,7 +49,7 @@ class Pipeline:
 
         Args:
             model: the scene's.
-            shown: (S,) ids of the geoms to draw; ``casting``: (S,) which of them cast shadows.
+            shown: (S,) ids of the geoms to draw; ``casting``: (S,) which of them cast shadows: all but the floor and the walls.
             fields: per-world fields, of N rows each.
             camera: id in the model.
             image_size: side of the square images [px].
@@ -58,6 +58,7 @@ class Pipeline:
         """
         self._size, self._across, self._shapes = image_size, -(-image_size // TILE), len(shown)
         nsim = fields["geom_xpos"].shape[0]
+        self._room = wp.array(np.flatnonzero(~casting).astype(np.int32), dtype=int)
         self._geoms, self._soft = wp.array(shown, dtype=int), soft
         self._intrinsics, self._fields = _intrinsics(model, camera, image_size), fields
         self._worlds = _worlds(fields, nsim, self._across**2, self._shapes)
@@ -109,7 +110,7 @@ class Pipeline:
         names = ("geom_size", "geom_rgba", "geom_matid", "geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xdir")
         moving = [self._fields[name] for name in names]
         placing = [self._intrinsics, self._geoms, *fixed, *moving, self._worlds.shapes, bounds]
-        sorting = [self._across, bounds, self._worlds.lists, self._worlds.counts]
+        sorting = [self._intrinsics, self._across, self._room, self._worlds.shapes, bounds, self._worlds.lists, self._worlds.counts]
         return [
             (_recorded(place_shapes, 2, placing), (self._shapes,)),
             (_recorded(sort_into_tiles, 2, sorting), (self._across**2,)),
@@ -117,26 +118,24 @@ class Pipeline:
 
     def _record_casters(self, casting: np.ndarray) -> list[tuple[Any, tuple[int, ...]]]:
         """Launches that place light frames and the bounds of shadow casters."""
-        fields, nsim = self._fields, self.images.shape[0]
-        self._light_frames = wp.empty(nsim, dtype=LightFrame)
-        self._caster_bounds = [wp.empty(self._worlds.shapes.shape, dtype=wp.vec3) for _ in ("low", "high")]
+        fields, worlds = self._fields, self._worlds
         cameras = [self._intrinsics.camera, fields["cam_xpos"], fields["cam_xmat"]]
-        lights = [*cameras, fields["light_xdir"], self._light_frames]
+        lights = [*cameras, fields["light_xdir"], worlds.light_frames]
         casters = [self._geoms, wp.array(casting.astype(np.int32), dtype=int), self._worlds.shapes]
         casters += [fields[name] for name in ("geom_xpos", "geom_xmat", "light_xdir")]
         return [
             (_recorded(place_lights, 1, lights), ()),
-            (_recorded(place_casters, 2, [*casters, *self._caster_bounds]), (self._shapes,)),
+            (_recorded(place_casters, 2, [*casters, worlds.caster_lows, worlds.caster_highs]), (self._shapes,)),
         ]
 
     def _record_caster_sorting(self) -> Any:
         """Launch that lists the casters of each tile; None without shadows."""
         if not self._soft:
             return None
-        seen = [self._intrinsics, self._across, self._light_frames, self._pixels[1]]
-        return _recorded(
-            sort_casters, 2, [*seen, *self._caster_bounds, self._worlds.casters, self._worlds.caster_counts]
-        )
+        worlds = self._worlds
+        seen = [self._intrinsics, self._across, worlds.light_frames, self._pixels[1]]
+        casters = [worlds.caster_lows, worlds.caster_highs, worlds.casters, worlds.caster_counts]
+        return _recorded(sort_casters, 2, [*seen, *casters])
 
     def _in_bands(self, launches: Sequence[Any], n_worlds: int) -> None:
         """Share the pixel rows of all images, numbered consecutively, among threads: each has a recorded launch."""
@@ -172,6 +171,8 @@ def _worlds(fields: dict[str, wp.array], nsim: int, tiles: int, shapes: int) -> 
     worlds.shapes = wp.empty((nsim, shapes), dtype=Shape)
     worlds.lists, worlds.counts = wp.empty((nsim, tiles, shapes), dtype=int), wp.empty((nsim, tiles), dtype=int)
     worlds.casters, worlds.caster_counts = wp.empty_like(worlds.lists), wp.zeros_like(worlds.counts)
+    worlds.caster_lows, worlds.caster_highs = wp.empty((nsim, shapes), dtype=wp.vec3), wp.empty((nsim, shapes), dtype=wp.vec3)
+    worlds.light_frames = wp.empty(nsim, dtype=LightFrame)
     worlds.diffuse, worlds.specular = fields["light_diffuse"], fields["light_specular"]
     return worlds
 

@@ -14,21 +14,13 @@ import warp as wp
 from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row, ray_of
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, slab_exit
 from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Shape
-from dynahoi_lerobot.renderers.raycast.tracing import Worlds
+from dynahoi_lerobot.renderers.raycast.tracing import LightFrame, Worlds
 
 SPREAD = wp.constant(0.02)
 """Half of the penumbra's width, per distance from what casts the shadow: the light's angular radius [rad]."""
 TINY = wp.constant(1.0e-6)
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
-
-
-@wp.struct
-class LightFrame:
-    """The camera in a world's light frame, whose z axis points towards the light: position [m] and rotation."""
-
-    camera: wp.vec3
-    from_camera: wp.mat33
 
 
 @wp.func
@@ -138,14 +130,39 @@ def sunlight_row(
 ) -> Row:
     """Return the share of the light, 0 to 1, that reaches the points of a row; no shape shades itself."""
     row = Row(1.0)
+    frame = worlds.light_frames[w]
+    low, high = _row_bounds(frame, depths, visible, xs, ys)
     for k in range(worlds.caster_counts[w, tile]):
         s = worlds.casters[w, tile, k]
-        taken = _shade(worlds.shapes[w, s], depths, xs, ys)
-        alpha = worlds.shapes[w, s].alpha
-        for i in range(TILE):
-            left = wp.where(visible[i] == s, 1.0, 1.0 - alpha * taken[i])
-            row[i] = wp.min(row[i], left)
+        if _may_shade(worlds.caster_lows[w, s], worlds.caster_highs[w, s], low, high):
+            taken = _shade(worlds.shapes[w, s], depths, xs, ys)
+            alpha = worlds.shapes[w, s].alpha
+            for i in range(TILE):
+                left = wp.where(visible[i] == s, 1.0, 1.0 - alpha * taken[i])
+                row[i] = wp.min(row[i], left)
     return row
+
+
+@wp.func
+def _row_bounds(frame: LightFrame, depths: Row, visible: Indices, xs: Row, ys: Row) -> tuple[wp.vec3, wp.vec3]:
+    """Lower and upper corner [m], light frame, of a box around the points of a row, whose rays lie in a plane."""
+    farthest = Row()
+    for i in range(TILE):
+        farthest[i] = wp.where(visible[i] >= 0, depths[i], 0.0)
+    near, far = wp.min(depths), wp.max(farthest)
+    first, last = ray_of(frame.from_camera, xs[0], ys[0]), ray_of(frame.from_camera, xs[TILE - 1], ys[TILE - 1])
+    low = wp.min(wp.min(near * first, far * first), wp.min(near * last, far * last))
+    high = wp.max(wp.max(near * first, far * first), wp.max(near * last, far * last))
+    return frame.camera + low, frame.camera + high
+
+
+@wp.func
+def _may_shade(caster_low: wp.vec3, caster_high: wp.vec3, low: wp.vec3, high: wp.vec3) -> bool:
+    """Whether something in one box may shade something in another; corners [m], light frame."""
+    edge = SPREAD * wp.max(caster_high[2] - low[2], 0.0)
+    beside = caster_low[0] - edge > high[0] or caster_high[0] + edge < low[0]
+    beside = beside or caster_low[1] - edge > high[1] or caster_high[1] + edge < low[1]
+    return caster_high[2] > low[2] and not beside
 
 
 @wp.kernel
@@ -254,10 +271,7 @@ def sort_casters(
             low, high = wp.min(low, point), wp.max(high, point)
         count = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
         for s in range(lows.shape[1]):
-            edge = SPREAD * wp.max(highs[w, s][2] - low[2], 0.0)
-            a, b = lows[w, s], highs[w, s]
-            beside = a[0] - edge > high[0] or b[0] + edge < low[0] or a[1] - edge > high[1] or b[1] + edge < low[1]
-            if not beside and b[2] > low[2]:
+            if _may_shade(lows[w, s], highs[w, s], low, high):
                 casters[w, tile, count] = s
                 count += 1
         counts[w, tile] = count

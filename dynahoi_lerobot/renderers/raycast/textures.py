@@ -29,6 +29,7 @@ class Textures:
         texels_each: M.
         starts: (L,) where each level of a texture begins.
         sides: (L,) side of each level [texels].
+        limits: (L - 1,) texels of the sharpest level in a pixel from which on each next level is taken.
         filtered: 1 to sample the level that fits a pixel, 0 for the sharpest always.
     """
 
@@ -36,6 +37,7 @@ class Textures:
     texels_each: int
     starts: wp.array[int]
     sides: wp.array[int]
+    limits: wp.array[float]
     filtered: int
 
 
@@ -53,8 +55,10 @@ def level_of(textures: Textures, repeats_per_pixel: float, facing: float) -> int
     if textures.filtered == 0:
         return 0
     texels = repeats_per_pixel * float(textures.sides[0]) / wp.sqrt(wp.max(facing, 0.02))
-    level = int(wp.round(float(LEVELS_PER_OCTAVE) * wp.log2(wp.max(texels, 1.0))))
-    return wp.min(level, textures.sides.shape[0] - 1)
+    level = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
+    for k in range(textures.limits.shape[0]):
+        level += wp.where(texels > textures.limits[k], 1, 0)
+    return level
 
 
 @wp.func
@@ -90,6 +94,8 @@ def textures_of(model: mujoco.MjModel, *, filtered: bool) -> Any:
     texels = np.concatenate(levels, axis=1)  # (K, M)
     textures.texels, textures.texels_each = wp.array(texels.ravel(), dtype=float), texels.shape[1]
     textures.starts = wp.array(np.cumsum([0, *[one.shape[1] for one in levels]])[:-1], dtype=int)
+    limits = 2 ** ((np.arange(1, len(sides)) - 0.5) / LEVELS_PER_OCTAVE)
+    textures.limits = wp.array(limits.astype(np.float32), dtype=float)
     textures.sides, textures.filtered = wp.array(sides, dtype=int), int(filtered)
     return textures
 

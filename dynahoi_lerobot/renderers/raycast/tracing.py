@@ -14,6 +14,14 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 
 @wp.struct
+class LightFrame:
+    """The camera in a world's light frame, whose z axis points towards the light: position [m] and rotation."""
+
+    camera: wp.vec3
+    from_camera: wp.mat33
+
+
+@wp.struct
 class Worlds:
     """What there is in each world of a batch, and in which tiles of its image.
 
@@ -21,6 +29,8 @@ class Worlds:
         shapes: (N, S) shapes.
         lists, counts: (N, tiles, S) shapes that a tile may show, and (N, tiles) how many.
         casters, caster_counts: shapes that may shade what a tile shows, likewise.
+        caster_lows, caster_highs: (N, S) corners of boxes around the shapes that cast shadows [m], light frame.
+        light_frames: (N,) light frames.
         diffuse, specular: (N, lights) colours of the light, of which the first counts.
     """
 
@@ -29,6 +39,9 @@ class Worlds:
     counts: wp.array2d[int]
     casters: wp.array3d[int]
     caster_counts: wp.array2d[int]
+    caster_lows: wp.array2d[wp.vec3]
+    caster_highs: wp.array2d[wp.vec3]
+    light_frames: wp.array[LightFrame]
     diffuse: wp.array2d[wp.vec3]
     specular: wp.array2d[wp.vec3]
 
