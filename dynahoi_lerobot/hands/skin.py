@@ -17,7 +17,12 @@ PALM_X_M = -0.0475
 """Middle of the palm's thickness, palm frame."""
 HEEL_Y_M, WRIST_Y_M, SLEEVE_Y_M = -0.062, -0.112, -0.21
 """Where the palm ends, where the sleeve begins and ends, palm frame."""
-METACARPALS = {"index": (0.018, 0.0118), "middle": (0.007, 0.0118), "ring": (-0.004, 0.0115), "little": (-0.014, 0.0105)}
+METACARPALS = {
+    "index": (0.018, 0.0118),
+    "middle": (0.007, 0.0118),
+    "ring": (-0.004, 0.0115),
+    "little": (-0.014, 0.0105),
+}
 """Of each finger's bone in the palm: height at the heel and radius [m]; it ends in the knuckle."""
 KNUCKLE_X_M = -0.0015
 """How far a knuckle stands out on the back of the hand."""

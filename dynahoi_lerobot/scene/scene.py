@@ -14,7 +14,14 @@ from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.hands import HANDS, Hand
 from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE, SKIN_GEOM_PREFIX, SLEEVE_GEOM
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.scene.model import DISTRACTORS, FIXTURE_BOXES, FURNITURE_SLOTS, SHOWN_WALLS, SIDE_CAMERA, build_model
+from dynahoi_lerobot.scene.model import (
+    DISTRACTORS,
+    FIXTURE_BOXES,
+    FURNITURE_SLOTS,
+    SHOWN_WALLS,
+    SIDE_CAMERA,
+    build_model,
+)
 from dynahoi_lerobot.scene.slots import TARGET_SLOTS, extra_slots
 
 

@@ -110,7 +110,15 @@ class Pipeline:
         names = ("geom_size", "geom_rgba", "geom_matid", "geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xdir")
         moving = [self._fields[name] for name in names]
         placing = [self._intrinsics, self._geoms, *fixed, *moving, self._worlds.shapes, bounds]
-        sorting = [self._intrinsics, self._across, self._room, self._worlds.shapes, bounds, self._worlds.lists, self._worlds.counts]
+        sorting = [
+            self._intrinsics,
+            self._across,
+            self._room,
+            self._worlds.shapes,
+            bounds,
+            self._worlds.lists,
+            self._worlds.counts,
+        ]
         return [
             (_recorded(place_shapes, 2, placing), (self._shapes,)),
             (_recorded(sort_into_tiles, 2, sorting), (self._across**2,)),
@@ -171,7 +179,10 @@ def _worlds(fields: dict[str, wp.array], nsim: int, tiles: int, shapes: int) -> 
     worlds.shapes = wp.empty((nsim, shapes), dtype=Shape)
     worlds.lists, worlds.counts = wp.empty((nsim, tiles, shapes), dtype=int), wp.empty((nsim, tiles), dtype=int)
     worlds.casters, worlds.caster_counts = wp.empty_like(worlds.lists), wp.zeros_like(worlds.counts)
-    worlds.caster_lows, worlds.caster_highs = wp.empty((nsim, shapes), dtype=wp.vec3), wp.empty((nsim, shapes), dtype=wp.vec3)
+    worlds.caster_lows, worlds.caster_highs = (
+        wp.empty((nsim, shapes), dtype=wp.vec3),
+        wp.empty((nsim, shapes), dtype=wp.vec3),
+    )
     worlds.light_frames = wp.empty(nsim, dtype=LightFrame)
     worlds.diffuse, worlds.specular = fields["light_diffuse"], fields["light_specular"]
     return worlds

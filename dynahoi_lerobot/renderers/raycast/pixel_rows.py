@@ -106,7 +106,9 @@ def _texturing(uv: wp.Function, normal: wp.Function) -> wp.Function:
         for i in range(TILE):
             at = uv(shape.size, shape.camera + depths[i] * ray_of(shape.from_camera, xs[i], ys[i]))
             at = wp.cw_mul(at, shape.repeat)
-            row[i] = texel(textures.texels, start, side, textures.filtered, at[0] - wp.floor(at[0]), at[1] - wp.floor(at[1]))
+            row[i] = texel(
+                textures.texels, start, side, textures.filtered, at[0] - wp.floor(at[0]), at[1] - wp.floor(at[1])
+            )
         return row
 
     return textured
@@ -160,9 +162,7 @@ def light_row(shape: Shape, fill: wp.vec3, depths: Row, xs: Row, ys: Row, shiny:
 
 
 @wp.func
-def texture_row(
-    shape: Shape, textures: Textures, pixel_rad: float, middle: int, depths: Row, xs: Row, ys: Row
-) -> Row:
+def texture_row(shape: Shape, textures: Textures, pixel_rad: float, middle: int, depths: Row, xs: Row, ys: Row) -> Row:
     """Return the brightness of the shape's texture, 0 to 1, as sharp as ray ``middle`` of those that show it allows.
 
     Args:

@@ -54,9 +54,7 @@ def render_color(
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
     tile = tile_of(intrinsics, y, column)
     xs, ys = xs_of(intrinsics, column), ys_of(intrinsics, y)
-    red, green, blue = color_row(
-        worlds, look, textures, w, tile, depths[w, y, column], visible[w, y, column], xs, ys
-    )
+    red, green, blue = color_row(worlds, look, textures, w, tile, depths[w, y, column], visible[w, y, column], xs, ys)
     packed = Indices()
     for i in range(TILE):
         packed[i] = _level(red[i]) + (_level(green[i]) << 8) + (_level(blue[i]) << 16)

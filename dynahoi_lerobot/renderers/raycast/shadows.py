@@ -125,9 +125,7 @@ def _shade(shape: Shape, depths: Row, xs: Row, ys: Row) -> Row:
 
 
 @wp.func
-def sunlight_row(
-    worlds: Worlds, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row
-) -> Row:
+def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row) -> Row:
     """Return the share of the light, 0 to 1, that reaches the points of a row; no shape shades itself."""
     row = Row(1.0)
     frame = worlds.light_frames[w]
@@ -232,9 +230,7 @@ def _half_extents(shape: Shape) -> wp.vec3:
 
 @wp.func
 def _reach(turned: wp.mat33, axis: int, half: wp.vec3) -> float:
-    return (
-        wp.abs(turned[axis, 0]) * half[0] + wp.abs(turned[axis, 1]) * half[1] + wp.abs(turned[axis, 2]) * half[2]
-    )
+    return wp.abs(turned[axis, 0]) * half[0] + wp.abs(turned[axis, 1]) * half[1] + wp.abs(turned[axis, 2]) * half[2]
 
 
 @wp.kernel

@@ -205,7 +205,13 @@ def sort_into_tiles(
 
 @wp.func
 def _hidden_by_room(
-    intrinsics: CameraIntrinsics, room: wp.array[int], shapes: wp.array2d[Shape], w: int, s: int, left: float, top: float
+    intrinsics: CameraIntrinsics,
+    room: wp.array[int],
+    shapes: wp.array2d[Shape],
+    w: int,
+    s: int,
+    left: float,
+    top: float,
 ) -> int:
     """1 if at all corners of a tile one other side of the room is nearer than side ``s``.
 
