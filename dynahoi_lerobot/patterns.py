@@ -61,7 +61,7 @@ PATTERNS: dict[str, Pattern] = {
 
 
 def texture_pixels(pattern: str, contrast: float) -> np.ndarray:
-    """Return (128, 128, 3) uint8 grey pixels of a pattern, whose darkest parts lack a share ``contrast`` of the light."""
+    """Return (128, 128, 3) uint8 grey pixels of a pattern; its darkest parts lack a share ``contrast``."""
     v, u = np.meshgrid(*[(np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE] * 2, indexing="ij")
     grey = 1.0 - contrast * (1.0 - PATTERNS[pattern](u, v))
     return np.repeat(np.round(255 * grey)[..., None], 3, axis=2).astype(np.uint8)

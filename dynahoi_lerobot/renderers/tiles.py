@@ -77,8 +77,8 @@ class TileRenderer(Renderer):
                 shown,
                 casting,
                 self._mirror.arrays,
-                self.camera,
-                image_size,
+                camera=self.camera,
+                image_size=image_size,
                 soft=self.soft,
                 threads=batch.nthread if device == "cpu" else 1,
             )

@@ -21,7 +21,7 @@ MIN_DEPTH_M = 0.05
 SILHOUETTE_SIZE = 96
 """Rays along each side of the view with which the hand's silhouette is measured."""
 COLLIDING_GROUPS = np.array([group != SKIN_GROUP for group in range(mujoco.mjNGROUP)], np.uint8)
-"""The silhouette is that of the hand that collides, so that where an episode takes place does not depend on its look."""
+"""The silhouette is that of the hand that collides, so that homes do not depend on how the hand is drawn."""
 
 
 def visible(points: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ LEAST_AGREEMENT = 0.97
 middle is where the ray begins to be blocked only for straight edges."""
 
 LEAST_FOUND = 0.6
-"""Share of the blocked pixels that are dark, and of the dark ones that are blocked; thin things cast half-shadow only."""
+"""Share of the blocked pixels that are darker than others, and of the darkest that are blocked."""
 
 
 def plain(spec: EpisodeSpec) -> EpisodeSpec:
@@ -77,14 +77,16 @@ def test_floor_is_dark_where_the_way_to_the_light_is_blocked(plain_worlds: World
         if dark.sum() < 10:
             continue
         lit, shadow = bright, images[i][on_floor].min()
-        seen_dark = images[i][on_floor] < (lit + shadow) / 2
-        agreement.append((seen_dark == dark).mean())
-        found.append([(seen_dark & dark).sum(), dark.sum(), seen_dark.sum()])
-    both, blocked_pixels, dark_pixels = np.sum(found, axis=0)
+        darkness = (lit - images[i][on_floor]) / (lit - shadow)
+        agreement.append(((darkness > 0.5) == dark).mean())
+        found.append(
+            [(dark & (darkness > 0.2)).sum(), dark.sum(), (dark & (darkness > 0.5)).sum(), (darkness > 0.5).sum()]
+        )
+    noticed, blocked_pixels, rightly_dark, dark_pixels = np.sum(found, axis=0)
     assert len(found) >= 5
     assert min(agreement) > LEAST_AGREEMENT
-    assert both > LEAST_FOUND * blocked_pixels
-    assert both > LEAST_FOUND * dark_pixels
+    assert noticed > LEAST_FOUND * blocked_pixels
+    assert rightly_dark > LEAST_FOUND * dark_pixels
 
 
 def test_a_target_without_opacity_casts_no_shadow(plain_worlds: WorldBatch, specs: list[EpisodeSpec]) -> None:
@@ -100,7 +102,7 @@ def test_a_target_without_opacity_casts_no_shadow(plain_worlds: WorldBatch, spec
 
 
 def test_pictures_are_near_what_many_samples_would_show(specs: list[EpisodeSpec]) -> None:
-    """Against pictures four times as large, averaged down: filtered textures and smooth edges take a third of the error."""
+    """Against pictures four times as large, averaged down, a third of the error goes."""
     error = {}
     for renderer in ("tiles", "flat"):
         small, large = (

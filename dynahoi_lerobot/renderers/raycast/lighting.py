@@ -1,5 +1,7 @@
 """The colour of a row of visible points: textures, sunlight with soft shadows, and light from all around."""
 
+# ruff: noqa: PLR0917 - warp functions take their arguments by position
+
 from __future__ import annotations
 
 import warp as wp
@@ -119,7 +121,7 @@ def _surface_row(
 
 @wp.func
 def _openness_row(worlds: Worlds, look: Look, w: int, depths: Row, visible: Indices, xs: Row, ys: Row) -> Row:
-    """Share of the light from all around that reaches each point: less of it near the floor, on the floor near walls."""
+    """Share of the light from all around that reaches each point: less near the floor, on the floor near walls."""
     row = Row()
     floor, half, number = worlds.shapes[w, look.floor], look.room_half_m, look.floor
     for i in range(TILE):

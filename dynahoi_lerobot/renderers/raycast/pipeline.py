@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from dynahoi_lerobot.renderers.raycast.casters import place_casters, place_lights, sort_casters
 from dynahoi_lerobot.renderers.raycast.edges import smooth_edges
 from dynahoi_lerobot.renderers.raycast.lighting import Look
 from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row
 from dynahoi_lerobot.renderers.raycast.render import render_color, render_ids_and_depth, trace
-from dynahoi_lerobot.renderers.raycast.shadows import place_casters, place_lights, sort_casters
 from dynahoi_lerobot.renderers.raycast.textures import textures_of
 from dynahoi_lerobot.renderers.raycast.tiling import TILE, CameraIntrinsics, Shape, place_shapes, sort_into_tiles
 from dynahoi_lerobot.renderers.raycast.tracing import LightFrame, Worlds
@@ -39,9 +39,9 @@ class Pipeline:
         shown: np.ndarray,
         casting: np.ndarray,
         fields: dict[str, wp.array],
+        *,
         camera: int,
         image_size: int,
-        *,
         soft: bool,
         threads: int,
     ) -> None:
@@ -49,7 +49,8 @@ class Pipeline:
 
         Args:
             model: the scene's.
-            shown: (S,) ids of the geoms to draw; ``casting``: (S,) which of them cast shadows: all but the floor and the walls.
+            shown: (S,) ids of the geoms to draw; ``casting``: (S,) which of them cast shadows, all but
+                floor and walls.
             fields: per-world fields, of N rows each.
             camera: id in the model.
             image_size: side of the square images [px].

@@ -4,6 +4,8 @@ The loops over the rays hold no branches and stay loops, so that compilers turn 
 most of the speed on a CPU. Ray i has the direction ``(xs[i], ys[i], -1)`` in the camera's frame.
 """
 
+# ruff: noqa: PLR0917 - warp functions take their arguments by position
+
 from __future__ import annotations
 
 import warp as wp

@@ -3,6 +3,8 @@
 Levels shrink by the square root of two, so that the nearest one can be taken and no seam shows between them.
 """
 
+# ruff: noqa: PLR0917 - warp functions take their arguments by position
+
 from __future__ import annotations
 
 from typing import Any

@@ -1,5 +1,7 @@
 """The nearest shape along each ray of a row."""
 
+# ruff: noqa: PLR0917 - warp functions take their arguments by position
+
 from __future__ import annotations
 
 import warp as wp
