@@ -17,21 +17,22 @@ class EpisodeMeta:
 
     Attributes:
         seed: the seed that determines everything drawn for the episode.
-        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``).
+        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``), and digits of a salt's hash.
         motion: kind of motion, one of the 22 names.
         category: its category, one of the 8 names.
         object: the object's name, one of the 11.
-        parameters: the motion's parameters, JSON with SI units.
+        parameters: the motion's parameters, JSON with SI units, world frame.
         task: the instruction given to the policy.
         agent: who moved the hand (``intercept``, ``hold``, a policy's name).
-        capture: the capture rule, ``attach`` or ``contact``.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
+        protocol: see `protocol.py`.
         control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.
         window_frames: length of the observation window [frames].
         length_frames: L, the length of the expert's recording [frames]; a policy gets L control steps.
         intercept_frame: frame at which the oracle intercept takes place, counted from the episode's start.
         attempts: how many attempts the agent needed, from 1.
         fingerprint: identifies the code and recipe that made the episode.
+        benchmark: version of the benchmark that the episode was drawn and played under.
     """
 
     seed: int
@@ -50,6 +51,7 @@ class EpisodeMeta:
     intercept_frame: int
     attempts: int
     fingerprint: str
+    benchmark: str
 
     @property
     def motion_parameters(self) -> dict[str, Any]:
@@ -61,7 +63,7 @@ class EpisodeMeta:
 class Episode:
     """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
 
-    World frame, SI units; `features.py` has shapes, units and names of all arrays. ``state[t]`` is measured at time
+    Home frame, SI units; `features.py` has shapes, units and names of all arrays. ``state[t]`` is measured at time
     t * 0.05 s, ``action[t]`` is the command executed from then until frame t + 1. The window is frames
     ``[0, window_frames)``; control starts at frame ``window_frames``.
 
@@ -82,8 +84,21 @@ class Episode:
         captured: (T,) bool, the capture rule regards the target as captured at this frame.
         intercept_position: (3,) float32 [m], the oracle intercept.
         intercept_time: the oracle intercept's time [s] from the episode's start.
+        home_position: (3,) float32 [m], the home frame's origin, world.
         open_joints: (15,) float32 [rad], joint angles of the open hand.
         reference_joints: (15,) float32 [rad], joint angles of the reference grasp of this object.
+        succeeded: (T,) bool, the frames up to the one that ``action[t]`` leads to make the episode a success.
+        object_primitives: (S, 11) float32, the object's solids, see ``objects.primitives.as_table``.
+        object_size: (3,) float32 [m], extent of the object along its own axes.
+        object_mass: of the object [kg].
+        object_inertia: (3,) float32 [kg m^2], its moments of inertia about its own axes.
+        object_friction: (2,) float32, its sliding friction coefficients against the hand and against surfaces.
+        object_restitution: rebound speed over impact speed of the impacts of its motion; 0 if it has none.
+        ego_camera: (7,) float32, position [m] and quaternion wxyz of the hand's camera from the palm centre.
+        side_camera: (7,) float32, likewise of the side camera, home frame.
+        ego_intrinsics, side_intrinsics: (4,) float32 [px], focal lengths fx and fy, principal point cx and cy.
+        hand_limits: (3,) float32, speed limits of palm [m/s] and joints [rad/s], latency [ms].
+        first_plan: (2,) float32, planned speed [m/s] and lead time [s] at control start; 0 if the actor plans none.
         success: the capture rule's verdict on the whole episode.
         stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or ``missed``, ``touched``,
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
@@ -106,8 +121,22 @@ class Episode:
     captured: np.ndarray = field(repr=False)
     intercept_position: np.ndarray = field(repr=False)
     intercept_time: float
+    home_position: np.ndarray = field(repr=False)
     open_joints: np.ndarray = field(repr=False)
     reference_joints: np.ndarray = field(repr=False)
+    succeeded: np.ndarray = field(repr=False)
+    object_primitives: np.ndarray = field(repr=False)
+    object_size: np.ndarray = field(repr=False)
+    object_mass: float
+    object_inertia: np.ndarray = field(repr=False)
+    object_friction: np.ndarray = field(repr=False)
+    object_restitution: float
+    ego_camera: np.ndarray = field(repr=False)
+    side_camera: np.ndarray = field(repr=False)
+    ego_intrinsics: np.ndarray = field(repr=False)
+    side_intrinsics: np.ndarray = field(repr=False)
+    hand_limits: np.ndarray = field(repr=False)
+    first_plan: np.ndarray = field(repr=False)
     success: bool
     stage: str
     touch: np.ndarray | None = field(default=None, repr=False)
@@ -122,14 +151,29 @@ class Episode:
         return slice(self.meta.window_frames, len(self))
 
     @property
-    def palm_pos_w(self) -> np.ndarray:
-        """(T, 3) palm centre positions [m], world."""
+    def palm_pos_h(self) -> np.ndarray:
+        """(T, 3) palm centre positions [m], home frame."""
         return self.state[:, :PALM_DOF]
 
     @property
     def joints(self) -> np.ndarray:
         """(T, 15) joint angles [rad]."""
         return self.state[:, PALM_DOF:]
+
+    @property
+    def reward(self) -> np.ndarray:
+        """(T,) float32, 1 where the action leads to the first frame on which the episode is a success, else 0."""
+        return np.diff(self.succeeded, prepend=False).astype(np.float32)
+
+    @property
+    def done(self) -> np.ndarray:
+        """(T,) bool, True for the last frame of the recording."""
+        return np.arange(len(self)) == len(self) - 1
+
+    @property
+    def attempt_success(self) -> np.ndarray:
+        """(attempts,) bool, whether each attempt succeeded: all but the last, which is recorded here, have failed."""
+        return np.array([False] * (self.meta.attempts - 1) + [self.success])
 
     @property
     def first_localized(self) -> int | None:

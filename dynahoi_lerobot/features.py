@@ -1,5 +1,8 @@
 """The one feature table: every array of an episode, and what it is called in each interface.
 
+Positions are in the home frame: axes of the world (z up, the open palm faces +x), origin where the palm's centre waits
+in this episode. Rotations and velocities are along the same axes.
+
 From ``FEATURES`` are derived the Gymnasium spaces (`env/spaces.py`), the features of ``--env.type=dynahoi``, what a
 rollout records (`rollout/recorder.py`), the dataset's columns and reader (`dataset/columns.py`) and the documentation
 (``dynahoi list features``). A new feature is one entry here, an attribute of that name in ``Episode`` (and in
@@ -20,6 +23,8 @@ FINGERTIP_NAMES = tuple(
 POSITION_NAMES = ("x", "y", "z")
 POSE_NAMES = (*POSITION_NAMES, "qw", "qx", "qy", "qz")
 TWIST_NAMES = ("vx", "vy", "vz", "wx", "wy", "wz")
+PRIMITIVE_NAMES = ("geom_type", "size_x", "size_y", "size_z", *POSE_NAMES)
+INTRINSICS_NAMES = ("fx", "fy", "cx", "cy")
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""
@@ -48,6 +53,9 @@ class Feature:
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
         constant: whether it has one value per episode; a frame table repeats that value in every row.
+        per: what its rows are if it is not constant: ``frame``, or ``attempt`` or ``primitive``, whose number differs
+            between episodes; only the episode table can hold those.
+        derived: whether it follows from other attributes: a property of ``Episode``, which is stored but not read.
     """
 
     name: str
@@ -62,6 +70,8 @@ class Feature:
     high: float = math.inf
     needs_contact_sensors: bool = False
     constant: bool = False
+    per: str = "frame"
+    derived: bool = False
 
     @property
     def column_shape(self) -> tuple[int, ...]:
@@ -88,19 +98,24 @@ class Feature:
         """Whether the dataset stores it in the episode table instead of the frame table."""
         return self.key.startswith(EPISODE_TABLE_PREFIX)
 
+    @property
+    def has_fixed_shape(self) -> bool:
+        """Whether all episodes of one length have it in one shape."""
+        return self.constant or self.per == "frame"
+
     def array_shape(self, frames: int) -> tuple[int, ...]:
-        """Return the shape of the attribute in an ``Episode`` of ``frames`` frames."""
+        """Return the shape of the attribute in an ``Episode`` of ``frames`` frames, if it ``has_fixed_shape``."""
         return self.shape if self.constant else (frames, *self.shape)
 
 
 _TABLE = (
     Feature(
         "state", "observation.state", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "palm centre position, world; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
+        "palm centre position, home frame; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
     ),
     Feature(
         "fingertips", "observation.fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
-        "position and rotation vector of each fingertip, world", gym_key="fingertips", low=-10.0, high=10.0,
+        "position, home frame, and rotation vector of each fingertip", gym_key="fingertips", low=-10.0, high=10.0,
     ),
     Feature(
         "phase", "observation.phase", (1,), ("phase",), "1",
@@ -113,16 +128,19 @@ _TABLE = (
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "target for the next frame, after clipping: palm centre position, world; joint angles", gym_key="action",
+        "target for the next frame, after clipping: palm centre position, home frame; joint angles", gym_key="action",
     ),
-    Feature("target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position and quaternion wxyz, world"),
+    Feature(
+        "target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
+    ),
     Feature(
         "target_velocity", "target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
-        "target linear and angular velocity, world",
+        "target linear and angular velocity, along the world's axes",
     ),
     Feature("target_contacts", "target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
     Feature(
-        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, world", constant=True
+        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, home frame",
+        constant=True,
     ),
     Feature(
         "intercept_time", "intercept.time", (), ("time",), "s", "time of the oracle intercept in the episode",
@@ -130,6 +148,17 @@ _TABLE = (
     ),
     Feature("localized", "localized", (), ("localized",), "1", "the target is, or has been, localised", dtype="bool"),
     Feature("captured", "captured", (), ("captured",), "1", "the capture rule regards it as captured", dtype="bool"),
+    Feature(
+        "reward", "next.reward", (), ("reward",), "1",
+        "1 where the action led to the first frame on which the episode is a success, else 0", derived=True,
+    ),
+    Feature(
+        "done", "next.done", (), ("done",), "1", "the recording ends with this frame", dtype="bool", derived=True
+    ),
+    Feature(
+        "succeeded", "next.success", (), ("success",), "1",
+        "the frames up to the one the action led to make the episode a success", dtype="bool",
+    ),
     Feature(
         "palm_distance", "stats/palm_distance", (), ("distance",), "m",
         "palm centre to target centre, least of the last control step",
@@ -139,12 +168,71 @@ _TABLE = (
         "least distance of a fingertip to the target's surface, 0 inside",
     ),
     Feature(
+        "home_position", "stats/home_position", (3,), POSITION_NAMES, "m",
+        "origin of the home frame, world; the floor is at z = 0", constant=True,
+    ),
+    Feature(
         "open_joints", "stats/open_joints", (FINGER_DOF,), JOINT_NAMES, "rad", "joint angles of the open hand",
         constant=True,
     ),
     Feature(
         "reference_joints", "stats/reference_joints", (FINGER_DOF,), JOINT_NAMES, "rad",
         "joint angles of the object's reference grasp", constant=True,
+    ),
+    Feature(
+        "object_primitives", "stats/object_primitives", (len(PRIMITIVE_NAMES),), PRIMITIVE_NAMES, "1, m",
+        "the object's solids: MuJoCo's geom type and half-sizes; position and quaternion wxyz in the object's frame, "
+        "whose origin is the centre of mass", per="primitive",
+    ),
+    Feature(
+        "object_size", "stats/object_size", (3,), POSITION_NAMES, "m", "extent of the object along its own axes",
+        constant=True,
+    ),
+    Feature("object_mass", "stats/object_mass", (), ("mass",), "kg", "mass of the object", constant=True),
+    Feature(
+        "object_inertia", "stats/object_inertia", (3,), POSITION_NAMES, "kg m^2",
+        "moments of inertia of the object about its own axes", constant=True,
+    ),
+    Feature(
+        "object_friction", "stats/object_friction", (2,), ("hand", "surface"), "1",
+        "sliding friction coefficients of the object against the hand and against the roughest surface it meets",
+        constant=True,
+    ),
+    Feature(
+        "object_restitution", "stats/object_restitution", (), ("restitution",), "1",
+        "rebound speed over impact speed of the impacts of its motion; 0 if it has none", constant=True,
+    ),
+    Feature(
+        "ego_camera", "stats/ego_camera", (7,), POSE_NAMES, "m, 1",
+        "pose of the hand's camera from the palm centre; it looks along its -z, y is up",
+        constant=True,
+    ),
+    Feature(
+        "side_camera", "stats/side_camera", (7,), POSE_NAMES, "m, 1",
+        "pose of the side camera, home frame, likewise", constant=True,
+    ),
+    Feature(
+        "ego_intrinsics", "stats/ego_intrinsics", (4,), INTRINSICS_NAMES, "px",
+        "focal lengths and principal point of the views of the hand's camera", constant=True,
+    ),
+    Feature(
+        "side_intrinsics", "stats/side_intrinsics", (4,), INTRINSICS_NAMES, "px", "likewise of the side camera",
+        constant=True,
+    ),
+    Feature(
+        "hand_limits", "stats/hand_limits", (3,), ("palm_speed", "joint_speed", "latency"), "m/s, rad/s, ms",
+        "greatest speed of the palm (under contact: along an axis) and of a joint; latency of commands",
+        constant=True,
+    ),
+    Feature(
+        "first_plan", "stats/first_plan", (2,), ("speed", "lead_time"), "m/s, s",
+        "the expert's plan at control start: the palm's straight way to the meeting over the time to it; this time; "
+        "0 if the actor plans none", constant=True,
+    ),
+    Feature(
+        "attempt_success", "stats/attempt_success", (), ("success",), "1",
+        "whether each attempt at the episode succeeded; the last one is recorded", dtype="bool", per="attempt",
+        derived=True,
     ),
 )  # fmt: skip
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from bisect import bisect_left
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
@@ -59,7 +61,7 @@ class Track:
         localized: (T,) bool.
         contacts: of shape (T,), what touched the target; zero if the rule uses no contact sensors.
         palm_distance: (T,) palm centre to target centre [m].
-        palm_pos_w: (T, 3) palm centre [m], world.
+        palm_pos_h: (T, 3) palm centre [m], world.
     """
 
     joints: np.ndarray
@@ -68,7 +70,19 @@ class Track:
     localized: np.ndarray
     contacts: TargetContacts
     palm_distance: np.ndarray
-    palm_pos_w: np.ndarray
+    palm_pos_h: np.ndarray
+
+    def first(self, frames: int) -> Track:
+        """Return the first ``frames`` of the T frames."""
+        part = slice(frames)
+        return replace(
+            self,
+            joints=self.joints[part],
+            localized=self.localized[part],
+            contacts=self.contacts[part],
+            palm_distance=self.palm_distance[part],
+            palm_pos_h=self.palm_pos_h[part],
+        )
 
 
 class CaptureRule(ABC):
@@ -81,6 +95,8 @@ class CaptureRule(ABC):
     """Who demonstrates under this rule, unless a recipe says otherwise."""
     hand: ClassVar[str]
     """The hand that plays under it, likewise."""
+    localization_radius_m: ClassVar[float] = LOCALIZATION_RADIUS_M
+    """Palm centre to target centre, below which the target is localised [m]; all metrics follow it."""
     gantry_speed_m_s: ClassVar[float | None] = None
     """Speed limit of each axis of the palm's gantry [m/s], where the rule replaces that of the control class."""
     uses_contact_sensors: ClassVar[bool] = False
@@ -111,4 +127,12 @@ class CaptureRule(ABC):
 
     @abstractmethod
     def success(self, track: Track) -> bool:
-        """Return the verdict."""
+        """Return the verdict; once it is a success, no further frame changes it."""
+
+    def succeeded(self, track: Track) -> np.ndarray:
+        """Return (T,) bool: the frames up to and including this one make the episode a success."""
+        frames = range(1, len(track.localized) + 1)
+        if not self.success(track):
+            return np.zeros(len(frames), bool)
+        decisive = bisect_left(frames, True, key=lambda count: self.success(track.first(count)))
+        return np.arange(len(frames)) >= decisive

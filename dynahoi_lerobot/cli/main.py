@@ -17,6 +17,7 @@ COMMANDS = {
     "verify": ("dynahoi_lerobot.verify.command", "check every promise about a dataset on disk"),
     "filter": ("dynahoi_lerobot.verify.filter_command", "copy a dataset without the paper's outliers"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "run a policy or an expert on a split and compute every metric"),
+    "certify": ("dynahoi_lerobot.evaluate.certify_command", "replay an evaluation and compare every metric"),
     "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),
     "view": ("dynahoi_lerobot.cli.view", "write an episode as GIF, MP4 or web page"),
     "list": ("dynahoi_lerobot.cli.listing", "list motions, objects, metrics and other registered names"),

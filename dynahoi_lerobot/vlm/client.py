@@ -17,7 +17,7 @@ from dynahoi_lerobot.vlm.completion import Usage, read_envelope, read_text, read
 from dynahoi_lerobot.vlm.deadline import Deadline
 from dynahoi_lerobot.vlm.endpoint import api_key, connect
 from dynahoi_lerobot.vlm.failures import Cause, RequestFailure
-from dynahoi_lerobot.vlm.prompt import HORIZON, answer_schema, messages
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, HORIZON, answer_schema, check_prompt, messages
 from dynahoi_lerobot.vlm.redaction import Redactor
 from dynahoi_lerobot.vlm.reply import parse_reply
 
@@ -28,6 +28,10 @@ MAX_LOGGED = 16_384
 """Characters of an answer that are written to the log file."""
 FORMAT_REFUSED = (400, 422)
 """HTTP status codes with which servers refuse structured output."""
+BUSY = 429
+"""HTTP status code with which servers ask for a pause."""
+BUSY_PAUSE_S = 1.0
+"""Pause [s] where the server does not say how long; it doubles with each retry."""
 
 
 @dataclass
@@ -38,6 +42,7 @@ class _Attempt:
     cause: Cause | None = None
     problem: str = ""
     status: int | None = None
+    retry_after_s: float | None = None
     text: str | None = None
     usage: Usage | None = None
     seconds: float = 0.0
@@ -54,6 +59,7 @@ class VlmClient:
         timeout_s: float = 60.0,
         retries: int = 2,
         prices: tuple[float, float] = (0.0, 0.0),
+        prompt: str = DEFAULT_PROMPT,
         audit: Path | None = None,
     ) -> None:
         """Prepare requests to ``base_url``; the API key is read from the environment variable ``OPENAI_API_KEY``.
@@ -64,15 +70,17 @@ class VlmClient:
             timeout_s: for one decision [s], all its requests included.
             retries: further requests after a failed one, as long as time is left.
             prices: of a million prompt and completion tokens, in any currency.
+            prompt: what is asked, one of ``prompt.PROMPTS``.
             audit: a JSON-lines file to which a line is appended for every request, with the text of the answer.
 
         Raises:
-            ValueError: for a number out of range, an invalid URL or key, if the endpoint is OpenAI's and there is no
-                key, or if the ``openai`` package is not installed.
+            ValueError: for an unknown prompt, a number out of range, an invalid URL or key, if the endpoint is
+                OpenAI's and there is no key, or if the ``openai`` package is not installed.
         """
         _check_numbers(timeout_s, retries, prices)
         self.account, self._prices, self._retries = Account(), prices, retries
         self._model, self._audit, self._lock = model, audit, threading.Lock()
+        self._prompt = check_prompt(prompt)
         self._timeout_s, self._structured = timeout_s, True
         self._redact = Redactor(api_key(base_url))
         self._redact.watch_loggers()
@@ -85,25 +93,29 @@ class VlmClient:
 
         Args:
             task: the instruction.
-            state: (18,) palm centre position [m] world and joint angles [rad].
+            state: (18,) palm centre position [m], home frame, and joint angles [rad].
             image: (H, W, 3) uint8 RGB of the hand's camera.
 
         Returns:
-            (10, 18) palm centre position [m] world and joint angles [rad], one row for each frame of 0.05 s.
+            (10, 18) palm centre position [m], home frame, and joint angles [rad], one row for each frame of 0.05 s.
         """
-        attempt = self._attempts(messages(task, state, image), task)
+        attempt = self._attempts(messages(task, state, image, prompt=self._prompt), task)
         with self._lock:
             self.account.add_decision(attempt.cause)
         return attempt.commands
 
     def report(self) -> dict[str, Any]:
-        """Return the model's name and the account so far, as JSON values."""
+        """Return the names of model and prompt and the account so far, as JSON values."""
         with self._lock:
-            return {"model": self._redact(self._model), "structured_output": self._structured, **self.account.report()}
+            asked = {"model": self._redact(self._model), "prompt": self._prompt}
+            return {**asked, "structured_output": self._structured, **self.account.report()}
 
     def _attempts(self, request: list[dict[str, Any]], task: str) -> _Attempt:
-        """Ask until an answer is valid, no retry is left or the deadline has passed; return the last attempt."""
-        deadline, left = Deadline(self._timeout_s), 1 + self._retries
+        """Ask until an answer is valid, no retry is left or the deadline has passed; return the last attempt.
+
+        A server that is busy is given the pause it asks for, or no further request if that outlasts the deadline.
+        """
+        deadline, left, pause_s = Deadline(self._timeout_s), 1 + self._retries, BUSY_PAUSE_S
         while True:
             structured = self._structured
             attempt = self._ask(request, deadline, structured)
@@ -114,6 +126,11 @@ class VlmClient:
                 left -= 1
             if attempt.commands is not None or left == 0 or deadline.passed:
                 return attempt
+            if attempt.status == BUSY:
+                wait_s = pause_s if attempt.retry_after_s is None else attempt.retry_after_s
+                if not deadline.pause(wait_s):
+                    return attempt
+                pause_s *= 2
 
     def _ask(self, request: list[dict[str, Any]], deadline: Deadline, structured: bool) -> _Attempt:
         attempt, start = _Attempt(), time.monotonic()
@@ -124,6 +141,7 @@ class VlmClient:
             attempt.commands = parse_reply(attempt.text)
         except RequestFailure as failure:
             attempt.cause, attempt.problem, attempt.status = failure.cause, str(failure), failure.status
+            attempt.retry_after_s = failure.retry_after_s
         except Exception as error:  # whatever a server provokes must not end an evaluation of hours
             attempt.cause, attempt.problem = Cause.UNEXPECTED, f"{type(error).__name__}: {error}"
         attempt.seconds = time.monotonic() - start

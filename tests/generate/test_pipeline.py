@@ -3,19 +3,22 @@ from __future__ import annotations
 import dataclasses
 import errno
 import itertools
+import re
 
 import pytest
 
-from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.dataset import read_episodes, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.generate import workers
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, shard_size
 from dynahoi_lerobot.generate.workspace import workspace_path
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
-from tests.dataset.episodes import write
+from tests.dataset.episodes import varied_episode, write
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
 
@@ -43,7 +46,7 @@ def test_shards_grow_with_the_dataset_up_to_a_size_that_is_cheap_to_redo(episode
 
 def test_slots_follow_the_seed(reference):
     assert Manifest.read(reference).seeds == list(range(10))
-    assert Manifest.read(reference).yields == {"tried": 10, "kept": 10, "missed": 0, "rejected": 0}
+    assert Manifest.read(reference).yields == {"tried": 10, "kept": 10, "failed": 0, "missed": 0, "rejected": 0}
     assert not workspace_path(reference).exists()
     assert plan(episodes=10, seed=5).slots(3) == range(14, 15)
 
@@ -90,18 +93,29 @@ def test_merge_refuses_unlike_datasets(tmp_path):
     assert not (tmp_path / "merged").exists()
 
 
+def test_merge_refuses_versions_of_the_benchmark_unless_asked(tmp_path):
+    old, new = tmp_path / "old", write(tmp_path / "new", range(1))
+    made = varied_episode(1)
+    write_episodes(old, [dataclasses.replace(made, meta=dataclasses.replace(made.meta, benchmark="v0"))])
+    sentence = f"{old} has benchmark 'v0', {new} has benchmark '{BENCHMARK.version}'; merge datasets of one version"
+    with pytest.raises(MixedError, match=re.escape(sentence)):
+        merge([old, new], tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+    assert merge([old, new], tmp_path / "merged", allow_version_mismatch=True).benchmark == f"v0, {BENCHMARK.version}"
+
+
 def test_missed_slots_are_drawn_again(tmp_path):
     manifest = generate(plan(miss_every=4, seed=1), tmp_path / "d", record=recorder.record)
     assert manifest.episodes == 10
     assert len(set(manifest.seeds)) == 10
     assert {seed % REDRAW_STRIDE for seed in manifest.seeds} == set(range(1, 11))
     assert sorted(manifest.seeds)[-2:] == [4 + REDRAW_STRIDE, 8 + REDRAW_STRIDE]
-    assert manifest.yields == {"tried": 12, "kept": 10, "missed": 2, "rejected": 0}
+    assert manifest.yields == {"tried": 12, "kept": 10, "failed": 0, "missed": 2, "rejected": 0}
 
 
 def test_corrupt_recordings_are_rejected_and_drawn_again(tmp_path):
     manifest = generate(plan(), tmp_path / "d", record=recorder.record_with_nan)
-    assert manifest.yields == {"tried": 11, "kept": 10, "missed": 0, "rejected": 1}
+    assert manifest.yields == {"tried": 11, "kept": 10, "failed": 0, "missed": 0, "rejected": 1}
     assert 3 not in manifest.seeds
     assert 3 + REDRAW_STRIDE in manifest.seeds
 

@@ -16,6 +16,7 @@ def slow(row, columns):
 EPISODES: Table = {
     "a failed episode": (row_is(success=False), "default", "success is False"),
     "another protocol": (row_is(protocol="direct_act"), "default", "protocol is 'direct_act'"),
+    "another version of the benchmark": (row_is(benchmark="v0"), "default", "benchmark is 'v0'"),
     "another fingerprint": (row_is(fingerprint="f" * 16), "default", "fingerprint is 'ffff"),
     "too many attempts": (row_is(attempts=9), "default", "attempts is 9; seed and recipe allow"),
     "a wrong window": (row_is(window_frames=3), "default", "window_frames is 3"),
@@ -43,7 +44,7 @@ EPISODES: Table = {
     "an action beyond the joints": (at("action", (12, 9), 1.9), "default", "commands are clipped to"),
     "fingertip distance": (entry_of("fingertip_distance", 3, lambda x: 9.0), "default", "fingertip_distance is"),
     "fingertip distance by 1 cm": (
-        entry_of("fingertip_distance", 0, lambda x: x - 0.01), "replay", "another stats/fingertip_distance"
+        entry_of("fingertip_distance", 0, lambda x: x - 0.01), "default", "object and poses give"
     ),
     "a shorter palm distance column": (
         forge(lambda row, columns: row["stats/palm_distance"].pop()), "default", "palm_distance has"
