@@ -179,11 +179,7 @@ def _add_slots(body: mujoco.MjsBody, shape: str, numbers: range) -> None:
         body.add_geom(
             name=f"target_{shape}_{number}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, mass=0.0,
             contype=ENVIRONMENT | HAND_BIT, conaffinity=0, condim=6, friction=SURFACE_FRICTION, priority=1,
-<<<<<<< HEAD
-            material="plain_thing", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
-=======
-            material="plain_fine", solimp=RIGID_IMPEDANCE, pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
->>>>>>> main
+            material="plain_thing", solimp=RIGID_IMPEDANCE, pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
         )  # fmt: skip
 
 
@@ -203,11 +199,7 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
         body = spec.worldbody.add_body(name=name, mocap=True, pos=HIDDEN_POS)
         body.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=LARGEST_BOX_M, contype=0, conaffinity=ENVIRONMENT,
-<<<<<<< HEAD
-            material="plain_thing", condim=6, friction=SURFACE_FRICTION,
-=======
-            material="plain_fine", condim=6, friction=SMOOTH_FRICTION, priority=1, solimp=RIGID_IMPEDANCE,
->>>>>>> main
+            material="plain_thing", condim=6, friction=SMOOTH_FRICTION, priority=1, solimp=RIGID_IMPEDANCE,
         )  # fmt: skip
     home = spec.worldbody.add_body(name=SIDE_CAMERA, mocap=True)
     quat = camera_quat(SIDE_CAMERA_TARGET_M - SIDE_CAMERA_POS_M)
