@@ -37,6 +37,7 @@ RECIPE_OPTIONS = (
     "hand",
     "renderer",
     "instructions",
+    "salt",
 )
 """Arguments of the constructor that are fields of a ``Recipe``."""
 
@@ -99,6 +100,7 @@ class DynahoiVectorEnv(VectorEnv):
         hand: str = "",
         renderer: str = DEFAULT_RENDERER,
         instructions: str = "mixed",
+        salt: str = "",
         threads: int = 0,
         render_mode: str | None = "rgb_array",
         on_episode: EpisodeListener | None = None,
@@ -112,7 +114,7 @@ class DynahoiVectorEnv(VectorEnv):
             image_size: side of the images [px].
             images: whether observations contain images; without them nothing is rendered.
             views: views besides ``ego``, such as ``side``; see `renderers/camera_views.py`.
-            appearance, protocol, control_class, capture, hand, renderer, instructions: see ``Recipe``.
+            appearance, protocol, control_class, capture, hand, renderer, instructions, salt: see ``Recipe``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
@@ -133,6 +135,7 @@ class DynahoiVectorEnv(VectorEnv):
             hand=hand,
             renderer=renderer,
             instructions=instructions,
+            salt=salt,
             motions=() if kind is None or kind in Recipe(split=seed_stream(split)).motion_names else (kind,),
         )
         self._images, self._threads, self._on_episode = images, threads, on_episode

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import batched
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.salt import seal, split_of
 from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
 
 TOLERANCE = 1e-5
@@ -27,30 +30,50 @@ NOT_REPLAYED = {"agent"}
 """Columns that do not follow from the commands."""
 
 
-def check_folder(folder: Path) -> Iterator[str]:
+def open_recipe(results: Results, salt: str = "") -> Recipe:
+    """Return what was played, its salt in place of the salt's hash.
+
+    Raises:
+        ResultsError: if the folder does not say what was played.
+        ValueError: if the results are of another salt.
+    """
+    recipe = results.recipe()
+    if (stored := seal(recipe.salt)) != seal(salt):
+        raise ValueError(f"the results are of {_stream(stored)}, not of {_stream(seal(salt))}, as --salt says")
+    return replace(recipe, salt=salt)
+
+
+def _stream(sealed: str) -> str:
+    return f"salt {sealed}" if sealed else "the public stream"
+
+
+def check_folder(folder: Path, recipe: Recipe) -> Iterator[str]:
     """Yield what in a result folder is wrong by itself, before anything is played.
+
+    Args:
+        folder: the result folder.
+        recipe: of ``open_recipe``.
 
     Raises:
         ResultsError: if the folder cannot be read.
     """
     results = read_results(folder)
-    recipe, info = results.recipe(), results.info
+    info, split = results.info, split_of(results.info.split)
     if (here := recipe.fingerprint()) != info.fingerprint:
         yield f"the results were made by other code or another recipe ({info.fingerprint}, here is {here})"
-    if recipe.split != seed_stream(info.split) or recipe.capture != info.capture:
+    if recipe.split != seed_stream(split) or recipe.capture != info.capture:
         played = f"{recipe.split} under {recipe.capture}"
         yield f"metrics.json names split {info.split} and capture rule {info.capture}, but its recipe plays {played}"
     seeds = [row["seed"] for row in results.rows]
     if repeated := sorted({seed for seed in seeds if seeds.count(seed) > 1}):
         yield f"seed {repeated[0]} is there {seeds.count(repeated[0])} times"
-    if foreign := sorted(set(seeds) - set(split_seeds(info.split))):
+    if foreign := sorted(set(seeds) - set(split_seeds(split))):
         yield f"seed {foreign[0]} is not in split {info.split}"
     yield from _wrong_sums(result_files.read(folder)[0]["metrics"], results.as_json()["metrics"])
 
 
-def check_episodes(results: Results, indices: Sequence[int]) -> Iterator[list[str]]:
+def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:
     """Play rows ``indices`` again and yield what differs, a list for each of them in their order."""
-    recipe = results.recipe()
     for chosen in batched(indices, PLAYED_TOGETHER):
         episodes = replay(recipe, [results.log(i) for i in chosen], images=False)
         for i, episode in zip(chosen, episodes, strict=True):

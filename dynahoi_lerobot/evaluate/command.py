@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -26,8 +26,10 @@ from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, S
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.salt import add_salt_argument, stream_label, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import SMALL_TEST, seed_stream, split_seeds
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 
 DEFAULT_IMAGE_SIZE = 128
 """Side of the images [px] for experts and for policies that do not say theirs."""
@@ -67,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=(),
         help="comma-separated: what is randomised beyond the training distribution",
     )
+    add_salt_argument(parser)
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument(
         "--batch-size", type=whole(1, 4096), default=32, help="worlds simulated together; no influence on the result"
@@ -102,6 +105,9 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
     parser.add_argument(
+        "--prompt", default=DEFAULT_PROMPT, help=f"with --policy vlm: what the model is asked, {' or '.join(PROMPTS)}"
+    )
+    parser.add_argument(
         "--base-url",
         help="with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from OPENAI_API_KEY",
     )
@@ -134,11 +140,11 @@ def run(args: argparse.Namespace) -> int:
     recipe = _recipe(args, actor)
     info = RunInfo(
         actor.name if args.policy == VLM else args.policy,
-        args.split,
+        stream_label(args.split, args.salt),
         args.capture,
-        " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        " ".join([Path(sys.argv[0]).name, *without_salt(sys.argv[1:])]),
         recipe.fingerprint(),
-        {"recipe": asdict(recipe), "inference": inference.label, "settings": args.set},
+        {"recipe": recipe.stored(), "inference": inference.label, "settings": args.set},
     )
     recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
     specs = _specs(args, recipe, recorder)
@@ -189,9 +195,14 @@ def _vlm(args: argparse.Namespace) -> Agent:
         args.out.mkdir(parents=True, exist_ok=True)
     audit = args.out / "vlm.jsonl" if args.out else None
     client = VlmClient(
-        args.model, args.base_url, timeout_s=args.request_timeout, prices=tuple(args.prices), audit=audit
+        args.model,
+        args.base_url,
+        timeout_s=args.request_timeout,
+        prices=tuple(args.prices),
+        prompt=args.prompt,
+        audit=audit,
     )
-    return VlmAgent(client, name=f"vlm:{args.model}", concurrency=args.batch_size)
+    return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
 
 
 def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
@@ -206,6 +217,7 @@ def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
         image_size=image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE),
         views=actor.views,
         appearance=args.appearance,
+        salt=args.salt,
     )
 
 

@@ -12,6 +12,7 @@ from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.intervals import bootstrap_means
 from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
 
 
 @dataclass(frozen=True)
@@ -55,10 +56,11 @@ def compare(
 
     Raises:
         UnknownNameError: if the metric is not registered.
-        MixedError: if they were, unless that is allowed.
+        MixedError: if they were, unless that is allowed; always if they are of different salts.
         ValueError: if no episode is in both sets with the metric applying.
     """
     aggregation = METRICS[metric].aggregation
+    refuse_mixed_streams((name, row["split"]) for name, rows in (("A", rows_a), ("B", rows_b)) for row in rows)
     if not allow_version_mismatch:
         found = [
             (f"seed {row['seed']} of {name}", row["benchmark"])

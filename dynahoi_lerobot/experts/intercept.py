@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.experts.approach import approach
+from dynahoi_lerobot.agent import Meeting
+from dynahoi_lerobot.control_class import ControlClass
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts.approach import approach, earliest_arrival
 from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 
 SPEED_M_S = 1.0
@@ -24,5 +27,19 @@ class Intercept(SingleWorldExpert):
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        path_w = world.spec.oracle_path[min(world.due_frame, world.spec.horizon_frames - 2) :]
-        return approach(world, path_w, min(SPEED_M_S, world.control.palm_speed_m_s))
+        return approach(world, _path_from(world.spec, world.due_frame), _speed(world.control))
+
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
+        """Return the meeting of its first plan, from the open hand at home."""
+        path_w, waiting = _path_from(spec, spec.window_frames), np.concatenate([spec.home_pos_w, spec.open_joints])
+        arrival = earliest_arrival(waiting, spec.reference_joints, path_w, _speed(control), control)
+        return Meeting(path_w[arrival], spec.window_frames + arrival)
+
+
+def _path_from(spec: EpisodeSpec, frame: int) -> np.ndarray:
+    """(K, 3) where the untouched target is [m], world, from ``frame`` on; K > 1."""
+    return spec.oracle_path[min(frame, spec.horizon_frames - 2) :]
+
+
+def _speed(control: ControlClass) -> float:
+    return min(SPEED_M_S, control.palm_speed_m_s)

@@ -14,6 +14,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.features import Feature, frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
+from dynahoi_lerobot.sampling.salt import sealed
 
 
 class Recipe(Protocol):
@@ -25,7 +26,7 @@ class Recipe(Protocol):
 
 
 class Record(Protocol):
-    """Plays the expert: yields the successful episodes among ``seeds``, in their order."""
+    """Plays the expert: yields the episodes among ``seeds`` that are to be stored, in their order."""
 
     def __call__(self, recipe: Any, seeds: Sequence[int], /) -> Iterator[Episode]:
         """Yield at most one episode per seed, a deterministic function of (recipe, seed)."""
@@ -62,7 +63,7 @@ class GenerationPlan:
 
     Attributes:
         recipe: what to play.
-        episodes: how many successful episodes.
+        episodes: how many to store.
         seed: the first episode's seed.
         camera: whether to store pictures, of the recipe's size.
         encoding: how to store them.
@@ -123,7 +124,7 @@ class GenerationPlan:
     def identity(self) -> dict[str, Any]:
         """Return everything that decides the dataset's bytes, as JSON values."""
         content = {
-            "recipe": asdict(self.recipe),  # type: ignore[call-overload]
+            "recipe": sealed(asdict(self.recipe)),  # type: ignore[call-overload]
             "episodes": self.episodes,
             "seed": self.seed,
             "camera": self.camera,

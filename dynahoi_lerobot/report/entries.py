@@ -14,6 +14,7 @@ from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
 from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
+from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
@@ -59,10 +60,12 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
     Raises:
         ResultsError: if a folder is missing or damaged.
-        MixedError: if they are of different versions of the benchmark, unless ``allow_version_mismatch``.
+        MixedError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
+            benchmark.
     """
     unique = dict.fromkeys(Path(folder).resolve() for folder in folders)
     results = [read_results(folder) for folder in unique]
+    refuse_mixed_streams((result.folder, result.info.split) for result in results)
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in results]
         refuse_to_mix("benchmark", found, f"evaluate both under one version, or add {ALLOW_MISMATCH}")

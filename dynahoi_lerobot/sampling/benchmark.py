@@ -1,4 +1,4 @@
-"""The benchmark: which motions, objects and seeds each split holds, how long and how far they are, and the protocol.
+"""The benchmark: which motions, objects and seeds each split holds, how long and how far they are, and the rules.
 
 What is listed here, and nothing else, decides which episodes the splits hold. Any other registered motion or object is
 played when a recipe names it and never enters a split by itself, so registering one changes no published episode.
@@ -75,7 +75,7 @@ class Histogram:
 
 
 @dataclass(frozen=True)
-class Protocol:
+class Rules:
     """What is the same for whoever is evaluated.
 
     Attributes:
@@ -107,7 +107,7 @@ class Benchmark:
 
     Attributes:
         version: results of different versions cannot be compared.
-        protocol: clocks, window, thresholds and limits of the hand.
+        rules: clocks, window, thresholds and limits of the hand.
         look: version of what the default renderer draws of hand, target and surroundings.
         splits: by name.
         durations: of L, the length of an expert's recording [frames].
@@ -115,7 +115,7 @@ class Benchmark:
     """
 
     version: str
-    protocol: Protocol
+    rules: Rules
     look: int
     splits: dict[str, Split]
     durations: Histogram
@@ -133,7 +133,7 @@ class Benchmark:
 
 BENCHMARK = Benchmark(
     version="v1-draft",
-    protocol=Protocol(),
+    rules=Rules(),
     look=1,
     splits={
         "train": Split("train", None),

@@ -6,8 +6,9 @@ import dataclasses
 import hashlib
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import draccus
 
@@ -23,6 +24,7 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
 from dynahoi_lerobot.sampling.instructions import INSTRUCTION_STYLES
 from dynahoi_lerobot.sampling.randomization import check_appearance
+from dynahoi_lerobot.sampling.salt import check_salt, sealed, stream_label
 
 MIN_HOLD_FRAMES = 12
 """The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
@@ -52,6 +54,9 @@ class Recipe:
             average two thirds of those show an object that is already held, of which a training set needs few.
         disturbance_m: standard deviation of the disturbance that is injected into the palm's commands [m]; see
             ``world.disturbance``.
+        salt: goes into the random numbers besides split and seed; empty for the public episodes. See ``salt``.
+        keep_failures: whether to record the expert's last attempt, with ``success`` false, where all of them failed;
+            otherwise another episode takes its place.
     """
 
     split: str = "train"
@@ -69,6 +74,8 @@ class Recipe:
     renderer: str = DEFAULT_RENDERER
     hold_frames: int | None = None
     disturbance_m: float = 0.0
+    salt: str = field(default="", repr=False)
+    keep_failures: bool = False
 
     def __post_init__(self) -> None:
         """Check every name against what exists.
@@ -91,6 +98,7 @@ class Recipe:
             for name in chosen:
                 registry[name]  # raises if there is none
                 self._check_split_of(noun, name)
+        check_salt(self.salt)
         check_appearance(self.appearance)
         check_views(self.views)
         if not 16 <= self.image_size <= 1024:
@@ -119,6 +127,15 @@ class Recipe:
         return self._split.speed_scale
 
     @property
+    def split_label(self) -> str:
+        """What episodes say of their split: its name, and digits that identify the salt if there is one."""
+        return stream_label(self.split, self.salt)
+
+    def stored(self) -> dict[str, Any]:
+        """Return the values as datasets and results hold them: of the salt only a hash."""
+        return sealed(dataclasses.asdict(self))
+
+    @property
     def _split(self) -> Split:
         return BENCHMARK.splits[self.split]
 
@@ -140,7 +157,7 @@ class Recipe:
             code: fingerprint of that code; by default of the code that runs.
         """
         named = [*(MOTIONS[name] for name in self.motions), *(OBJECTS[name] for name in self.objects)]
-        text = json.dumps(dataclasses.asdict(self), sort_keys=True)
+        text = json.dumps(self.stored(), sort_keys=True)
         text += (code_fingerprint() if code is None else code) + extension_fingerprint(named)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -98,7 +98,7 @@ def _arrays(made: Episode, stored: Episode) -> Iterator[str]:
 
 
 def _columns(episode: Episode) -> dict[str, np.ndarray]:
-    tables = {feature.key: np.asarray(getattr(episode, feature.name)) for feature in episode_features()}
+    tables = {feature.key: np.atleast_1d(getattr(episode, feature.name)) for feature in episode_features()}
     return content_arrays(episode) | tables
 
 

@@ -98,6 +98,18 @@ def test_a_forged_result_is_not_certified(
     assert "not certified" in said
 
 
+def test_results_of_a_salt_are_certified_by_who_knows_it(tmp_path: Path, capsys: pytest.CaptureFixture):
+    secret, folder = "a secret of sixteen letters", str(tmp_path / "results")
+    assert main(["evaluate", "--policy", "hold", "--episodes", "2", "--salt", secret, "--out", folder]) == 0
+    assert main(["certify", folder, "--salt", secret]) == 0
+    capsys.readouterr()
+    for salt in ("", "another one of sixteen letters"):
+        assert main(["certify", folder, "--salt", salt]) == 2
+        said = capsys.readouterr().err
+        assert "the results are of salt sha256:" in said
+        assert secret not in said
+
+
 def test_a_sample_is_spread_evenly():
     assert sample(10, None) == list(range(10))
     assert sample(10, 3) == [0, 4, 9]
