@@ -24,13 +24,15 @@ TOLERANCE = 1e-5
 
 PICTURE_TOLERANCE = 12.0
 """Greatest mean difference of a picture [levels of 255]: video is lossy (seen: 6.4 at 32 px, 8.3 at 16 px)."""
-SWAP_SHARE = 0.7
-"""A stored picture shows another frame if it lies beyond this share of the way from its own rendering to that frame's
-(seen in sound videos: 0.57 at most; in swapped pictures 1 less that much)."""
-ALIKE, NEIGHBOURS_ALIKE = 1.0, 3.0
-"""Frames whose renderings differ by less than this many times what coding changes in a picture, in sums of squares,
-count as alike; next to each other by more, because there an encoder may keep what it has."""
-NEIGHBOUR_FRAMES = 2
+NEARER_SHARE = 0.85
+"""A stored picture shows another frame if its mean difference from that frame's rendering is at most this share of that
+from its own (seen in sound videos: 0.99 at 32 px, 0.92 at 16 px)."""
+WAY_SHARE, WAY_RATIO = 0.7, 3.0
+"""So it does if it lies beyond this share of the way from its own rendering to that frame's, and if those two are
+further apart, in sums of squares, than this many times its own distance from the latter: what changes in a few pixels
+shows here. Sound videos have one or the other; where renderings hardly differ, an encoder may keep what it has."""
+COMPARED_PX = 32
+"""Pictures are thinned to about this side before their mean differences from all frames are taken."""
 HISTOGRAM_TOLERANCE = 0.001
 """Share of pixels whose level another renderer may change in the stored histogram."""
 
@@ -112,15 +114,24 @@ def _pictures(made: Episode, stored: Episode) -> Iterator[str]:
 
 def _frames(made: np.ndarray, stored: np.ndarray) -> Iterator[str]:
     """Yield the first stored picture that is not its frame's, (T, H, W, 3) each."""
-    own = np.array([np.abs(one.astype(np.int16) - other).mean() for one, other in zip(made, stored, strict=True)])
-    way = _way_to_others(_flat(made), _flat(stored))
-    swapped = way.max(axis=1) > SWAP_SHARE
+    levels, way = _mean_levels(made, stored), _way_to_others(_flat(made), _flat(stored))
+    own = levels.diagonal()
+    nearer = levels.min(axis=1) < NEARER_SHARE * own
+    swapped = nearer | (way.max(axis=1) > WAY_SHARE)
     wrong = swapped | (own > PICTURE_TOLERANCE)
     if not wrong.any():
         return
     frame = int(wrong.argmax())
-    shows = f", it looks like frame {int(way[frame].argmax())}" if swapped[frame] else ""
+    looks_like = levels[frame].argmin() if nearer[frame] else way[frame].argmax()
+    shows = f", it looks like frame {int(looks_like)}" if swapped[frame] else ""
     yield f"at frame {frame}, {own[frame]:.1f} levels apart{shows}"
+
+
+def _mean_levels(made: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    """Return (T stored, T made) mean differences [levels of 255] of thinned pictures."""
+    step = max(1, made.shape[1] // COMPARED_PX)
+    made, stored = (pictures[:, ::step, ::step].astype(np.int16) for pictures in (made, stored))
+    return np.stack([np.abs(made - picture).mean(axis=(1, 2, 3)) for picture in stored])
 
 
 def _flat(pictures: np.ndarray) -> np.ndarray:
@@ -135,17 +146,15 @@ def _way_to_others(made: np.ndarray, stored: np.ndarray) -> np.ndarray:
 
     Returns:
         (T, T): (s_t - m_t) . (m_u - m_t) / |m_u - m_t|^2 for stored pictures s and renderings m: 0 for a picture that
-        is its frame's, 1 for that of frame u; 0 where the renderings of t and u are alike.
+        is its frame's, 1 for that of frame u; 0 where coding may explain the difference between the two.
     """
     products = made @ made.T  # (T, T)
     size = products.diagonal()
     apart = size[:, None] + size - 2 * products
     moved = stored - made
     towards = moved @ made.T - (moved * made).sum(axis=1)[:, None]
-    frames = np.arange(len(made))
-    neighbours = np.abs(frames[:, None] - frames) <= NEIGHBOUR_FRAMES
-    alike = np.where(neighbours, NEIGHBOURS_ALIKE, ALIKE) * np.median((moved**2).sum(axis=1))
-    return np.divide(towards, apart, out=np.zeros_like(apart), where=apart > alike)
+    left = (moved**2).sum(axis=1)[:, None] - 2 * towards + apart  # |s_t - m_u|^2
+    return np.divide(towards, apart, out=np.zeros_like(apart), where=apart > WAY_RATIO * left)
 
 
 def _histograms(made: Episode, row: EpisodeRow) -> Iterator[str]:
