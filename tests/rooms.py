@@ -30,6 +30,7 @@ ROOMS = (
     "generate",
     "vlm",
     "evaluate",
+    "hub",
     "adapters",
     "report",
     "cli",
