@@ -1,4 +1,4 @@
-"""``dynahoi push``: upload a dataset, a checkpoint or results to the Hugging Face Hub."""
+"""``dynahoi push``: upload a dataset, a checkpoint, results or an environment to the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dynahoi_lerobot.hub.contents import (
     Contents,
     checkpoint_contents,
     dataset_contents,
+    environment_contents,
     kind_of,
     results_contents,
 )
@@ -24,7 +25,9 @@ DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi push``."""
-    parser.add_argument("folder", type=path, help="a dataset, a pretrained_model folder, or results of evaluate")
+    parser.add_argument(
+        "folder", type=path, help="a dataset, a pretrained_model folder, results of evaluate, or envs/hub"
+    )
     parser.add_argument("repo", help="USER/NAME on the Hub; of the checkpoint, if results are pushed")
     parser.add_argument("--private", action="store_true", help="make a private repository")
     parser.add_argument("--leaderboard", help="of results: dataset USER/NAME that lists them; USER/dynahoi by default")
@@ -70,6 +73,8 @@ def _contents(kind: str, args: argparse.Namespace, stage: Path, endpoint: str) -
         return dataset_contents(args.folder)
     if kind == "checkpoint":
         return checkpoint_contents(args.folder, args.repo)
+    if kind == "environment":
+        return environment_contents(args.folder)
     leaderboard = args.leaderboard or f"{args.repo.partition('/')[0]}/dynahoi"
     return results_contents(args.folder, stage, args.repo, leaderboard, endpoint)
 

@@ -15,8 +15,12 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.hub.checkpoint_card import checkpoint_card
 from dynahoi_lerobot.hub.eval_results import EVAL_RESULTS, eval_results_yaml, variant
 
+ENV_FILE = "env.py"
+"""What LeRobot's ``make_env("user/name")`` runs."""
 RESULTS = "results"
 """Folder of a checkpoint's repository with the result folders, whose action logs ``dynahoi certify`` replays."""
+KIND_FILES = {"dataset": INFO_PATH, "results": METRICS_FILE, "checkpoint": CONFIG, "environment": ENV_FILE}
+"""What may be pushed, and the file by which it is known."""
 HUB_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
 """Files that every repository may have, whoever wrote them."""
 
@@ -28,7 +32,8 @@ class Contents:
     Attributes:
         folder: what is uploaded, as it is.
         repo_type: ``dataset`` or ``model``.
-        identity: JSON file that tells this content from another one under the same file names, and its key for that.
+        identity: JSON file that tells this content from another one under the same file names, and its key for that;
+            empty if there is no such other one.
         tags: set on the commit, moved if they exist.
         ignored: glob patterns of what stays here.
         others: folders of the repository that belong to this content, but come with other pushes.
@@ -37,7 +42,7 @@ class Contents:
 
     folder: Path
     repo_type: str
-    identity: tuple[str, str]
+    identity: tuple[str, str] = ("", "")
     tags: tuple[str, ...] = ()
     ignored: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
@@ -86,6 +91,11 @@ def checkpoint_contents(folder: Path, repo: str) -> Contents:
     return Contents(folder, "model", (CONFIG, "type"), ignored=ignored, others=(f"{EVAL_RESULTS}/", f"{RESULTS}/"))
 
 
+def environment_contents(folder: Path) -> Contents:
+    """Return an environment of LeRobot's EnvHub, which lies in a repository like a checkpoint's."""
+    return Contents(folder, "model", ignored=("**/__pycache__/**", "__pycache__/**", ".cache/**"))
+
+
 def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpoint: str) -> Contents:
     """Return a result folder as evaluation results of the checkpoint's repository, and the folder itself.
 
@@ -111,16 +121,15 @@ def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpo
 
 
 def kind_of(folder: Path) -> str:
-    """Return what a folder holds: ``dataset``, ``checkpoint`` or ``results``.
+    """Return what a folder holds: ``dataset``, ``results``, ``checkpoint`` or ``environment``.
 
     Raises:
         ValueError: if it is none of them.
     """
-    for kind, file in (("dataset", INFO_PATH), ("results", METRICS_FILE), ("checkpoint", CONFIG)):
+    for kind, file in KIND_FILES.items():
         if (folder / file).is_file():
             return kind
     nested = sorted(folder.glob(f"**/pretrained_model/{CONFIG}"))
     hint = f"; did you mean {nested[-1].parent}?" if nested else ""
-    raise ValueError(
-        f"{folder} holds no dataset ({INFO_PATH}), checkpoint ({CONFIG}) or results ({METRICS_FILE}){hint}"
-    )
+    known = ", ".join(f"{kind} ({file})" for kind, file in KIND_FILES.items())
+    raise ValueError(f"{folder} holds none of these: {known}{hint}")

@@ -37,3 +37,10 @@ def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pyte
         return code, *capsys.readouterr()
 
     return run
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("hub") / "dataset"
+    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32"]) == 0
+    return root

@@ -16,13 +16,6 @@ from tests.hub.server import TOKEN, Hub
 REPO = "datasets/me/catching"
 
 
-@pytest.fixture(scope="session")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("hub") / "dataset"
-    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32"]) == 0
-    return root
-
-
 def test_every_file_arrives_and_both_tags_are_set(simulated: Path, hub: Hub, push: Push):
     code, out, err = push(simulated, "me/catching")
     assert code == 0, err
@@ -137,4 +130,4 @@ def test_names_that_are_none(simulated: Path, hub: Hub, push: Push, name: str):
 def test_a_folder_that_is_nothing(tmp_path: Path, push: Push):
     code, _, err = push(tmp_path, "me/catching")
     assert code == 2
-    assert "holds no dataset (meta/info.json), checkpoint (config.json) or results (metrics.json)" in err
+    assert "holds none of these: dataset (meta/info.json), results (metrics.json), checkpoint (config.json)" in err

@@ -19,7 +19,10 @@ from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, HAND_DOF
 
 LICENSE = "apache-2.0"
 HOMEPAGE = "the Python package `dynahoi_lerobot`"
-PAPER = "DynaHOI: Benchmarking Hand-Object Interaction for Dynamic Target (Hu, Zhao, Zhou, Wang, Wang; 2026)"
+PAPER = (
+    "[DynaHOI: Benchmarking Hand-Object Interaction for Dynamic Target](https://github.com/HuBocheng/DynaHOI) "
+    "(Hu, Zhao, Zhou, Wang, Wang; 2026)"
+)
 CITATION = """@misc{hu2026dynahoi,
   title  = {{DynaHOI}: Benchmarking Hand-Object Interaction for Dynamic Target},
   author = {Hu and Zhao and Zhou and Wang and Wang},
