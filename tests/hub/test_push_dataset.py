@@ -55,6 +55,18 @@ def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
     assert len(sent) == len(large) - 2
 
 
+def test_stopping_it_says_how_to_go_on(simulated: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch):
+    from huggingface_hub import HfApi
+
+    def interrupted(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(HfApi, "upload_folder", interrupted)
+    code, _, err = push(simulated, "me/catching")
+    assert code == 130
+    assert err.endswith("dynahoi push: stopped; nothing is lost, and the same command goes on from here\n")
+
+
 def test_a_damaged_dataset_is_refused(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
     broken = shutil.copytree(simulated, tmp_path / "broken")
     (broken / "meta/tasks.parquet").unlink()
