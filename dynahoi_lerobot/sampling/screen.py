@@ -30,7 +30,7 @@ HIDDEN_FRAMES = (8, 7, 6)
 """Frames for which a panel is made, those tried first first; the target's extent adds to them."""
 LATEST_RETURN_FRAMES = (0, 1, 2, 3)
 """How many frames before the meeting the target may come out again; those tried first first."""
-MIN_SEEN_FRAMES = 5
+MIN_SEEN_FRAMES = 4
 """Least frames of the observation window in which a moving target is not hidden."""
 MIN_SEEN_BEFORE_FRAMES = 3
 """Of these, least frames before it vanishes."""
@@ -49,6 +49,8 @@ SPARE_M = 0.003
 """The panel hides a sphere that is larger by this than the one around the target."""
 INNER_SHARE = 0.8
 """A sphere of so much of the grasp radius is taken to be part of the target, however it is turned."""
+SLIVER_M = 0.006
+"""What shows of it beside the panel is narrower than this on the panel's plane does not count: it is about a pixel."""
 STEEPEST_RAD = 1.5
 """Lines of sight that are more oblique to the panel do not count."""
 WAY_POINTS = 24
@@ -175,10 +177,12 @@ def silhouette(eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: fl
     return low, np.where(between, eyes_w[..., 1:] + gap * np.tan(middle + half), np.inf)
 
 
-def hidden(panel: Box, eyes_w: np.ndarray, centers_w: np.ndarray, radius_m: float) -> np.ndarray:
+def hidden(
+    panel: Box, eyes_w: np.ndarray, centers_w: np.ndarray, radius_m: float, sliver_m: float = 1e-9
+) -> np.ndarray:
     """Tell from which eyes (..., 3) a panel hides all of a sphere around (..., 3) [m], world: (...) bool."""
     low, high = silhouette(eyes_w, centers_w, panel.pos[0], radius_m)
-    middle, half = np.asarray(panel.pos[1:]), np.asarray(panel.half_size[1:]) + 1e-9
+    middle, half = np.asarray(panel.pos[1:]), np.asarray(panel.half_size[1:]) + sliver_m
     return ((low >= middle - half) & (high <= middle + half)).all(axis=-1)
 
 
@@ -190,7 +194,7 @@ def _vanishes(
     All of the target is hidden if the sphere around it is; some of it shows if the sphere within it shows.
     """
     whole = hidden(panel, eye_w, sight.target_w, sight.radius_m)
-    inner = hidden(panel, eye_w, sight.target_w, sight.inner_m)
+    inner = hidden(panel, eye_w, sight.target_w, sight.inner_m, SLIVER_M)
     longest = max(map(len, _runs(inner)), default=0)
     seen = (~inner[released:window_frames]).sum()
     return bool(whole[behind].all() and longest <= MAX_HIDDEN_FRAMES and seen >= MIN_SEEN_FRAMES)
