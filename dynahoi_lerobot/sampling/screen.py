@@ -22,7 +22,7 @@ from dynahoi_lerobot.hands.gantry import CAMERA_POS
 from dynahoi_lerobot.motions import PhysicalMotion
 from dynahoi_lerobot.motions.launch import Box, Launch
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.sampling.fixture_clearance import box_distance, keeps_clear
+from dynahoi_lerobot.sampling.fixture_clearance import _hand_points, box_distance, keeps_clear
 
 MIN_HIDDEN_FRAMES, MAX_HIDDEN_FRAMES = 6, 12
 """The target vanishes for so long, 0.3 to 0.6 s, and is hidden no longer at any other time before it can be met."""
@@ -216,6 +216,9 @@ def _stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) 
         eyes = home + CAMERA_POS + share * (goal - home)
         if not keeps_clear(home[None], goal, [panel]).all() or box_distance(eyes, panel).min() < CAMERA_ROOM_M / 2:
             return False
+    way = home + share[::3] * (spec.oracle_path[meeting] - home)
+    if box_distance(way[:, None] + _hand_points(), panel).min() < 0.0:
+        return False
     return all(apart(panel, box, FIXTURE_ROOM_M) for box in launch.boxes) and _clear_of_string_and_striker(
         panel, spec, launch
     )
