@@ -31,7 +31,7 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
     palm, joints, closed = world.state[:PALM_DOF], world.state[PALM_DOF:], world.spec.reference_joints
     if world.localized:
         return np.concatenate([palm, closed])
-    arrival = _earliest_arrival(world, path_w, speed_m_s)
+    arrival = earliest_arrival(world, path_w, speed_m_s)
     towards = path_w[arrival] - palm
     longest_m = speed_m_s * CONTROL_DT
     step = towards * min(1.0 / arrival, longest_m / max(float(np.linalg.norm(towards)), 1e-12))
@@ -41,7 +41,7 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
     return np.concatenate([palm + step, joints + turn])
 
 
-def _earliest_arrival(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> int:
+def earliest_arrival(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> int:
     """Return how many frames after ``world.due_frame``, at least 1, the hand can first be there and closed."""
     frames = np.arange(1, len(path_w))
     turn_rad = np.abs(world.spec.reference_joints - world.state[PALM_DOF:]).max()

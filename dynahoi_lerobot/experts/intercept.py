@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.experts.approach import approach
-from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
+from dynahoi_lerobot.agent import WorldState
+from dynahoi_lerobot.experts.approach import approach, earliest_arrival
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView, views
 
 SPEED_M_S = 1.0
 """Faster than this it does not go, where it may."""
@@ -24,5 +25,20 @@ class Intercept(SingleWorldExpert):
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        path_w = world.spec.oracle_path[min(world.due_frame, world.spec.horizon_frames - 2) :]
-        return approach(world, path_w, min(SPEED_M_S, world.control.palm_speed_m_s))
+        return approach(world, _path_ahead(world), _speed(world))
+
+    def arrivals(self, state: WorldState) -> np.ndarray:
+        """Return (N,) int, in how many frames from now it means to meet each target; 0 without an episode."""
+        frames = np.zeros(len(state.specs), int)
+        for i, world in views(state):
+            frames[i] = world.due_frame - world.frame + earliest_arrival(world, _path_ahead(world), _speed(world))
+        return frames
+
+
+def _path_ahead(world: WorldView) -> np.ndarray:
+    """(K, 3) the untouched target's path [m], world, from the frame on at which a command takes effect; K > 1."""
+    return world.spec.oracle_path[min(world.due_frame, world.spec.horizon_frames - 2) :]
+
+
+def _speed(world: WorldView) -> float:
+    return min(SPEED_M_S, world.control.palm_speed_m_s)

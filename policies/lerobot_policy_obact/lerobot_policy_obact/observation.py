@@ -12,6 +12,7 @@ from lerobot.utils.constants import OBS_STATE
 from torch import Tensor
 
 from .configuration_obact import ObActConfig
+from .replan import rise_threshold
 
 Batch = Mapping[str, Any]
 """A preprocessed LeRobot batch: tensors by key, and the instruction(s) under "task"."""
@@ -27,6 +28,7 @@ class Observation:
         position: ``observation.state``, normalised, the reference of relative actions, shape ``(B, T, P)``; P may be
             0.
         keep: False where a frame is padding, shape ``(B, T)``.
+        watching: True where a frame is part of the observation window, shape ``(B, T)``.
         texts: one instruction per sample.
     """
 
@@ -34,6 +36,7 @@ class Observation:
     proprioception: Tensor
     position: Tensor
     keep: Tensor
+    watching: Tensor
     texts: list[str]
 
     @classmethod
@@ -50,6 +53,7 @@ class Observation:
             proprioception=torch.cat(vectors, dim=-1) if vectors else empty,
             position=_with_time(batch[OBS_STATE], 3) if config.robot_state_feature else empty,
             keep=_frame_mask(batch, shape, device),
+            watching=_watching(batch, config, shape, device),
             texts=_texts(batch, shape[0]),
         )
 
@@ -60,6 +64,7 @@ class Observation:
             self.proprioception[:, index],
             self.position[:, index],
             self.keep[:, index],
+            self.watching[:, index],
             self.texts,
         )
 
@@ -80,6 +85,14 @@ def _resize(images: Tensor, size: int) -> Tensor:
 def _frame_mask(batch: Batch, shape: torch.Size, device: torch.device) -> Tensor:
     pads = [value for key, value in batch.items() if key.startswith("observation.") and key.endswith("_is_pad")]
     return ~_with_time(pads[0].bool(), 2) if pads else torch.ones(*shape, dtype=torch.bool, device=device)
+
+
+def _watching(batch: Batch, config: ObActConfig, shape: torch.Size, device: torch.device) -> Tensor:
+    """Return which frames precede the rise of ``replan_key``; without that key any frame may be remembered."""
+    value = batch.get(config.replan_key)
+    if value is None:
+        return torch.ones(*shape, dtype=torch.bool, device=device)
+    return value.reshape(*shape, -1)[..., -1] < rise_threshold(config, None)
 
 
 def _texts(batch: Batch, n: int) -> list[str]:

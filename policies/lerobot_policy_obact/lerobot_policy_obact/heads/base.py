@@ -10,6 +10,7 @@ from typing import ClassVar
 from torch import Tensor, nn
 
 from ..registry import Registry
+from ..track import Track
 
 heads: Registry[type[ActionHead]] = Registry("head")
 
@@ -31,6 +32,8 @@ class ActionSpec:
         width: size of the condition tokens, ``D``.
         n_heads: attention heads.
         dropout: dropout probability.
+        fps: frame rate [Hz].
+        latency_frames: leading actions of a chunk that lie in the past when it is ready.
     """
 
     horizon: int
@@ -39,6 +42,8 @@ class ActionSpec:
     width: int
     n_heads: int
     dropout: float
+    fps: float = 20.0
+    latency_frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -48,14 +53,21 @@ class Condition:
     Attributes:
         tokens: fused image, proprioception and text tokens, shape ``(B, N, D)``.
         state: current proprioception, normalised, shape ``(B, S)``.
+        position: current ``observation.state``, normalised, shape ``(B, P)``.
+        track: where the target has been seen, if the backbone is an eye.
+        pending: change of the state that is commanded and has not taken effect, shape ``(B, A)``; None for none.
     """
 
     tokens: Tensor
     state: Tensor
+    position: Tensor
+    track: Track | None = None
+    pending: Tensor | None = None
 
     def repeat(self, n: int) -> Condition:
         """Return the condition with every row repeated ``n`` times, ``(B * n, ...)``."""
-        return Condition(self.tokens.repeat_interleave(n, 0), self.state.repeat_interleave(n, 0))
+        tokens, state, position = (x.repeat_interleave(n, 0) for x in (self.tokens, self.state, self.position))
+        return Condition(tokens, state, position, self.track)
 
 
 class ActionHead(nn.Module, ABC):
@@ -68,6 +80,7 @@ class ActionHead(nn.Module, ABC):
     """
 
     accepts_guide: ClassVar[bool] = False
+    forecasts: ClassVar[bool] = False
 
     def __init__(self, spec: ActionSpec) -> None:
         super().__init__()

@@ -1,0 +1,80 @@
+"""Pictures of random configurations, posed without physics, with where the target is: what an eye learns from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.rollout.loop import make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+
+POSES = 8
+"""Configurations of a world before it shows another episode: to begin one costs as much as several pictures."""
+APPROACH_SHARE = 0.6
+"""Share of the pictures with the palm on its way to the target; in the others it is anywhere behind it."""
+STRAY_M = 0.04
+"""Standard deviation of the palm from the straight way to the target, along each axis [m]."""
+LEAD_FRAMES = 24
+"""The way leads to where the target is at most this many frames later."""
+NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
+"""Range of the target's position relative to the palm in the other pictures [m], world axes."""
+OPEN_SHARE = 0.5
+LOWEST_PALM_M = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshots:
+    """N pictures of as many worlds.
+
+    Attributes:
+        images: (N, H, W, 3) uint8 RGB of the hand's camera.
+        offset: (N, 3) float32 target centre relative to the palm centre [m], world axes.
+    """
+
+    images: np.ndarray
+    offset: np.ndarray
+
+
+def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator) -> Iterator[Snapshots]:
+    """Yield pictures for ever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
+
+    Args:
+        recipe: of the episodes, for hand, renderer and image size.
+        specs: episodes whose objects, paths and surroundings are shown; each serves many pictures.
+        size: worlds that are rendered together.
+        rng: source of every draw.
+    """
+    batch, everyone = make_batch(recipe, size, threads=1), np.arange(size)
+    while True:
+        chosen = [specs[i] for i in rng.choice(len(specs), size)]
+        batch.reset(everyone, chosen)
+        for _ in range(POSES):
+            target = np.stack([spec.oracle_path[rng.integers(len(spec.oracle_path))] for spec in chosen])
+            hand = np.stack([_hand(spec, at, rng) for spec, at in zip(chosen, target, strict=True)])
+            batch.place(hand, np.concatenate([target, _turns(size, rng)], axis=1))
+            images = batch.observe(images=True).images[EGO_VIEW]
+            yield Snapshots(images, (target - hand[:, :PALM_DOF]).astype(np.float32))
+
+
+def _hand(spec: EpisodeSpec, target_w: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw (18,) a hand that may see a target at (3,) [m], world."""
+    if rng.random() < APPROACH_SHARE:
+        frame = int(np.linalg.norm(spec.oracle_path - target_w, axis=1).argmin())
+        goal = spec.oracle_path[min(frame + rng.integers(LEAD_FRAMES), len(spec.oracle_path) - 1)]
+        palm = spec.home_pos_w + rng.random() * (goal - spec.home_pos_w) + rng.normal(0.0, STRAY_M, PALM_DOF)
+    else:
+        palm = target_w - rng.uniform(NEAREST_M, FARTHEST_M)
+    palm[2] = max(palm[2], LOWEST_PALM_M)
+    closed = 0.0 if rng.random() < OPEN_SHARE else rng.random()
+    joints = spec.open_joints + closed * (spec.reference_joints - spec.open_joints)
+    return np.concatenate([palm, joints])
+
+
+def _turns(count: int, rng: np.random.Generator) -> np.ndarray:
+    """(n, 4) random orientations, quaternions wxyz."""
+    quat = rng.normal(size=(count, 4))
+    return quat / np.linalg.norm(quat, axis=1, keepdims=True)

@@ -1,0 +1,138 @@
+"""A head for hands of limited speed: it predicts the target's path, and goes where the hand can first meet it.
+
+The network predicts where the target will be at a few times, as a correction of the straight line through its latest
+sightings, and how far the fingers must close. The chunk follows from that by `reach.py`: at a limit, *where* to go is
+a question for the network, and how fast is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from ..attention import Attention
+from ..reach import Reach, close_in_time, earliest_meeting, first_contact, palm_path
+from ..track import N_SIGHTING, Track
+from .base import ActionHead, ActionSpec, Condition, Guide, heads
+
+KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
+"""Frames ahead at which the path is predicted; it is straight in between."""
+PALM_DIM = 3
+CLOSED_QUANTILE = 0.7
+"""Fingers that close too little lose the target, and fingers that close a little too much do not."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What is predicted for ``R`` decisions, and what it is compared with.
+
+    Attributes:
+        path: offsets of the target from the palm of the current frame at `KNOTS` [m], shape ``(R, K, 3)``.
+        closed: joint angles that close the hand around the target [rad], shape ``(R, J)``.
+    """
+
+    path: Tensor
+    closed: Tensor
+
+
+@heads.register("intercept")
+class InterceptHead(ActionHead):
+    """Forecast, meeting point, straight approach. Needs an eye, and states and actions in metres and radians.
+
+    Args:
+        spec: sizes of the head and of its inputs.
+        palm_speed_m_s: the palm's greatest speed.
+        joint_speed_rad_s: that of each finger joint.
+        spare_frames: fingers are closed this long before the target is expected within reach of them.
+    """
+
+    forecasts = True
+
+    def __init__(
+        self, spec: ActionSpec, *, palm_speed_m_s: float = 0.5, joint_speed_rad_s: float = 20.0, spare_frames: int = 4
+    ) -> None:
+        super().__init__(spec)
+        self.reach = Reach(palm_speed_m_s / spec.fps, joint_speed_rad_s / spec.fps, spare_frames)
+        width, n_knots, n_joints = spec.width, len(KNOTS), spec.action_dim - PALM_DIM
+        self.sizes = [3 * n_knots, n_knots, n_joints]
+        self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
+        self.pool = Attention(width, spec.n_heads, spec.dropout)
+        n_in = 2 * width + 6 + N_SIGHTING + n_joints
+        self.net = nn.Sequential(
+            nn.Linear(n_in, 2 * width), nn.SiLU(), nn.Linear(2 * width, width), nn.SiLU(),
+            nn.Linear(width, sum(self.sizes)),
+        )  # fmt: skip
+        nn.init.zeros_(self.net[-1].weight)
+        nn.init.zeros_(self.net[-1].bias)
+        self.register_buffer("ahead_s", torch.tensor(KNOTS) / spec.fps, persistent=False)
+        self.register_buffer("between", interpolation(KNOTS), persistent=False)
+
+    def forecast(self, condition: Condition) -> Forecast:
+        """Predict the path and the grasp."""
+        track, n = _track_of(condition), len(condition.tokens)
+        pooled = self.pool(self.query.expand(n, -1, -1), condition.tokens)[:, 0]
+        joints = self._joints(condition)
+        context = torch.cat([condition.tokens[:, 0], pooled, track.features(), joints], dim=-1)
+        bend, damping, closed = self.net(context).split(self.sizes, dim=-1)
+        ahead = self.ahead_s[:, None]  # (K, 1)
+        straight = track.velocity[:, None] * ahead * torch.sigmoid(damping[..., None] + 1 - ahead)
+        bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead)
+        return Forecast(track.offset[:, None] + straight + bend, closed)
+
+    def _start(self, condition: Condition) -> Tensor:
+        """Return where the hand is when the next command takes effect, its palm relative to where it is now."""
+        start = torch.cat([torch.zeros_like(condition.position[:, :PALM_DIM]), self._joints(condition)], dim=-1)
+        return start if condition.pending is None else start + condition.pending
+
+    def _joints(self, condition: Condition) -> Tensor:
+        return condition.position[:, PALM_DIM : self.spec.action_dim]
+
+    def forecast_loss(self, label: Forecast, condition: Condition, arrival: Tensor, known: Tensor) -> Tensor:
+        """Return the loss of each decision, ``(R,)``: distance along the path, above all where they will meet.
+
+        Args:
+            label: the true path and grasp.
+            condition: what the forecast is conditioned on.
+            arrival: frames until the teacher meets the target, shape ``(R,)``.
+            known: False where the true path is not known, shape ``(R, K)``.
+        """
+        forecast = self.forecast(condition)
+        error = (forecast.path - label.path).square().sum(-1).add(1e-8).sqrt() * known  # (R, K)
+        meeting = self.between[arrival.long().clamp(0, KNOTS[-1])]  # (R, K)
+        distance = (error / (0.05 + 0.3 * self.ahead_s)).mean(-1) + (error * meeting).sum(-1) / 0.1
+        missing = label.closed - forecast.closed
+        grasp = torch.maximum(CLOSED_QUANTILE * missing, (CLOSED_QUANTILE - 1) * missing)
+        return distance + grasp.mean(-1)
+
+    def loss(self, actions: Tensor, condition: Condition) -> Tensor:
+        """Not defined: actions alone do not say where a target goes."""
+        raise NotImplementedError("head 'intercept' learns from the target's path: use forecast_loss.")
+
+    def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
+        """See `ActionHead.sample`; the noise is ignored, and palm targets are relative to the palm [m]."""
+        forecast, start = self.forecast(condition), self._start(condition)
+        late, joints = self.spec.latency_frames, start[:, PALM_DIM:]
+        path = (self.between @ forecast.path)[:, late:] - start[:, None, :PALM_DIM]  # (B, F + 1, 3)
+        turn = (forecast.closed - joints).abs().amax(-1)
+        palm = palm_path(path, earliest_meeting(path, turn, self.reach), self.reach)
+        n_steps = self.spec.horizon - late
+        fingers = close_in_time(joints, forecast.closed, first_contact(palm, path), n_steps, self.reach)
+        moves = torch.cat([palm[:, 1 : n_steps + 1] + start[:, None, :PALM_DIM], fingers], dim=-1)
+        return torch.cat([start[:, None].expand(-1, late, -1), moves], dim=1)
+
+
+def interpolation(knots: tuple[int, ...]) -> Tensor:
+    """Return (F + 1, K) weights of the knots at each frame from 0 to the last knot, piecewise linear."""
+    frames = torch.arange(knots[-1] + 1, dtype=torch.float32)[:, None]
+    at = torch.tensor(knots, dtype=torch.float32)
+    right = ((frames - at[:-1]) / at.diff()).clamp(0, 1)  # (F + 1, K - 1) progress through each segment
+    ones, zeros = torch.ones(len(frames), 1), torch.zeros(len(frames), 1)
+    return torch.cat([ones, right], dim=1) - torch.cat([right, zeros], dim=1)
+
+
+def _track_of(condition: Condition) -> Track:
+    if condition.track is None:
+        raise ValueError("head 'intercept' needs a backbone that locates the target, such as 'eye'.")
+    return condition.track
