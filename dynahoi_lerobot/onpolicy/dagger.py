@@ -131,4 +131,3 @@ def scores(episodes: tuple[Episode, ...] | list[Episode]) -> dict[str, float | N
     measured = [measure(episode) for episode in episodes]
     found = {name: [row[name] for row in measured if row[name] is not None] for name in SCORES}
     return {name: round(100 * float(np.mean(values)), 1) if values else None for name, values in found.items()}
-

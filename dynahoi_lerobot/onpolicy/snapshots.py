@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 

@@ -153,9 +153,7 @@ class ObActConfig(PreTrainedConfig):
         """The frame offsets of a training sample."""
         n_recent = 0 if self.memory == "window" else self.n_obs_frames
         offsets = () if self.memory == "recent" else self._window_offsets(n_recent * self.obs_stride + 1)
-        return DecisionWindows(
-            n_recent, self.obs_stride, self.horizon, self.n_decisions, self.decision_stride, offsets
-        )
+        return DecisionWindows(n_recent, self.obs_stride, self.horizon, self.n_decisions, self.decision_stride, offsets)
 
     def _window_offsets(self, nearest: int) -> tuple[int, ...]:
         """Spread `n_window_frames` offsets geometrically from the nearest to `window_reach`, without repeats."""

@@ -21,18 +21,24 @@ class Decisions:
     Attributes:
         frame_index: frames in the window of each decision, its current one last, shape ``(K, W)``.
         age_s: age of those frames at the decision [s], shape ``(W,)``.
-        keep: False where a frame of a window is padding, shape ``(B, K, W)``.
+        keep: False where a frame of a window is padding, or is not remembered, shape ``(B, K, W)``.
+        exists: False where a frame is padding, shape ``(B, T)``.
         rows: wanted decisions, ``b * K + k`` each, ascending, shape ``(R,)``.
     """
 
     frame_index: Tensor
     age_s: Tensor
     keep: Tensor
+    exists: Tensor
     rows: Tensor
 
     @classmethod
     def among(
-        cls, keep: Tensor, frame_index: Sequence[Sequence[int]] | Tensor, age_s: Tensor, wanted: Tensor | None = None,
+        cls,
+        keep: Tensor,
+        frame_index: Sequence[Sequence[int]] | Tensor,
+        age_s: Tensor,
+        wanted: Tensor | None = None,
         hidden: Tensor | None = None,
     ) -> Decisions:
         """Build the decisions over frames of which some are padding.
@@ -51,7 +57,7 @@ class Decisions:
         index = index.clamp_min(0)
         window = torch.cat([window[..., :-1], torch.ones_like(window[..., -1:])], dim=-1)
         wanted = torch.ones_like(window[..., 0]) if wanted is None else wanted
-        return cls(index, age_s, window, wanted.flatten().nonzero()[:, 0])
+        return cls(index, age_s, window, keep, wanted.flatten().nonzero()[:, 0])
 
     def current(self, frames: Tensor) -> Tensor:
         """Select the current frame of each wanted decision, ``(B, T, ...) -> (R, ...)``."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-
 TENSORS = ("tokens", "proprioception", "position", "keep", "watching", "sightings")
 
 
@@ -36,10 +35,7 @@ class EncodedFrames:
     @classmethod
     def concatenate(cls, frames: list[EncodedFrames]) -> EncodedFrames:
         """Concatenate frames of the same samples along time; the instructions are those of the newest."""
-        joined = {
-            name: torch.cat([getattr(frame, name) for frame in frames], dim=1)
-            for name in TENSORS
-        }
+        joined = {name: torch.cat([getattr(frame, name) for frame in frames], dim=1) for name in TENSORS}
         return cls(**joined, texts=frames[-1].texts)
 
     def rows(self, index: list[int]) -> EncodedFrames:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 
 from .attention import SpatioTemporalAttention, feed_forward
@@ -34,6 +35,18 @@ class RecurrentMemory(nn.Module):
 
     def forward(self, frames: Tensor, decisions: Decisions) -> Tensor:
         """Add the state after each decision's frame to its tokens; frames ``(B, T, N, D)``, returns ``(R, N, D)``."""
-        states, _ = self.gru(frames.mean(2))  # (B, T, D)
-        x = decisions.current(frames) + decisions.current(states)[:, None]
+        x = decisions.current(frames)
+        x = x + decisions.current(self._states(frames.mean(2), decisions.exists))[:, None]
         return self.norm(x + self.ff(self.norm_ff(x)))
+
+    def _states(self, frames: Tensor, exists: Tensor) -> Tensor:
+        """Return the state after each frame ``(B, T, D)``; what pads a sequence in front is put behind it instead."""
+        n_padding = (~exists).long().cumprod(1).sum(1, keepdim=True)  # (B, 1)
+        place = torch.arange(frames.shape[1], device=frames.device)
+        states, _ = self.gru(_taken(frames, (place + n_padding) % len(place)))
+        return _taken(states, (place - n_padding) % len(place))
+
+
+def _taken(x: Tensor, index: Tensor) -> Tensor:
+    """Return entries ``index`` (B, T) along the second axis of ``(B, T, D)``."""
+    return x.gather(1, index[..., None].expand_as(x))

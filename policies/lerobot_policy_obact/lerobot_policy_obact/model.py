@@ -38,7 +38,9 @@ class ObActModel(nn.Module):
             config.fps, config.latency_frames,
         )  # fmt: skip
         self.head = heads.build(config.head, spec, options=config.head_options)
-        self.probe = PositionProbe(width, config.relative_dims) if config.privileged_key else None
+        self.probe = (
+            PositionProbe(width, config.relative_dims) if config.privileged_key and config.privileged_weight else None
+        )
 
     def load_pretrained(self) -> None:
         """Start from the published weights of backbone and head, where their options name any."""

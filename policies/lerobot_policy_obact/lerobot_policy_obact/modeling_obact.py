@@ -16,6 +16,7 @@ from .action_frame import ActionFrame, resolve_action_frame
 from .augment import augmented
 from .averaging import averaged_copy, match_averages
 from .configuration_obact import ObActConfig
+from .demonstrated import demonstrated
 from .frames import EncodedFrames
 from .heads.base import Guide
 from .model import ObActModel
@@ -64,7 +65,8 @@ class ObActPolicy(PreTrainedPolicy):
             self.model.load_pretrained()
         self.ema = averaged_copy(self.model, config.ema_decay) if config.ema_decay else None
         self.register_load_state_dict_pre_hook(match_averages)
-        self.objective = ImitationObjective(config, self.frame, privileged_labels(config, dataset_meta))
+        labels, forecasts = privileged_labels(config, dataset_meta), demonstrated(config, dataset_meta)
+        self.objective = ImitationObjective(config, self.frame, labels, forecasts)
         self.planner = ChunkPlanner(config, self.frame)
         self.set_dataset_stats(dataset_stats)
         self.init_rtc_processor()
