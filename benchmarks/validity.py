@@ -3,8 +3,8 @@
 python benchmarks/validity.py [--episodes 220] [--control standard late] [--search 1760 --save FILE] [--json FILE]
 
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
-what it would score on as many episodes that it has not seen and on the split. --save writes it, in the format of
-experts/blind_path.csv.
+what it would score on as many episodes that it has not seen and on the split. --homes K looks for K paths instead, one
+for each cluster of homes. --save writes what was found, in the format of experts/blind_path.csv or nearest_home.csv.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from support.home_clusters import cluster, hits_by_cluster, homes_of, nearest
 from support.options import benchmark_parser, write_numbers
-from support.path_search import hits_along, relative_paths, search_path
+from support.path_search import relative_paths, search_path
 
 from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
@@ -28,7 +29,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
-BASELINES = ("hold", "blind_path", "pursuit", "constant_velocity", "constant_acceleration", "intercept")
+BASELINES = ("hold", "blind_path", "nearest_home", "pursuit", "constant_velocity", "constant_acceleration", "intercept")
 WORLDS = 64
 SEARCHED_FRAMES, WIDTH, FINENESS = 80, 64, 2
 Rate = dict[str, float]
@@ -41,7 +42,8 @@ def main() -> None:
     parser.add_argument("--control", nargs="+", choices=list(CONTROL_CLASSES), default=["standard", "late"])
     parser.add_argument("--baselines", nargs="+", choices=EXPERTS.names(), default=list(BASELINES))
     parser.add_argument("--search", type=int, default=0, help="episodes of train to search a fixed path on; 0 for none")
-    parser.add_argument("--save", type=Path, help="file for the path found")
+    parser.add_argument("--homes", type=int, default=1, help="search a path for each of so many clusters of homes")
+    parser.add_argument("--save", type=Path, help="file for what was found")
     args = parser.parse_args()
     specs = sample_specs(Recipe(split=args.split), range(args.episodes), threads=0)
     found = search(args, specs) if args.search else {}
@@ -73,23 +75,31 @@ def rate(outcomes: Sequence[bool]) -> Rate:
 
 
 def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, Rate]:
-    """Search a fixed path; print and return how many episodes it meets of those searched, of others, and of the split.
+    """Search fixed paths; print and return how many episodes they meet of those searched, of others, and of the split.
 
     Targets and palm are taken to move straight between frames; nothing is simulated.
     """
     train = sample_specs(Recipe(split="train"), range(2 * args.search), threads=0)
-    searched = relative_paths(train[: args.search], SEARCHED_FRAMES)
-    path = search_path(searched, CONTROL_CLASSES["standard"].palm_speed_m_s, WIDTH, FINENESS)
-    others, split = (relative_paths(part, SEARCHED_FRAMES) for part in (train[args.search :], specs))
-    rates = {
-        label: rate(hits_along(path, targets).tolist())
-        for label, targets in (("searched", searched), ("other train", others), (args.split, split))
-    }
-    for label, row in rates.items():
-        print(f"fixed path on {label:12s} {row['value']:5.1f} [{row['low']:5.1f}, {row['high']:5.1f}]")
+    parts = {"searched": train[: args.search], "other train": train[args.search :], args.split: specs}
+    table = search_paths(parts["searched"], args.homes)
+    rates = {}
+    for label, part in parts.items():
+        met = hits_by_cluster(homes_of(part), relative_paths(part, SEARCHED_FRAMES), table)
+        rates[label] = rate(met.tolist())
+        print("fixed path on {:12s} {value:5.1f} [{low:5.1f}, {high:5.1f}]".format(label, **rates[label]))
     if args.save:
-        np.savetxt(args.save, path, fmt="%.4f", delimiter=",")
+        centres, paths = table
+        rows = paths[0] if args.homes == 1 else np.hstack([centres, paths.reshape(len(paths), -1)])
+        np.savetxt(args.save, rows, fmt="%.4f", delimiter=",")
     return rates
+
+
+def search_paths(specs: Sequence[EpisodeSpec], clusters: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return (C, 3) the centres of clusters of homes [m], world, and (C, K, 3) the path found for each."""
+    targets, homes_w = relative_paths(specs, SEARCHED_FRAMES), homes_of(specs)
+    centres = cluster(homes_w, clusters)
+    labels, speed = nearest(homes_w, centres), CONTROL_CLASSES["standard"].palm_speed_m_s
+    return centres, np.stack([search_path(targets[labels == k], speed, WIDTH, FINENESS) for k in range(clusters)])
 
 
 if __name__ == "__main__":

@@ -18,10 +18,12 @@ if TYPE_CHECKING:
 class Observation:
     """What a policy may see of N worlds at one frame.
 
+    The home frame has the axes of the world and its origin where the palm waits in this episode.
+
     Attributes:
         images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
-        state: (N, 18) float32, palm centre position [m] world and joint angles [rad].
-        fingertips: (N, 30) float32, 5 x (position [m], rotation vector [rad]), world.
+        state: (N, 18) float32, palm centre position [m], home frame, and joint angles [rad].
+        fingertips: (N, 30) float32, 5 x (position [m], home frame, rotation vector [rad]).
         phase: (N, 1) float32, 0 observing, 1 acting.
         tasks: N instructions.
         touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
@@ -44,12 +46,14 @@ class WorldState:
         specs: the N episodes being played, None where no world is in use; each knows its untouched target's path.
         frame: (N,) int, frame index within the episode.
         attempt: (N,) int, 1 for the first try at an episode.
-        target_pose: (N, 7) position [m] and quaternion wxyz, world.
-        target_velocity: (N, 6) linear [m/s] and angular [rad/s], world.
+        target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
+        target_velocity: (N, 6) linear [m/s] and angular [rad/s], along the world's axes.
         target_contacts: (N, 5) 1 where the finger touches the target.
         localized: (N,) bool, the target has been localised in the control phase.
         control: the limits of the hand and the latency of its commands.
-        state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect, [m] and [rad].
+        localization_radius_m: palm centre to target centre, below which the target is localised [m].
+        state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect: [m],
+            home frame, and [rad].
     """
 
     observation: Observation
@@ -61,6 +65,7 @@ class WorldState:
     target_contacts: np.ndarray
     localized: np.ndarray
     control: ControlClass
+    localization_radius_m: float
     state_when_due: np.ndarray
 
 
@@ -94,7 +99,7 @@ class Actor(ABC):
 
     @abstractmethod
     def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame.
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame.
 
         Args:
             observation: what a policy may see.
@@ -115,7 +120,46 @@ class Agent(Actor):
 
     @abstractmethod
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame."""
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What an inference returns, for n worlds.
+
+    Attributes:
+        actions: (n, H, 18) commands for the observed frame and those after it.
+        seconds: (n,) what the inference took [s].
+    """
+
+    actions: np.ndarray
+    seconds: np.ndarray
+
+
+class ChunkAgent(Agent):
+    """An agent that can say what it would do in the next frames.
+
+    Attributes:
+        accepts_guidance: whether ``plan`` can continue what the previous chunk has committed to.
+    """
+
+    accepts_guidance: bool = False
+
+    def watch(self, observation: Observation) -> None:
+        """Note a frame in which no chunk is asked for."""
+
+    @abstractmethod
+    def plan(
+        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+    ) -> Plan:
+        """Return a chunk for each of some worlds; it counts as noting the frame.
+
+        Args:
+            observation: of all worlds.
+            worlds: (n,) sorted worlds that need a chunk.
+            executed: actions of the previous chunk that are past, to continue the others; None for a chunk of its own.
+            delay: actions that will be past when this chunk is ready.
+        """
 
 
 class Expert(Actor):
@@ -135,4 +179,4 @@ class Expert(Actor):
 
     @abstractmethod
     def act(self, world: WorldState) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m] world and joint angles [rad] for the next frame."""
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""

@@ -17,21 +17,22 @@ class EpisodeMeta:
 
     Attributes:
         seed: the seed that determines everything drawn for the episode.
-        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``).
+        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``), and digits of a salt's hash.
         motion: kind of motion, one of the 22 names.
         category: its category, one of the 8 names.
         object: the object's name, one of the 11.
-        parameters: the motion's parameters, JSON with SI units.
+        parameters: the motion's parameters, JSON with SI units, world frame.
         task: the instruction given to the policy.
         agent: who moved the hand (``intercept``, ``hold``, a policy's name).
-        capture: the capture rule, ``attach`` or ``contact``.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
+        protocol: see `protocol.py`.
         control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.
         window_frames: length of the observation window [frames].
         length_frames: L, the length of the expert's recording [frames]; a policy gets L control steps.
         intercept_frame: frame at which the oracle intercept takes place, counted from the episode's start.
         attempts: how many attempts the agent needed, from 1.
         fingerprint: identifies the code and recipe that made the episode.
+        benchmark: version of the benchmark that the episode was drawn and played under.
     """
 
     seed: int
@@ -50,6 +51,7 @@ class EpisodeMeta:
     intercept_frame: int
     attempts: int
     fingerprint: str
+    benchmark: str
 
     @property
     def motion_parameters(self) -> dict[str, Any]:
@@ -61,7 +63,7 @@ class EpisodeMeta:
 class Episode:
     """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
 
-    World frame, SI units; `features.py` has shapes, units and names of all arrays. ``state[t]`` is measured at time
+    Home frame, SI units; `features.py` has shapes, units and names of all arrays. ``state[t]`` is measured at time
     t * 0.05 s, ``action[t]`` is the command executed from then until frame t + 1. The window is frames
     ``[0, window_frames)``; control starts at frame ``window_frames``.
 
@@ -82,6 +84,7 @@ class Episode:
         captured: (T,) bool, the capture rule regards the target as captured at this frame.
         intercept_position: (3,) float32 [m], the oracle intercept.
         intercept_time: the oracle intercept's time [s] from the episode's start.
+        home_position: (3,) float32 [m], the home frame's origin, world.
         open_joints: (15,) float32 [rad], joint angles of the open hand.
         reference_joints: (15,) float32 [rad], joint angles of the reference grasp of this object.
         success: the capture rule's verdict on the whole episode.
@@ -106,6 +109,7 @@ class Episode:
     captured: np.ndarray = field(repr=False)
     intercept_position: np.ndarray = field(repr=False)
     intercept_time: float
+    home_position: np.ndarray = field(repr=False)
     open_joints: np.ndarray = field(repr=False)
     reference_joints: np.ndarray = field(repr=False)
     success: bool
@@ -122,8 +126,8 @@ class Episode:
         return slice(self.meta.window_frames, len(self))
 
     @property
-    def palm_pos_w(self) -> np.ndarray:
-        """(T, 3) palm centre positions [m], world."""
+    def palm_pos_h(self) -> np.ndarray:
+        """(T, 3) palm centre positions [m], home frame."""
         return self.state[:, :PALM_DOF]
 
     @property

@@ -26,7 +26,7 @@ class EpisodeSpec:
         target: the object to catch.
         appearance: textures, colours and light.
         task: the instruction.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        protocol: see `protocol.py`.
         hand: registered name of the hand.
         window_frames: length of the observation window, 0 without one.
         length_frames: L, length of the expert's recording; a policy gets L control steps.
@@ -65,7 +65,12 @@ class EpisodeSpec:
     @property
     def travel_m(self) -> float:
         """Straight distance from home to the intercept [m]."""
-        return float(np.linalg.norm(self.intercept_pos_w - self.home_pos_w))
+        return float(np.linalg.norm(self.intercept_pos_h))
+
+    @property
+    def intercept_pos_h(self) -> np.ndarray:
+        """(3,) position of the untouched target at the intercept [m], home frame."""
+        return self.intercept_pos_w - self.home_pos_w
 
     @property
     def horizon_frames(self) -> int:

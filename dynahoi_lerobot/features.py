@@ -1,5 +1,8 @@
 """The one feature table: every array of an episode, and what it is called in each interface.
 
+Positions are in the home frame: axes of the world (z up, the open palm faces +x), origin where the palm's centre waits
+in this episode. Rotations and velocities are along the same axes.
+
 From ``FEATURES`` are derived the Gymnasium spaces (`env/spaces.py`), the features of ``--env.type=dynahoi``, what a
 rollout records (`rollout/recorder.py`), the dataset's columns and reader (`dataset/columns.py`) and the documentation
 (``dynahoi list features``). A new feature is one entry here, an attribute of that name in ``Episode`` (and in
@@ -96,11 +99,11 @@ class Feature:
 _TABLE = (
     Feature(
         "state", "observation.state", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "palm centre position, world; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
+        "palm centre position, home frame; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
     ),
     Feature(
         "fingertips", "observation.fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
-        "position and rotation vector of each fingertip, world", gym_key="fingertips", low=-10.0, high=10.0,
+        "position, home frame, and rotation vector of each fingertip", gym_key="fingertips", low=-10.0, high=10.0,
     ),
     Feature(
         "phase", "observation.phase", (1,), ("phase",), "1",
@@ -113,16 +116,19 @@ _TABLE = (
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "target for the next frame, after clipping: palm centre position, world; joint angles", gym_key="action",
+        "target for the next frame, after clipping: palm centre position, home frame; joint angles", gym_key="action",
     ),
-    Feature("target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position and quaternion wxyz, world"),
+    Feature(
+        "target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
+    ),
     Feature(
         "target_velocity", "target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
-        "target linear and angular velocity, world",
+        "target linear and angular velocity, along the world's axes",
     ),
     Feature("target_contacts", "target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
     Feature(
-        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, world", constant=True
+        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, home frame",
+        constant=True,
     ),
     Feature(
         "intercept_time", "intercept.time", (), ("time",), "s", "time of the oracle intercept in the episode",
@@ -137,6 +143,10 @@ _TABLE = (
     Feature(
         "fingertip_distance", "stats/fingertip_distance", (), ("distance",), "m",
         "least distance of a fingertip to the target's surface, 0 inside",
+    ),
+    Feature(
+        "home_position", "stats/home_position", (3,), POSITION_NAMES, "m",
+        "origin of the home frame, world; the floor is at z = 0", constant=True,
     ),
     Feature(
         "open_joints", "stats/open_joints", (FINGER_DOF,), JOINT_NAMES, "rad", "joint angles of the open hand",

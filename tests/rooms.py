@@ -35,7 +35,7 @@ ROOMS = (
     "report",
     "cli",
 )
-"""``nouns`` are the modules beside the folders: episode, episode_spec, agent, appearance, features."""
+"""``nouns`` are the modules beside the folders, such as episode, agent and control_class."""
 
 
 def room_of(module: str) -> str:

@@ -7,6 +7,7 @@ import numpy as np
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.world.batch import TOUCH_M
 
 REFERENCE = np.full(15, 1.0, np.float32)
@@ -17,9 +18,9 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     rng = np.random.default_rng(seed)
     window = max(8, frames // 5)
     arrival = window + (frames - window) // 2
-    home, meeting = np.array([0.0, 0.0, 1.0]), np.array([0.3, 0.1, 1.05])
+    home_w, meeting = np.array([0.0, 0.0, 1.0]), np.array([0.3, 0.1, 0.05])
     progress = np.clip((np.arange(frames) - window) / (arrival - window), 0, 1)[:, None]
-    palm = home + progress * (meeting - home)
+    palm = progress * meeting
     velocity = rng.uniform(-0.2, 0.2, 3)
     moving = np.minimum(np.arange(frames), arrival)[:, None] - arrival
     target = meeting + [0, 0, miss_m] + moving * CONTROL_DT * velocity
@@ -37,10 +38,12 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     pose = np.hstack([target, np.tile([1.0, 0, 0, 0], (frames, 1))])
     meta = EpisodeMeta(
         seed=seed, split="train", motion="constant", category="straight_line", object="ball",
-        parameters=_straight(meeting + [0, 0, miss_m], velocity, arrival * CONTROL_DT), task="Catch the moving ball.",
+        parameters=_straight(home_w + meeting + [0, 0, miss_m], velocity, arrival * CONTROL_DT),
+        task="Catch the moving ball.",
         agent="intercept", capture="attach", protocol="observe_before_act", control_class="standard",
         window_frames=window,
         length_frames=frames, intercept_frame=arrival, attempts=1, fingerprint="synthetic",
+        benchmark=BENCHMARK.version,
     )  # fmt: skip
     return Episode(
         meta=meta, images=images, state=state,
@@ -52,6 +55,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
         palm_distance=distance.astype(np.float32),
         fingertip_distance=tips.astype(np.float32), localized=localized,
         captured=localized, intercept_position=meeting.astype(np.float32), intercept_time=arrival * CONTROL_DT,
+        home_position=home_w.astype(np.float32),
         open_joints=np.zeros(15, np.float32), reference_joints=REFERENCE, success=bool(localized[-1]),
         stage="captured" if localized[-1] else "missed",
     )  # fmt: skip

@@ -22,7 +22,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.features import CAMERA_KEY, FEATURES, frame_features, image_feature
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
 from dynahoi_lerobot.scene.target_drive import drive_for
@@ -59,15 +59,18 @@ class StraightforwardEnv(gym.Env):
         self._writer._batch.get_data(0, self.data)
         mujoco.mj_forward(self.model, self.data)
         self._force = drive_for(spec.motion, spec.target, spec.horizon_frames).force_w
-        self.executed = np.concatenate([spec.home_pos_w, spec.open_joints])
+        self.origin = np.concatenate([spec.home_pos_w, np.zeros(FINGER_DOF)])  # of the home frame, world
+        self.executed = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
         return self._observe()
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         acting = self.frame >= self.spec.window_frames
         previous = self.executed
         if acting:
-            self.executed = self._servo.within_reach(np.asarray(action, float)[None], previous[None])[0]
-        set_points = self._servo.set_points(self.executed[None], previous[None])[0]
+            self.executed = self._servo.within_reach(
+                np.asarray(action, float)[None], previous[None], self.origin[None]
+            )[0]
+        set_points = self._servo.set_points(self.executed[None], previous[None])[0] + self.origin
         dof = self._scene.target_dof
         for substep in range(SUBSTEPS):
             self.data.ctrl[:] = set_points[substep]
@@ -79,7 +82,7 @@ class StraightforwardEnv(gym.Env):
         self.frame += 1
         mujoco.mj_forward(self.model, self.data)
         settled = self.localized_frame is not None and self.frame - self.localized_frame > SETTLE_FRAMES
-        late = self.frame >= self.spec.window_frames + self.spec.length_frames
+        late = self.frame > self.spec.window_frames + self.spec.length_frames
         reward = float(self.success and (settled or late))
         return self._observe(), reward, settled, late and not settled, {"is_success": self.success}
 
@@ -98,18 +101,20 @@ class StraightforwardEnv(gym.Env):
             self._renderer.close()
 
     def view(self) -> WorldView:
-        """Return what the expert sees."""
+        """Return what the expert sees, in the world frame."""
         due_frame = max(self.frame, self.spec.window_frames)
         (pose, velocity), caught = self.target_state(), self.localized_frame is not None
-        control = self._writer.control
+        state, position = self.executed + self.origin, pose[:3] + self.spec.home_pos_w
         return WorldView(
-            self.spec, self.executed, self.frame, due_frame, pose[:3], velocity[:3], caught, attempt=1, control=control
+            self.spec, state, self.frame, due_frame, position, velocity[:3], caught, 1, self._writer.control
         )
 
     def target_state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return pose (7,) and velocity (6,) of the target."""
+        """Return pose (7,), home frame, and velocity (6,) of the target."""
         qpos, dof = self._scene.target_qpos, self._scene.target_dof
-        return self.data.qpos[qpos : qpos + 7].copy(), self.data.qvel[dof : dof + 6].copy()
+        pose = self.data.qpos[qpos : qpos + 7].copy()
+        pose[:3] -= self.spec.home_pos_w
+        return pose, self.data.qvel[dof : dof + 6].copy()
 
     def _observe(self) -> dict:
         tips = np.zeros((5, 6))
@@ -117,10 +122,10 @@ class StraightforwardEnv(gym.Env):
             quat = np.zeros(4)
             mujoco.mju_mat2Quat(quat, self.data.site_xmat[site])
             mujoco.mju_quat2Vel(tips[finger, 3:], quat, 1.0)
-            tips[finger, :3] = self.data.site_xpos[site]
+            tips[finger, :3] = self.data.site_xpos[site] - self.spec.home_pos_w
         return {
             "pixels": {"ego": self.render()},
-            "agent_pos": self.data.qpos[self._scene.hand_qpos].astype(np.float32),
+            "agent_pos": (self.data.qpos[self._scene.hand_qpos] - self.origin).astype(np.float32),
             "fingertips": tips.reshape(-1).astype(np.float32),
             "phase": np.float32([self.frame >= self.spec.window_frames]),
         }
@@ -134,13 +139,13 @@ class StraightforwardEnv(gym.Env):
         """Weld the target to the palm and judge the grasp."""
         scene, data, model = self._scene, self.data, self.model
         self.localized_frame = self.frame
-        joints = data.qpos[scene.hand_qpos[PALM_DOF:]]
+        palm, joints = np.split(data.qpos[scene.hand_qpos] - self.origin, [PALM_DOF])
         self.success = bool(joints_reached(joints, self.spec.open_joints, self.spec.reference_joints).all())
         model.geom_contype[scene.target_geoms] = 0
         position, quat = self.target_state()[0][:3], self.target_state()[0][3:]
         inverse, offset = np.zeros(4), np.zeros(3)
         mujoco.mju_negQuat(inverse, quat)
-        mujoco.mju_rotVecQuat(offset, data.qpos[scene.hand_qpos[:PALM_DOF]] - position, inverse)
+        mujoco.mju_rotVecQuat(offset, palm - position, inverse)
         model.eq_data[scene.weld_eq, :11] = [0, 0, 0, *offset, *inverse, 1.0]
         data.eq_active[[scene.tether_eq, scene.weld_eq]] = 0, 1
         dof = scene.target_dof
@@ -178,7 +183,7 @@ def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec) -> bool:
     """Add the frames of one episode; tell whether it succeeded."""
     seen, expert = env.begin(spec), Intercept()
     for _ in range(spec.length_frames):
-        action, target = expert.command(env.view()), env.target_state()
+        action, target = expert.command(env.view()) - env.origin, env.target_state()
         before = seen
         seen = env.step(action)[0]
         dataset.add_frame(_frame(before, env.executed, target, spec.task))

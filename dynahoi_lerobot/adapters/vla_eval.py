@@ -21,6 +21,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
 
@@ -43,7 +44,7 @@ class DynahoiBenchmark(StepBenchmark):
         image_size: int = 224,
         kinds: list[str] | None = None,
         capture: str = "attach",
-        protocol: str = "observe_before_act",
+        protocol: str = DEFAULT_PROTOCOL,
         control_class: str = DEFAULT_CONTROL_CLASS,
         send_state: bool = True,
     ) -> None:
@@ -114,7 +115,7 @@ class DynahoiBenchmark(StepBenchmark):
         return {"max_steps": 256, "action_dim": HAND_DOF}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
-        """Return the action space: absolute palm position [m] and joint angles [rad]."""
+        """Return the action space: palm position [m], absolute in the home frame, and joint angles [rad]."""
         return {"position": DimSpec("position", 3, "absolute_xyz"), "joints": DimSpec("joints", 15, "absolute_rad")}
 
     def get_observation_spec(self) -> dict[str, DimSpec]:

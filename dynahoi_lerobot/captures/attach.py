@@ -10,7 +10,6 @@ import numpy as np
 
 from dynahoi_lerobot.captures.base import CAPTURES, NO_EVENT, CaptureRule, Substeps, Track, Weld
 from dynahoi_lerobot.episode import joints_reached
-from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.scene.model import ENVIRONMENT
 
@@ -31,7 +30,7 @@ class Attach(CaptureRule):
     def events(self, substeps: Substeps) -> np.ndarray:
         """Return the closest physics step where it is within the localisation radius."""
         closest = substeps.palm_distance.argmin(axis=1)
-        inside = substeps.palm_distance.min(axis=1) < LOCALIZATION_RADIUS_M
+        inside = substeps.palm_distance.min(axis=1) < self.localization_radius_m
         return np.where(inside & substeps.acting, closest, NO_EVENT)
 
     def captured(self, track: Track) -> np.ndarray:

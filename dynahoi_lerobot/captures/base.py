@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
@@ -59,7 +60,7 @@ class Track:
         localized: (T,) bool.
         contacts: of shape (T,), what touched the target; zero if the rule uses no contact sensors.
         palm_distance: (T,) palm centre to target centre [m].
-        palm_pos_w: (T, 3) palm centre [m], world.
+        palm_pos_h: (T, 3) palm centre [m], world.
     """
 
     joints: np.ndarray
@@ -68,7 +69,7 @@ class Track:
     localized: np.ndarray
     contacts: TargetContacts
     palm_distance: np.ndarray
-    palm_pos_w: np.ndarray
+    palm_pos_h: np.ndarray
 
 
 class CaptureRule(ABC):
@@ -81,6 +82,8 @@ class CaptureRule(ABC):
     """Who demonstrates under this rule, unless a recipe says otherwise."""
     hand: ClassVar[str]
     """The hand that plays under it, likewise."""
+    localization_radius_m: ClassVar[float] = LOCALIZATION_RADIUS_M
+    """Palm centre to target centre, below which the target is localised [m]; all metrics follow it."""
     gantry_speed_m_s: ClassVar[float | None] = None
     """Speed limit of each axis of the palm's gantry [m/s], where the rule replaces that of the control class."""
     uses_contact_sensors: ClassVar[bool] = False

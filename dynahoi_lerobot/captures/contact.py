@@ -64,7 +64,7 @@ class Contact(CaptureRule):
 
     def success(self, track: Track) -> bool:
         """Return whether a grip lasted long enough on a moving hand."""
-        steps_m = np.linalg.norm(np.diff(track.palm_pos_w, axis=0, prepend=track.palm_pos_w[:1]), axis=1)
+        steps_m = np.linalg.norm(np.diff(track.palm_pos_h, axis=0, prepend=track.palm_pos_h[:1]), axis=1)
         travel_m = np.concatenate([[0.0], np.cumsum(steps_m)])  # of the palm, before each frame and at the end
         moved_m = travel_m[HELD_FRAMES:] - travel_m[:-HELD_FRAMES]  # from frame t to t + HELD_FRAMES
         return any(

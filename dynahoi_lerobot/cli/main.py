@@ -19,6 +19,7 @@ COMMANDS = {
     "pretrain": ("dynahoi_lerobot.onpolicy.pretrain_command", "train a policy's eye on pictures of random poses"),
     "dagger": ("dynahoi_lerobot.onpolicy.command", "train a policy on its own episodes, with a teacher, in memory"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "run a policy or an expert on a split and compute every metric"),
+    "certify": ("dynahoi_lerobot.evaluate.certify_command", "replay an evaluation and compare every metric"),
     "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),
     "view": ("dynahoi_lerobot.cli.view", "write an episode as GIF, MP4 or web page"),
     "list": ("dynahoi_lerobot.cli.listing", "list motions, objects, metrics and other registered names"),

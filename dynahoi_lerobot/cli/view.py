@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import draccus
 import numpy as np
 
 from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
@@ -15,7 +14,7 @@ from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.actors import add_trust_argument, image_size_for, make_actor
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
-from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
 from dynahoi_lerobot.renderers.camera_views import VIEWS
@@ -44,7 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--split", default="test", help="with --motion: train, val, test or one of the ood_ splits")
     parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint, or the name of an expert")
-    parser.add_argument("--capture", default="attach", help="with --motion: capture rule, attach or contact")
+    parser.add_argument(
+        "--capture", default="attach", help="with --motion: capture rule, attach, attach_lenient or contact"
+    )
     parser.add_argument(
         "--control-class", default=DEFAULT_CONTROL_CLASS, help="with --motion: unlimited, standard or late"
     )
@@ -104,24 +105,14 @@ def _replayed(args: argparse.Namespace) -> Clip:
     seeds = [row["seed"] for row in results.rows]
     if args.seed not in seeds:
         raise ValueError(f"{args.results} has no episode with seed {args.seed}; it has {min(seeds)} to {max(seeds)}")
-    recipe = _recipe_of(results)
+    recipe = results.recipe()
     if recipe.fingerprint() != results.info.fingerprint:
         print("these results are of other code: the replay may differ from what was graded")
     index = seeds.index(args.seed)
     size = DEFAULT_IMAGE_SIZE if args.image_size is None else args.image_size
     shown = replace(recipe, image_size=size, views=() if args.view == "ego" else (args.view,))
-    episode = replay(shown, args.seed, results.actions[index], attempt=results.rows[index]["attempts"])
+    (episode,) = replay(shown, [results.log(index)])
     return _clip(episode, args.view, results.info.policy)
-
-
-def _recipe_of(results: Results) -> Recipe:
-    if "recipe" not in results.info.extra:
-        raise ValueError(f"{results.folder} does not say what was played; evaluate again with this version")
-    try:
-        return draccus.decode(Recipe, results.info.extra["recipe"])
-    except Exception as error:  # whatever a damaged recipe makes the decoder raise
-        reason = " ".join(str(error).split())
-        raise ValueError(f"the recipe in {results.folder} is damaged ({reason}); evaluate again") from error
 
 
 def _clip(episode: Episode, view: str, agent: str) -> Clip:

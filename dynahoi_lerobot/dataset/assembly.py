@@ -70,7 +70,9 @@ class Assembly:
         self._metadata.finish()
         metadata = self._metadata
         hashes = hash_files(self.root, self._hashes)
-        manifest = Manifest(metadata.episodes, metadata.frames, hashes, self._seeds, provenance, yields)
+        manifest = Manifest(
+            metadata.episodes, metadata.frames, hashes, self._seeds, provenance, yields, metadata.benchmark
+        )
         manifest.write(self.root)
         return manifest
 

@@ -30,6 +30,7 @@ class Manifest:
         seeds: every episode's seed, in the dataset's order.
         provenance: recipe, seed, encoding and code fingerprint of the generation plan.
         yields: how many seeds were tried and how many were kept, missed or rejected.
+        benchmark: version of the benchmark that the episodes are of.
         sha256: what the file says ``digest`` is; empty for a manifest that was not read from a file.
     """
 
@@ -39,6 +40,7 @@ class Manifest:
     seeds: list[int] = field(default_factory=list)
     provenance: dict[str, Any] = field(default_factory=dict)
     yields: dict[str, int] = field(default_factory=dict)
+    benchmark: str = ""
     sha256: str = field(default="", compare=False)
 
     @property
@@ -77,7 +79,8 @@ class Manifest:
 
 
 _TYPES = {
-    "episodes": int, "frames": int, "files": dict, "seeds": list, "provenance": dict, "yields": dict, "sha256": str,
+    "episodes": int, "frames": int, "files": dict, "seeds": list, "provenance": dict, "yields": dict, "benchmark": str,
+    "sha256": str,
 }  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.features import CAMERA_KEY
+from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 
 
 def merge(
@@ -22,6 +23,7 @@ def merge(
     *,
     limits: FileLimits | None = None,
     provenance: dict[str, Any] | None = None,
+    allow_version_mismatch: bool = False,
 ) -> Manifest:
     """Merge datasets, in the given order, into a new one; ``root`` appears when it is complete.
 
@@ -30,9 +32,11 @@ def merge(
         root: a path that does not exist yet.
         limits: file size limits.
         provenance: stored in the manifest: recipe, seed, encoding and code fingerprint.
+        allow_version_mismatch: merge datasets of different versions of the benchmark; the manifest then names all.
 
     Raises:
         FileExistsError: if ``root`` exists.
+        MixedError: if their versions of the benchmark differ, unless that is allowed.
         ValueError: if the datasets' features differ, or there are none.
     """
     if root.exists():
@@ -43,11 +47,14 @@ def merge(
     for store in stores[1:]:
         if store.features != stores[0].features:
             raise ValueError(f"{store.root} has other features than {stores[0].root}; merge like with like")
+    manifests = [Manifest.read(store.root) for store in stores]
+    if not allow_version_mismatch:
+        found = [(store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)]
+        refuse_to_mix("benchmark", found, "merge datasets of one version, or pass allow_version_mismatch=True")
     yields: Counter[str] = Counter()
     with temporary_sibling(root) as folder:
         assembly = Assembly(folder, stores[0], limits or FileLimits())
-        for store in stores:
-            manifest = Manifest.read(store.root)
+        for store, manifest in zip(stores, manifests, strict=True):
             _append(assembly, store, manifest)
             yields.update(manifest.yields)
         return assembly.finish(provenance or {}, dict(yields))

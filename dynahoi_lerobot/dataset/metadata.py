@@ -37,6 +37,7 @@ class MetadataWriter:
         self.root, self.features, self.limits = root, features, limits
         self.episodes = self.frames = 0
         self.tasks: dict[str, int] = {}
+        self._benchmarks: set[str] = set()
         self._summary = DatasetStats(features)
         self._schema = row_schema(features)
         self._files = RollingParquet(root, EPISODES_PATH, self._schema, limits)
@@ -50,11 +51,17 @@ class MetadataWriter:
         """Add one episode's row; its place and the statistics that follow from it are filled in."""
         row = place_row(row, *self.next_place(row["tasks"][0]))
         self._summary.add(row)
+        self._benchmarks.add(row["benchmark"])
         self.episodes += 1
         self.frames += row["length"]
         self._pending.append(row)
         if len(self._pending) == FLUSH_ROWS:
             self._flush()
+
+    @property
+    def benchmark(self) -> str:
+        """Version of the benchmark that the episodes are of; all of them where versions were mixed on purpose."""
+        return ", ".join(sorted(self._benchmarks))
 
     def finish(self) -> None:
         """Write the tables; the data files must be closed."""

@@ -7,15 +7,17 @@ rejected episode again; ``dynahoi verify`` applies the same rules to what is sto
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
+from dynahoi_lerobot.control_class import CONTROL_CLASSES, ControlClass
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 
 FASTEST = CONTROL_CLASSES["unlimited"]
+OVERSHOOT, CATCH_UP = 1.2, 2.4
+"""Greatest step of a joint and of the palm, in steps of the servo's ramp; see ``TrajectoryLimits``."""
 Columns = Mapping[str, np.ndarray]
 """An episode's numeric columns by key, each (T, D)."""
 
@@ -28,41 +30,70 @@ class TrajectoryLimits:
     held-out ones, disturbances up to the 0.2 m that recipes allow.
 
     Attributes:
-        palm_range_m: least and greatest palm position along each axis: the slides' range; commands are clipped to it.
+        palm_range_m: least and greatest palm position along each axis: the slides' range, to which commands are
+            clipped; world, or home frame after ``seen_from``.
         palm_slack_m: how far soft stops let the palm beyond (seen: 0.0001).
         joint_range_rad: least and greatest angle: beyond the 0 to 1.6 that is commanded, what a target that is hit or
             gripped bends a finger (seen: -0.23 and 1.62), and room for the joint ranges of other hands.
-        palm_step_m: greatest step of the palm between frames: the servo's ramp covers 2 m/s * 0.05 s; a palm that its
-            force limit left one such step behind catches up at twice that, and a fifth for overshoot (seen: 0.222).
-        joint_step_rad: greatest step of a joint: 20 rad/s * 0.05 s, and a fifth for contact forces (seen: 0.83).
+        palm_step_m: greatest step of the palm between frames: the servo's ramp covers the class's speed times 0.05 s; a
+            palm that its force limit left one such step behind catches up at twice that, and a fifth for overshoot
+            (seen: 0.222 at 2 m/s; at 0.5 m/s 0.0251, and 0.0534 of a label after a disturbance).
+        joint_step_rad: greatest step of a joint: 20 rad/s * 0.05 s, and a fifth for contact forces (seen: 0.998).
         target_slack_m: greatest step of the target beyond the larger of its two speeds times 0.05 s, and beyond the
             palm's step, which may carry it: what gravity adds
             within a frame, 9.81 m/s^2 * (0.05 s)^2 / 2, and what a collision within it does (seen: 0.016 together).
         palm_saturated_share: share of the control phase that the palm may be commanded to an end of a slide (seen:
             0.66). Fingers may be commanded to their end in all but the frames of the approach (seen: 0.94).
         frozen_frames: how long no degree of freedom may change to the last bit while the command is ``frozen_gap_m``
-            or more away from the palm (seen: 0).
+            or more away from the palm (seen: 0, and the frames of the latency).
         frozen_gap_m: see there.
     """
 
     palm_range_m: tuple[tuple[float, float], ...] = GANTRY_RANGE_M
     palm_slack_m: float = 0.005
     joint_range_rad: tuple[float, float] = (-0.5, 2.0)
-    palm_step_m: float = 2.4 * FASTEST.palm_speed_m_s * CONTROL_DT
-    joint_step_rad: float = 1.2 * FASTEST.joint_speed_rad_s * CONTROL_DT
+    palm_step_m: float = CATCH_UP * FASTEST.palm_speed_m_s * CONTROL_DT
+    joint_step_rad: float = OVERSHOOT * FASTEST.joint_speed_rad_s * CONTROL_DT
     target_slack_m: float = GRAVITY_M_S2 * CONTROL_DT**2 / 2 + 0.025
     palm_saturated_share: float = 0.9
     frozen_frames: int = 2
     frozen_gap_m: float = 0.005
 
+    @classmethod
+    def of_class(cls, control: ControlClass, gantry_speed_m_s: float | None = None) -> TrajectoryLimits:
+        """Return the limits of a control class.
 
-def trajectory_problems(columns: Columns, limits: TrajectoryLimits | None = None) -> list[str]:
-    """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or infinity."""
+        Args:
+            control: the class.
+            gantry_speed_m_s: of the capture rule, where it replaces the class's speed of the palm [m/s].
+        """
+        palm_speed_m_s = control.palm_speed_m_s if gantry_speed_m_s is None else gantry_speed_m_s
+        return cls(
+            palm_step_m=CATCH_UP * palm_speed_m_s * CONTROL_DT,
+            joint_step_rad=OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT,
+            frozen_frames=cls.frozen_frames + control.latency_frames,
+        )
+
+    def seen_from(self, home_pos_w: np.ndarray) -> TrajectoryLimits:
+        """Return the limits in the frame whose origin is at (3,) [m], world."""
+        moved = np.array(self.palm_range_m) - np.asarray(home_pos_w, float)[:, None]  # (3, 2)
+        return replace(self, palm_range_m=tuple((float(low), float(high)) for low, high in moved))
+
+
+def trajectory_problems(columns: Columns, home_pos_w: np.ndarray, limits: TrajectoryLimits | None = None) -> list[str]:
+    """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or infinity.
+
+    Args:
+        columns: of the frame table, positions in the home frame.
+        home_pos_w: (3,) the home frame's origin [m], world, on which the slides' range in that frame depends.
+        limits: bounds of the rules.
+    """
     problems = not_finite(columns)
     if problems:
         return [problems]
     rules = (out_of_limits, jumps, teleports, saturation, frozen, phase_order)
-    found = (rule(columns, limits or TrajectoryLimits()) for rule in rules)
+    seen_from_home = (limits or TrajectoryLimits()).seen_from(home_pos_w)
+    found = (rule(columns, seen_from_home) for rule in rules)
     return [problem for problem in found if problem]
 
 
@@ -84,7 +115,7 @@ def out_of_limits(columns: Columns, limits: TrajectoryLimits) -> str | None:
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
         if beyond[frame, axis] > limits.palm_slack_m:
-            allowed = f"{low[axis]} to {high[axis]} m are possible"
+            allowed = f"{low[axis]:.2f} to {high[axis]:.2f} m are possible"
             return f"{key} has the palm at {palm[frame, axis]:.2f} m along axis {axis} at frame {frame}; {allowed}"
         if joints.min() < least or joints.max() > most:
             found = f"{float(joints.min()):.2f} to {float(joints.max()):.2f} rad"

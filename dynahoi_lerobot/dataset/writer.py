@@ -110,6 +110,7 @@ class DatasetWriter:
             self._seeds,
             provenance or {},
             yields or {},
+            self._catalog.benchmark,
         )
         manifest.write(self.root)
         return manifest

@@ -59,7 +59,7 @@ class DynahoiEnv(gym.Env):
         """Advance by one frame of 0.05 s.
 
         Args:
-            action: (18,) target for the next frame, palm centre [m], world, and joint angles [rad].
+            action: (18,) target for the next frame, palm centre [m], home frame, and joint angles [rad].
 
         Raises:
             ValueError: for a wrong shape or element type, or a value that is not finite; nothing moves then.

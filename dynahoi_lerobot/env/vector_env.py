@@ -18,6 +18,7 @@ from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisode
 from dynahoi_lerobot.env.spaces import as_gym, observation_space
 from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW, SEED_LIMIT
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -36,6 +37,7 @@ RECIPE_OPTIONS = (
     "hand",
     "renderer",
     "instructions",
+    "salt",
 )
 """Arguments of the constructor that are fields of a ``Recipe``."""
 
@@ -47,22 +49,26 @@ class DynahoiVectorEnv(VectorEnv):
         A floating five-fingered hand (3 palm translations, 15 flexion joints) and a target that moves on a path of its
         own, at 20 Hz. In the observation window (the first 20 % of the frames, at least 8) actions are ignored and the
         hand is held still; ``phase`` turns from 0 to 1 when the control phase begins. Then the hand has L control
-        steps. World frame, z up, SI units.
+        steps. SI units; positions are in the home frame: axes of the world, z up, origin where the palm's centre waits
+        in this episode, so that the palm begins at (0, 0, 0).
     Observation:
         A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
-        view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], world, and joint angles [rad];
-        ``fingertips`` (30,) positions [m] and rotation vectors [rad], world; ``phase`` (1,); and, if the capture rule
-        uses contact sensors, ``touch`` (5,) force of each finger on the target [N].
+        view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], home frame, and joint angles
+        [rad]; ``fingertips`` (30,) positions [m], home frame, and rotation vectors [rad]; ``phase`` (1,); and, if the
+        capture rule uses contact sensors, ``touch`` (5,) force of each finger on the target [N].
     Action:
-        (18,) float32 target for the next frame: palm centre [m], world, and joint angles [rad]. Clipped to the joint
-        ranges and cut to the speed of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``,
-        ``late``) or 2 m/s (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It
-        takes effect at once, or after 150 ms (``late``).
+        (18,) float32 target for the next frame: palm centre [m], home frame, and joint angles [rad]. The palm's bounds
+        are the length of the gantry's slides either way (4, 4 and 2.48 m), the same in every episode; where on the
+        slides the home lies is not told. Clipped to the joint ranges and, in the world, to the slides; cut to the speed
+        of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``, ``late``) or 2 m/s
+        (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It takes effect at once,
+        or after 150 ms (``late``).
     Reward:
         1 at the frame at which the episode ends in success, else 0.
     Episode end:
         Terminated when the capture rule's verdict falls, half a second (``attach``) after localisation; truncated
-        after L control steps. Autoreset: the next step begins the world's next episode and ignores its action.
+        after L control steps and one more, whose action has no consequence: it records what the last one led to.
+        Autoreset: the next step begins the world's next episode and ignores its action.
     Info:
         ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
         it does not apply, with its mask ``_<name>``.
@@ -88,12 +94,13 @@ class DynahoiVectorEnv(VectorEnv):
         images: bool = True,
         views: Sequence[str] = (),
         appearance: Sequence[str] = (),
-        protocol: str = "observe_before_act",
+        protocol: str = DEFAULT_PROTOCOL,
         control_class: str = DEFAULT_CONTROL_CLASS,
         capture: str = "attach",
         hand: str = "",
         renderer: str = DEFAULT_RENDERER,
         instructions: str = "mixed",
+        salt: str = "",
         threads: int = 0,
         render_mode: str | None = "rgb_array",
         on_episode: EpisodeListener | None = None,
@@ -107,7 +114,7 @@ class DynahoiVectorEnv(VectorEnv):
             image_size: side of the images [px].
             images: whether observations contain images; without them nothing is rendered.
             views: views besides ``ego``, such as ``side``; see `renderers/camera_views.py`.
-            appearance, protocol, control_class, capture, hand, renderer, instructions: see ``Recipe``.
+            appearance, protocol, control_class, capture, hand, renderer, instructions, salt: see ``Recipe``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
@@ -128,6 +135,7 @@ class DynahoiVectorEnv(VectorEnv):
             hand=hand,
             renderer=renderer,
             instructions=instructions,
+            salt=salt,
             motions=() if kind is None or kind in Recipe(split=seed_stream(split)).motion_names else (kind,),
         )
         self._images, self._threads, self._on_episode = images, threads, on_episode
@@ -173,7 +181,7 @@ class DynahoiVectorEnv(VectorEnv):
         """Advance every world by one frame of 0.05 s; a world whose episode has ended begins the next one instead.
 
         Args:
-            actions: (N, 18) targets for the next frame, palm centres [m], world, and joint angles [rad].
+            actions: (N, 18) targets for the next frame, palm centres [m], home frame, and joint angles [rad].
 
         Raises:
             ValueError: for a wrong shape or element type, or a value that is not finite; nothing moves then.

@@ -29,7 +29,7 @@ def make_actor(
 
     Args:
         name: an expert; ``expert`` for the capture rule's own; or a policy, as ``PolicyAgent`` takes it.
-        capture: the capture rule, ``attach`` or ``contact``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         device: torch device of a policy, its own if None.
         settings: changes of a policy's config, ``KEY=VALUE`` each.
         trust: load a policy even if that can run code of its own.

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.agent import Actor, Agent
+from dynahoi_lerobot.agent import Actor, Agent, ChunkAgent
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
@@ -21,11 +21,15 @@ from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.arguments import names, number, path, whole
-from dynahoi_lerobot.rollout.delayed_agent import DelayedAgent
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS, protocol_of
+from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC, Inference
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.salt import add_salt_argument, stream_label, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import SMALL_TEST, seed_stream, split_seeds
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 
 DEFAULT_IMAGE_SIZE = 128
 """Side of the images [px] for experts and for policies that do not say theirs."""
@@ -44,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--motions", type=names, default=(), help="comma-separated motions; all of the split by default"
     )
-    parser.add_argument("--capture", default="attach", help="capture rule: attach or contact")
+    parser.add_argument("--capture", default="attach", help="capture rule: attach, attach_lenient or contact")
     parser.add_argument(
         "--control-class",
         default=DEFAULT_CONTROL_CLASS,
@@ -53,8 +57,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hand", default="", help="hand model; the capture rule's own by default")
     parser.add_argument(
         "--protocol",
-        default="observe_before_act",
-        help="observe_before_act or direct_act, which has no observation window",
+        default=DEFAULT_PROTOCOL,
+        help="; ".join(f"{protocol.name}: {protocol.meaning}" for protocol in PROTOCOLS.values()),
     )
     parser.add_argument(
         "--objects", type=names, default=(), help="comma-separated objects; all of the split by default"
@@ -65,6 +69,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=(),
         help="comma-separated: what is randomised beyond the training distribution",
     )
+    add_salt_argument(parser)
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument(
         "--batch-size", type=whole(1, 4096), default=32, help="worlds simulated together; no influence on the result"
@@ -86,12 +91,22 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         help="override a field of the policy's config, such as n_action_steps=2; may be repeated",
     )
     parser.add_argument(
-        "--delay-ms",
-        type=number(0.0, 60_000.0),
+        "--inference",
+        choices=INFERENCE_MODES,
+        default=SYNC,
+        help="; ".join(f"{mode}: {meaning}" for mode, meaning in INFERENCE_MODES.items()),
+    )
+    parser.add_argument(
+        "--inference-ms",
+        type=_latency,
         default=0.0,
-        help="simulated inference latency [ms]; the world moves on meanwhile",
+        metavar="MS",
+        help="with --inference async or rtc: how long an inference takes [ms]; or measured, on this machine",
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
+    parser.add_argument(
+        "--prompt", default=DEFAULT_PROMPT, help=f"with --policy vlm: what the model is asked, {' or '.join(PROMPTS)}"
+    )
     parser.add_argument(
         "--base-url",
         help="with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from OPENAI_API_KEY",
@@ -120,15 +135,16 @@ def run(args: argparse.Namespace) -> int:
         ResultsError: if ``--out`` holds damaged results, or those of another evaluation.
         ValueError: for any other bad argument.
     """
-    actor = _delayed(_actor(args), args)
+    inference = Inference(args.inference, args.inference_ms)
+    actor = _real_time(_actor(args), inference)
     recipe = _recipe(args, actor)
     info = RunInfo(
         actor.name if args.policy == VLM else args.policy,
-        args.split,
+        stream_label(args.split, args.salt),
         args.capture,
-        " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        " ".join([Path(sys.argv[0]).name, *without_salt(sys.argv[1:])]),
         recipe.fingerprint(),
-        {"recipe": asdict(recipe), "delay_ms": args.delay_ms, "settings": args.set},
+        {"recipe": recipe.stored(), "inference": inference.label, "settings": args.set},
     )
     recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
     specs = _specs(args, recipe, recorder)
@@ -146,12 +162,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _delayed(actor: Actor, args: argparse.Namespace) -> Actor:
-    if not args.delay_ms:
+def _latency(text: str) -> float | None:
+    """Parse ``--inference-ms``; None is ``measured``."""
+    return None if text == "measured" else number(0.0, MAX_LATENCY_MS)(text)
+
+
+def _real_time(actor: Actor, inference: Inference) -> Actor:
+    """Give the actor an inference that takes time."""
+    if inference.mode == SYNC:
         return actor
-    if not isinstance(actor, Agent):
-        raise ValueError(f"--delay-ms delays policies; {args.policy!r} is an expert")
-    return DelayedAgent(actor, args.delay_ms)
+    if not isinstance(actor, ChunkAgent):
+        raise ValueError(f"--inference {inference.mode} needs a policy that plans chunks; {actor.name!r} is an expert")
+    return RealTimeAgent(actor, inference)
 
 
 def _actor(args: argparse.Namespace) -> Actor:
@@ -167,13 +189,20 @@ def _vlm(args: argparse.Namespace) -> Agent:
 
     if not args.model:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
+    if protocol_of(args.protocol).blind_control:
+        raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
     audit = args.out / "vlm.jsonl" if args.out else None
     client = VlmClient(
-        args.model, args.base_url, timeout_s=args.request_timeout, prices=tuple(args.prices), audit=audit
+        args.model,
+        args.base_url,
+        timeout_s=args.request_timeout,
+        prices=tuple(args.prices),
+        prompt=args.prompt,
+        audit=audit,
     )
-    return VlmAgent(client, name=f"vlm:{args.model}", concurrency=args.batch_size)
+    return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
 
 
 def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
@@ -188,6 +217,7 @@ def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
         image_size=image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE),
         views=actor.views,
         appearance=args.appearance,
+        salt=args.salt,
     )
 
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.intervals import bootstrap_means
+from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
 
 
 @dataclass(frozen=True)
@@ -41,19 +43,31 @@ def paired_values(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> 
     return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
 
 
-def compare(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> Comparison:
+def compare(
+    rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str, *, allow_version_mismatch: bool = False
+) -> Comparison:
     """Compare two evaluations on one metric, episode by episode.
 
     Args:
         rows_a: the episodes of policy A.
         rows_b: the episodes of policy B.
         metric: name of a registered metric.
+        allow_version_mismatch: compare them even if they were played under different versions of the benchmark.
 
     Raises:
         UnknownNameError: if the metric is not registered.
-        ValueError: if no episode is in both sets with the metric applying.
+        MixedError: if versions were mixed, unless that is allowed.
+        ValueError: if the rows are of different salts, or if no episode is in both sets with the metric applying.
     """
     aggregation = METRICS[metric].aggregation
+    refuse_mixed_streams((name, row["split"]) for name, rows in (("A", rows_a), ("B", rows_b)) for row in rows)
+    if not allow_version_mismatch:
+        found = [
+            (f"seed {row['seed']} of {name}", row["benchmark"])
+            for name, rows in (("A", rows_a), ("B", rows_b))
+            for row in rows
+        ]
+        refuse_to_mix("benchmark", found, "evaluate both under one version, or pass allow_version_mismatch=True")
     pairs = paired_values(rows_a, rows_b, metric)
     if len(pairs) == 0:
         raise ValueError(f"the result sets share no episode with a value of {metric}; evaluate both on the same split")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.strata import STRATA, travel_u
 from dynahoi_lerobot.metrics import METRICS, measure
@@ -26,16 +28,19 @@ PLAIN = {
     "intercept_frame": "int64",
     "attempts": "int64",
     "fingerprint": "string",
+    "benchmark": "string",
 }
 """Columns copied from ``EpisodeMeta``."""
 
 OUTCOME = {
     "travel_u": "double",
+    "grasp_rad": "double",
     "first_localized": "int64",
     "stage": "string",
     "success": "bool",
 }
-"""Columns read off the episode; ``first_localized`` is a frame or null, ``travel_u`` is in u (0.1 m)."""
+"""Columns read off the episode: ``travel_u`` in u (0.1 m), ``grasp_rad`` the mean rotation of a joint from the open
+hand to the reference grasp, ``first_localized`` a frame or null."""
 
 NULLABLE = {"first_localized", *METRICS.names()}
 """Columns that may hold nulls: the frame of an event that never happened, a metric whose condition does not hold."""
@@ -49,6 +54,7 @@ def episode_row(episode: Episode) -> Row:
     return {
         **{name: getattr(episode.meta, name) for name in PLAIN},
         "travel_u": travel_u(episode),
+        "grasp_rad": float(np.abs(episode.reference_joints - episode.open_joints).mean()),
         "first_localized": episode.first_localized,
         "stage": episode.stage,
         "success": bool(episode.success),
@@ -91,8 +97,9 @@ def checked_rows(table: pa.Table) -> list[Row]:
 def _check_row(row: Row) -> None:
     if missing := [name for name in (*PLAIN, *OUTCOME, *STRATA) if row[name] is None and name not in NULLABLE]:
         raise ValueError(f"seed {row['seed']} has no {missing[0]}")
-    if not math.isfinite(row["travel_u"]):
-        raise ValueError(f"seed {row['seed']} has the travel_u {row['travel_u']}")
+    for name in ("travel_u", "grasp_rad"):
+        if not math.isfinite(row[name]):
+            raise ValueError(f"seed {row['seed']} has the {name} {row[name]}")
     for name, metric in METRICS.items():
         value, (low, high) = row.get(name), metric.bounds
         if value is not None and not (math.isfinite(value) and low <= value <= high):

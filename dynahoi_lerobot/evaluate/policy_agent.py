@@ -5,6 +5,7 @@ Nothing here imports torch or LeRobot before a policy is loaded.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -12,14 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Agent, Observation
+from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.env.spaces import as_gym
 from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, REMEDY, PolicyError, trusted_checkpoint
+from dynahoi_lerobot.evaluate.frame_history import note_frame, queued_frame
 from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX
 from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
 
 
-class PolicyAgent(Agent):
+class PolicyAgent(ChunkAgent):
     """Acts as ``lerobot-eval`` would with the same checkpoint folder or Hub repository."""
 
     def __init__(
@@ -39,6 +41,7 @@ class PolicyAgent(Agent):
         """
         self.name = path
         self._policy, self._before, self._after = _load(path, device, settings, trust=trust)
+        self._chunk: Any = None
         inputs = self._policy.config.input_features
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
@@ -47,17 +50,59 @@ class PolicyAgent(Agent):
     def reset(self, count: int) -> None:
         """Forget queued actions and history."""
         self._policy.reset()
+        self._chunk = None
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) float commands: palm position [m] world and joint angles [rad]."""
+        """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad]."""
         import torch
+
+        with torch.inference_mode():
+            action = self._policy.select_action(self._batch(observation))
+        return self._after(action).to("cpu").numpy()
+
+    @property
+    def accepts_guidance(self) -> bool:
+        """Whether the policy offers LeRobot's real-time chunking."""
+        from lerobot.rollout.inference.rtc import supports_rtc_inference
+
+        return supports_rtc_inference(self._policy)
+
+    def watch(self, observation: Observation) -> None:
+        """Add a frame to the policy's history, if it has one."""
+        note_frame(self._policy, self._batch(observation))
+
+    def plan(
+        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+    ) -> Plan:
+        """Return a chunk for each of ``worlds`` (n,), and the seconds that predicting those of all worlds took.
+
+        Raises:
+            PolicyError: if the policy predicts no chunks.
+        """
+        import torch
+
+        start, batch, guidance = time.perf_counter(), self._batch(observation), {}
+        if executed is not None and self._chunk is not None:
+            guidance = {"prev_chunk_left_over": self._chunk[:, executed:], "inference_delay": delay}
+        with torch.inference_mode():
+            self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
+            actions = self._after(self._chunk).to("cpu").numpy()[worlds]
+        return Plan(actions, np.full(len(worlds), time.perf_counter() - start))
+
+    def _predicted(self, batch: dict[str, Any], guidance: dict[str, Any]) -> Any:
+        """The (N, H, 18) normalised chunks."""
+        try:
+            return self._policy.predict_action_chunk(batch, **guidance)
+        except NotImplementedError as error:
+            raise PolicyError(f"{self.name} predicts no chunks of actions; use inference mode sync") from error
+
+    def _batch(self, observation: Observation) -> dict[str, Any]:
+        """What the policy takes, as ``lerobot-eval`` prepares it."""
         from lerobot.envs.utils import preprocess_observation
 
         batch: dict[str, Any] = preprocess_observation(as_gym(observation))
         batch["task"] = list(observation.tasks)
-        with torch.inference_mode():
-            action = self._policy.select_action(self._before(batch))
-        return self._after(action).to("cpu").numpy()
+        return self._before(batch)
 
 
 def _load(path: str, device: str | None, settings: Sequence[str], *, trust: bool) -> tuple[Any, Any, Any]:

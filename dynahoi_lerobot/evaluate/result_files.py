@@ -25,6 +25,7 @@ HEAD_TYPES: dict[str, type] = {
     "metrics": dict,
     "per_kind": dict,
     "fingerprint": str,
+    "benchmark": str,
     "command": str,
 }
 """Keys that ``metrics.json`` must have, with the types of their values; ``extra``, a dict, may stand beside them."""
@@ -90,9 +91,9 @@ def _read_head(path: Path) -> dict[str, Any]:
     for key, wanted in (HEAD_TYPES | {"extra": dict}).items():
         if not isinstance(value := head.get(key) or wanted(), wanted):
             raise TypeError(f"{key} must be of type {wanted.__name__}, got {type(value).__name__}")
-    delay = (head.get("extra") or {}).get("delay_ms") or 0.0
-    if not isinstance(delay, int | float) or not 0 <= delay < float("inf"):
-        raise ValueError(f"delay_ms must be a number of milliseconds, got {delay!r}")
+    inference = (head.get("extra") or {}).get("inference") or ""
+    if not isinstance(inference, str):
+        raise TypeError(f"inference must be a text such as 'async 150 ms', got {inference!r}")
     return head
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import draccus
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
@@ -14,6 +15,9 @@ from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.result_files import ResultsError
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
+from dynahoi_lerobot.rollout.replay import ActionLog
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 __all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
 
@@ -25,11 +29,12 @@ class RunInfo:
     Attributes:
         policy: the policy's name or path.
         split: the split that was played.
-        capture: the capture rule, ``attach`` or ``contact``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: further JSON values: ``delay_ms`` [ms] and ``settings`` where the policy was delayed or its config
+        extra: further JSON values: ``inference`` and ``settings`` where inference took time or the policy's config was
             changed, ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
+        benchmark: version of the benchmark.
     """
 
     policy: str
@@ -38,16 +43,18 @@ class RunInfo:
     command: str
     fingerprint: str
     extra: dict[str, Any] = field(default_factory=dict)
+    benchmark: str = BENCHMARK.version
 
     @property
     def conditions(self) -> dict[str, Any]:
         """What must be equal for an evaluation to be resumed, by a name for messages."""
-        changed = {name: self.extra.get(name) or "none" for name in ("delay_ms", "settings")}
+        changed = {name: self.extra.get(name) or "none" for name in ("inference", "settings")}
         return {
             "policy": self.policy,
             "split": self.split,
             "capture rule": self.capture,
             "recipe": self.fingerprint,
+            "benchmark": self.benchmark,
         } | changed
 
 
@@ -59,7 +66,7 @@ class Results:
         folder: where it was read from or written to.
         info: what was evaluated and how.
         rows: one row an episode, as ``episode_row`` makes them.
-        actions: one (T, 18) float32 array an episode, palm position [m] world and joint angles [rad].
+        actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint angles [rad].
     """
 
     folder: Path
@@ -67,9 +74,33 @@ class Results:
     rows: tuple[Row, ...]
     actions: tuple[np.ndarray, ...] = field(repr=False)
 
+    @property
+    def control_class(self) -> str:
+        """The control class of its episodes."""
+        return ", ".join(sorted({row["control_class"] for row in self.rows}))
+
     def summary(self) -> Summary:
         """Return every metric with its interval over all episodes."""
         return summarise_rows(self.rows)
+
+    def recipe(self) -> Recipe:
+        """Return what was played.
+
+        Raises:
+            ResultsError: if the folder does not say it, or what it says is damaged.
+        """
+        if "recipe" not in self.info.extra:
+            raise ResultsError(f"{self.folder} does not say what was played; evaluate again with this version")
+        try:
+            return draccus.decode(Recipe, self.info.extra["recipe"])
+        except Exception as error:  # whatever a damaged recipe makes the decoder raise
+            reason = " ".join(str(error).split())
+            raise ResultsError(f"the recipe in {self.folder} is damaged ({reason}); evaluate again") from error
+
+    def log(self, index: int) -> ActionLog:
+        """Return what row ``index`` was played with."""
+        row = self.rows[index]
+        return ActionLog(row["seed"], self.actions[index], row["attempts"])
 
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``metrics.json``: per metric its value, interval, unit and count."""
@@ -82,6 +113,7 @@ class Results:
             "metrics": _plain(self.summary()),
             "per_kind": {kind: _plain(summary) for kind, summary in summarise_by(self.rows, "kind").items()},
             "fingerprint": info.fingerprint,
+            "benchmark": info.benchmark,
             "command": info.command,
             "extra": info.extra,
         }
@@ -131,7 +163,8 @@ class ResultsRecorder:
         """Write the result folder, each file whole or not at all, and return what it holds.
 
         Raises:
-            ValueError: if nothing was recorded, or an episode was played under another capture rule.
+            ValueError: if nothing was recorded, or an episode was played under another capture rule or version of the
+                benchmark.
         """
         results = self.results(info, Path(folder))
         result_files.write(results.folder, results.as_json(), results.rows, results.actions)
@@ -149,12 +182,16 @@ class ResultsRecorder:
     def _check(self, info: RunInfo) -> None:
         if not self._rows:
             raise ValueError("no episode was recorded; results need at least one")
-        stray = next((row for row in self._rows if row["capture"] != info.capture), None)
-        if stray:
-            raise ValueError(
-                f"seed {stray['seed']} was played under the capture rule {stray['capture']!r}, "
-                f"the results say {info.capture!r}; write one folder per rule"
-            )
+        for noun, name, wanted in (
+            ("capture rule", "capture", info.capture),
+            ("benchmark", "benchmark", info.benchmark),
+        ):
+            stray = next((row for row in self._rows if row[name] != wanted), None)
+            if stray:
+                raise ValueError(
+                    f"seed {stray['seed']} was played under the {noun} {stray[name]!r}, "
+                    f"the results say {wanted!r}; write one folder per {noun}"
+                )
 
 
 def write_results(
@@ -167,6 +204,7 @@ def write_results(
     command: str,
     fingerprint: str,
     extra: dict[str, Any] | None = None,
+    benchmark: str = BENCHMARK.version,
 ) -> Results:
     """Write the result folder of ``episodes``, which may be a generator, and return what it holds.
 
@@ -175,17 +213,18 @@ def write_results(
         episodes: the played episodes; their images are not kept.
         policy: the policy's name or path.
         split: the split that was played.
-        capture: the capture rule, ``attach`` or ``contact``.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
         extra: JSON values that a figure may need, such as ``{"n_obs_frames": 5}``.
+        benchmark: version of the benchmark.
 
     Raises:
-        ValueError: if there is no episode, or one was played under another capture rule.
+        ValueError: if there is no episode, or one was played under another capture rule or version of the benchmark.
     """
     recorder = ResultsRecorder()
     recorder.extend(episodes)
-    return recorder.write(folder, RunInfo(policy, split, capture, command, fingerprint, dict(extra or {})))
+    return recorder.write(folder, RunInfo(policy, split, capture, command, fingerprint, dict(extra or {}), benchmark))
 
 
 def read_results(folder: Path) -> Results:
@@ -196,9 +235,8 @@ def read_results(folder: Path) -> Results:
     """
     folder = Path(folder)
     head, rows, actions = result_files.read(folder)
-    info = RunInfo(
-        *(head[key] for key in ("policy", "split", "capture", "command", "fingerprint")), extra=head.get("extra") or {}
-    )
+    names = ("policy", "split", "capture", "command", "fingerprint", "benchmark")
+    info = RunInfo(**{name: head[name] for name in names}, extra=head.get("extra") or {})
     return Results(folder, info, tuple(rows), tuple(actions))
 
 

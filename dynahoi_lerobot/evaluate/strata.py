@@ -68,7 +68,7 @@ def stratum(name: str, order: tuple[str, ...] = ()) -> Callable[[Label], Label]:
 
 def travel_u(episode: Episode) -> float:
     """Return the straight distance [u = 0.1 m] from the palm at control start to the intercept point."""
-    start = episode.palm_pos_w[min(episode.meta.window_frames, len(episode) - 1)]
+    start = episode.palm_pos_h[min(episode.meta.window_frames, len(episode) - 1)]
     return float(np.linalg.norm(episode.intercept_position.astype(np.float64) - start)) / UNIT_M
 
 

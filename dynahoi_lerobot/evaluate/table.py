@@ -15,11 +15,15 @@ CONTACT_COLUMNS = ("S_hold", *PAPER_COLUMNS)
 """The columns if any evaluation uses the capture rule contact."""
 
 
+LABELS = ("policy", "split", "capture", "control", "benchmark")
+"""Titles of what is said about an evaluation in front of its numbers."""
+
+
 def results_table(results: Sequence[Results], columns: Sequence[str] | None = None) -> str:
     """Return one row per evaluation: what was run, number of episodes, and each metric with its interval."""
     columns = columns or columns_for(results)
-    rows = [[*_labels(result), *_cells(result.summary(), columns)] for result in results]
-    return _aligned([["policy", "split", "capture", "n", *map(heading, columns)], *rows], left=3)
+    rows = [[*labels(result), str(len(result.rows)), *_cells(result.summary(), columns)] for result in results]
+    return _aligned([[*LABELS, "n", *map(heading, columns)], *rows], left=len(LABELS))
 
 
 def stratum_table(results: Results, stratum: str = "kind", columns: Sequence[str] | None = None) -> str:
@@ -57,8 +61,10 @@ def printed_parts(estimate: Estimate) -> tuple[str, str]:
     return value, f"[{', '.join(ends)}]"
 
 
-def _labels(result: Results) -> list[str]:
-    return [result.info.policy, result.info.split, result.info.capture, str(len(result.rows))]
+def labels(result: Results) -> list[str]:
+    """Return what ``LABELS`` says about an evaluation: under other conditions its numbers do not compare."""
+    info = result.info
+    return [info.policy, info.split, info.capture, result.control_class, info.benchmark]
 
 
 def _cells(summary: Summary, columns: Sequence[str]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynahoi_lerobot.experts.base import WorldView
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
 
 CLOSING_FRAMES = 8
 """Fingers close over at most this many frames."""
@@ -36,7 +36,8 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
     longest_m = speed_m_s * CONTROL_DT
     step = towards * min(1.0 / arrival, longest_m / max(float(np.linalg.norm(towards)), 1e-12))
     progress = (np.arange(arrival + 1) / arrival)[:, None]
-    contact = _first_contact(palm + progress * towards, path_w[: arrival + 1])
+    reach_m = world.localization_radius_m + CLOSED_EARLY_M
+    contact = _first_contact(palm + progress * towards, path_w[: arrival + 1], reach_m)
     turn = _closing(closed - joints, contact - SPARE_FRAMES, world.control.joint_speed_rad_s * CONTROL_DT)
     return np.concatenate([palm + step, joints + turn])
 
@@ -58,13 +59,13 @@ def _closing(missing: np.ndarray, frames_left: int, farthest_rad: float) -> np.n
     return np.clip(missing / max(frames_left, 1), -farthest_rad, farthest_rad)
 
 
-def _first_contact(palm_w: np.ndarray, target_w: np.ndarray) -> int:
-    """Return the first frame at which two paths (K, 3) [m] come within the localisation radius, or the last frame.
+def _first_contact(palm_w: np.ndarray, target_w: np.ndarray, reach_m: float) -> int:
+    """Return the first frame at which two paths (K, 3) [m] come within ``reach_m``, or the last frame.
 
     Paths are followed at five points a frame, so that a fast target is not missed.
     """
     frames = np.arange(len(palm_w))
     fine = np.arange(0, len(palm_w) - 1 + 1e-9, 0.2)
     gap = [np.interp(fine, frames, (palm_w - target_w)[:, axis]) for axis in range(3)]
-    inside = np.flatnonzero(np.linalg.norm(gap, axis=0) < LOCALIZATION_RADIUS_M + CLOSED_EARLY_M)
+    inside = np.flatnonzero(np.linalg.norm(gap, axis=0) < reach_m)
     return max(int(np.ceil(fine[inside[0]])), 1) if inside.size else len(palm_w) - 1

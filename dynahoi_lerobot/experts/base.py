@@ -11,7 +11,7 @@ import numpy as np
 from dynahoi_lerobot.agent import Expert, WorldState
 from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import HAND_DOF
+from dynahoi_lerobot.foundation.conventions import FINGER_DOF, HAND_DOF
 from dynahoi_lerobot.foundation.registry import Registry
 
 EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
@@ -19,7 +19,7 @@ EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
 
 @dataclass(frozen=True, eq=False)
 class WorldView:
-    """What is known of one world at one frame.
+    """What is known of one world at one frame; unlike ``WorldState``, in the world frame, as the episode is drawn.
 
     Attributes:
         spec: the episode.
@@ -32,6 +32,7 @@ class WorldView:
         localized: the target has been localised.
         attempt: from 1.
         control: limits of the hand, and latency.
+        localization_radius_m: palm centre to target centre, below which the target is localised [m].
     """
 
     spec: EpisodeSpec
@@ -43,20 +44,21 @@ class WorldView:
     localized: bool
     attempt: int
     control: ControlClass
+    localization_radius_m: float
 
 
 class SingleWorldExpert(Expert):
-    """An expert that looks at one world at a time."""
+    """An expert that looks at one world at a time, in the world frame."""
 
     @abstractmethod
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world: palm centre [m], world, and joint angles [rad]."""
 
     def act(self, world: WorldState) -> np.ndarray:
-        """Return (N, 18) commands; worlds without an episode get zeros."""
+        """Return (N, 18) commands, home frame; worlds without an episode get zeros."""
         commands = np.zeros((len(world.specs), HAND_DOF))
         for i, view in views(world):
-            commands[i] = self.command(view)
+            commands[i] = self.command(view) - _origin(view.spec)
         return commands
 
 
@@ -70,12 +72,18 @@ def views(world: WorldState) -> Iterator[tuple[int, WorldView]]:
 def _view(world: WorldState, i: int, spec: EpisodeSpec) -> WorldView:
     return WorldView(
         spec=spec,
-        state=world.state_when_due[i],
+        state=world.state_when_due[i] + _origin(spec),
         frame=int(world.frame[i]),
         due_frame=max(int(world.frame[i]) + world.control.latency_frames, spec.window_frames),
-        target_pos_w=world.target_pose[i, :3],
+        target_pos_w=world.target_pose[i, :3] + spec.home_pos_w,
         target_velocity_w=world.target_velocity[i, :3],
         localized=bool(world.localized[i]),
         attempt=int(world.attempt[i]),
         control=world.control,
+        localization_radius_m=world.localization_radius_m,
     )
+
+
+def _origin(spec: EpisodeSpec) -> np.ndarray:
+    """(18,) of the home frame: the home [m], world, and zero for the joints."""
+    return np.concatenate([spec.home_pos_w, np.zeros(FINGER_DOF)])

@@ -25,7 +25,7 @@ class BlindPath(SingleWorldExpert):
         """Return (18,) the command of one world."""
         path = fixed_path()
         step = min(world.due_frame - world.spec.window_frames, len(path) - 1)
-        return np.concatenate([world.spec.home_pos_w + path[step], _fist(world.spec.hand)])
+        return np.concatenate([world.spec.home_pos_w + path[step], fist(world.spec.hand)])
 
 
 @functools.cache
@@ -35,6 +35,6 @@ def fixed_path() -> np.ndarray:
 
 
 @functools.cache
-def _fist(hand: str) -> np.ndarray:
+def fist(hand: str) -> np.ndarray:
     """(15,) joint angles [rad] around an object of no size."""
     return HANDS[hand]().reference_joints(0.0)

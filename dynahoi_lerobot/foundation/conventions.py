@@ -1,6 +1,8 @@
 """The numbers every part agrees on: clocks, units, thresholds, dimensions.
 
-SI units, z up, world frame unless a suffix says otherwise, quaternions wxyz, angles in radians.
+SI units, z up, quaternions wxyz, angles in radians. Positions end in ``_w`` in the world frame, in which episodes are
+drawn and simulated, and in ``_h`` in the home frame, in which they are played and recorded: axes of the world, origin
+where the palm's centre waits in this episode.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from dynahoi_lerobot.foundation.output import check_output
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
+from dynahoi_lerobot.sampling.salt import add_salt_argument
 
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--objects", type=names, help="comma-separated objects")
     parser.add_argument("--capture", help="capture rule, with its own hand and expert")
     parser.add_argument("--control-class", help="hand limits: unlimited, standard or late")
+    add_salt_argument(parser)
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
@@ -101,6 +103,8 @@ def _plan(args: argparse.Namespace, recipe: Any) -> GenerationPlan:
         changes["image_size"] = args.image_size
     lists = ("views", "appearance", "motions", "objects")
     changes |= {name: getattr(args, name) for name in lists if getattr(args, name)}
+    if args.salt:
+        changes["salt"] = args.salt
     if args.control_class:
         changes["control_class"] = args.control_class
     if args.capture:

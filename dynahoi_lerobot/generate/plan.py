@@ -14,6 +14,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.features import Feature, frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
+from dynahoi_lerobot.sampling.salt import sealed
 
 
 class Recipe(Protocol):
@@ -123,7 +124,7 @@ class GenerationPlan:
     def identity(self) -> dict[str, Any]:
         """Return everything that decides the dataset's bytes, as JSON values."""
         content = {
-            "recipe": asdict(self.recipe),  # type: ignore[call-overload]
+            "recipe": sealed(asdict(self.recipe)),  # type: ignore[call-overload]
             "episodes": self.episodes,
             "seed": self.seed,
             "camera": self.camera,

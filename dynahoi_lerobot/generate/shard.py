@@ -20,6 +20,7 @@ from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
 from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
+from dynahoi_lerobot.verify.checks.plausibility import limits_of
 
 logger = logging.getLogger(__name__)
 
@@ -181,7 +182,8 @@ class _Filling:
             if seed not in expected - seen:
                 raise GenerationError(f"the recorder gave an episode of seed {seed}, which was not asked for")
             seen.add(seed)
-            if not trajectory_problems(content_arrays(episode)):
+            limits = limits_of(episode.meta.capture, episode.meta.control_class)
+            if not trajectory_problems(content_arrays(episode), episode.home_position, limits):
                 self._writer.add(episode)
                 kept.add(seed)
                 self._tick()

@@ -14,7 +14,7 @@ def q_line(episode: Episode) -> float:
     """Spatial linearity of the palm's path from control start to the first localised frame.
 
     ``Q_line = 1 / (N - 1) * sum_t s_t . v`` with the unit directions ``s_t`` of the steps and ``v`` of the whole
-    displacement; 0 without displacement, and a step of zero length adds 0.
+    displacement; 0 without displacement or if the palm stays within 1 mm, and a step of zero length adds 0.
 
     Score in [-1, 1], higher is better. Paper: Section "Evaluation metrics".
     """

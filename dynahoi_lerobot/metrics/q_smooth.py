@@ -14,7 +14,7 @@ def q_smooth(episode: Episode) -> float:
     """Temporal smoothness of the palm's path from control start to the first localised frame.
 
     ``Q_smooth = 1 / (1 + CV(d))`` with ``CV = sigma_d / mu_d`` (population standard deviation) of the step lengths
-    ``d_t = |p_{t+1} - p_t|``, and ``CV = 0`` where ``mu_d = 0``.
+    ``d_t = |p_{t+1} - p_t|``, and ``CV = 0`` where ``mu_d = 0``: the palm stays within 1 mm of where it begins.
 
     Score in [0, 1], higher is better. Paper: Section "Evaluation metrics".
     """

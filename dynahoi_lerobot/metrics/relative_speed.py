@@ -29,5 +29,5 @@ def relative_speed(episode: Episode) -> float | None:
     first = episode.first_localized
     if first is None:
         return None
-    palm_velocity = (episode.palm_pos_w[first] - episode.palm_pos_w[first - 1]) / CONTROL_DT
+    palm_velocity = (episode.palm_pos_h[first] - episode.palm_pos_h[first - 1]) / CONTROL_DT
     return float(np.linalg.norm(episode.target_velocity[first - 1, :3] - palm_velocity))

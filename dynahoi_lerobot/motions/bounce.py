@@ -10,7 +10,7 @@ import numpy as np
 from dynahoi_lerobot.motions.base import MOTIONS, PhysicalMotion
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import Vector, as_vector, heading
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, damping_ratio_for
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, ballistic_velocity
 from dynahoi_lerobot.objects import TargetObject
 
 
@@ -54,5 +54,5 @@ class Bounce(PhysicalMotion):
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the release above the floor, with horizontal velocity."""
-        ratio = damping_ratio_for(self.restitution)
-        return Launch(self.start, velocity=self.velocity, release_s=self.release_s, damping_ratio=ratio)
+        velocity = ballistic_velocity(self.velocity)
+        return Launch(self.start, velocity=velocity, release_s=self.release_s, restitution=self.restitution)

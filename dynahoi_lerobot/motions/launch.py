@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
+from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
 from dynahoi_lerobot.motions.geometry import Quaternion, Vector
 
 GRAVITY_M_S2 = 9.81
@@ -19,11 +18,15 @@ class Box:
         pos: centre [m], world.
         half_size: half extents along its own axes [m].
         quat: orientation wxyz, world.
+        restitution: of its contacts with the target, unless the target's own is greater.
+        friction: sliding friction coefficient of these contacts, unless the target's own is greater.
     """
 
     pos: Vector
     half_size: Vector
     quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    restitution: float = 0.0
+    friction: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,14 @@ class Striker:
         velocity: constant until it hits [m/s], world, horizontal.
         radius_m: its radius.
         mass_kg: its mass.
+        restitution: of its impact on the target, unless the target's own is greater.
     """
 
     pos: Vector
     velocity: Vector
     radius_m: float
     mass_kg: float
+    restitution: float
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class Launch:
         boxes: up to two static boxes.
         tether: the string on which it hangs, if any.
         striker: the ball that hits it, if any.
-        damping_ratio: of its contacts; below 1 they rebound, see ``damping_ratio_for``.
+        restitution: of its contacts with anything but the hand, rebound speed over impact speed, 0 to 1.
         friction: sliding friction coefficient against surfaces; None for the object's own.
         drag_kg_s: linear drag on its centre [N s/m].
     """
@@ -80,15 +85,16 @@ class Launch:
     boxes: tuple[Box, ...] = ()
     tether: Tether | None = None
     striker: Striker | None = None
-    damping_ratio: float = 1.0
+    restitution: float = 0.0
     friction: float | None = None
     drag_kg_s: float = 0.0
 
 
-def damping_ratio_for(restitution: float) -> float:
-    """Return the contact damping ratio that rebounds with ``restitution`` in (0, 1].
+def ballistic_velocity(velocity: Vector) -> Vector:
+    """Return the initial velocity [m/s] that puts a simulated flight on the parabola that starts with ``velocity``.
 
-    After contact with a spring and damper of damping ratio z, the speed is exp(-pi z / sqrt(1 - z^2)) of that before.
+    Semi-implicit Euler, started with v, is at x + v t - g t^2 / 2 - g h t / 2 at every step: it falls ahead of the
+    parabola, by what g h / 2 of initial velocity makes up for.
     """
-    decay = -np.log(restitution) / np.pi
-    return float(decay / np.sqrt(1 + decay**2))
+    x, y, z = velocity
+    return (x, y, z + GRAVITY_M_S2 * PHYSICS_DT / 2)

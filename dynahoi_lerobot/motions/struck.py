@@ -10,7 +10,7 @@ import numpy as np
 from dynahoi_lerobot.motions.base import MOTIONS
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import as_vector, yaw_quat
-from dynahoi_lerobot.motions.launch import Launch, Striker, damping_ratio_for
+from dynahoi_lerobot.motions.launch import Launch, Striker
 from dynahoi_lerobot.motions.tabletop import TabletopMotion, reach_m
 from dynahoi_lerobot.objects import TargetObject
 
@@ -44,7 +44,6 @@ class Struck(TabletopMotion):
             self.contact,
             quat=yaw_quat(self.yaw_rad),
             boxes=(self.table(target),),
-            striker=Striker(as_vector(start), velocity, STRIKER_RADIUS_M, target.mass_kg),
-            damping_ratio=damping_ratio_for(self.restitution),
-            friction=self.friction,
+            striker=Striker(as_vector(start), velocity, STRIKER_RADIUS_M, target.mass_kg, self.restitution),
+            friction=0.0,
         )

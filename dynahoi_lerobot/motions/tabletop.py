@@ -23,7 +23,7 @@ class TabletopMotion(PhysicalMotion):
         contact: centre of the target at the impact [m].
         yaw_rad: horizontal direction of what moves before the impact, the striker or the target.
         speed_m_s: its speed at the impact.
-        impact_s: time of the impact [s]; a ball, which begins to roll, is a little early.
+        impact_s: time of the impact [s]; earlier by less than a millisecond for a ball that begins to roll.
         restitution: rebound speed over approach speed.
         friction: sliding friction of the table.
     """
@@ -46,7 +46,7 @@ class TabletopMotion(PhysicalMotion):
     def table(self, target: TargetObject) -> Box:
         """Return the table under the target."""
         top = np.asarray(self.contact) - [0.0, 0.0, target.rest_height_m + TABLE_HALF_M[2]]
-        return Box(as_vector(top), TABLE_HALF_M, yaw_quat(self.yaw_rad))
+        return Box(as_vector(top), TABLE_HALF_M, yaw_quat(self.yaw_rad), friction=self.friction)
 
     def direction(self) -> np.ndarray:
         """Return the (3,) unit vector along ``yaw_rad``, world."""

@@ -10,11 +10,11 @@ import numpy as np
 from dynahoi_lerobot.motions.base import PhysicalMotion
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import Vector, as_vector, heading
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, ballistic_velocity
 from dynahoi_lerobot.objects import TargetObject
 
-LANDING_DAMPING_RATIO = 0.6
-"""Contact damping ratio on the floor, where a target that was missed lands."""
+LANDING_RESTITUTION = 0.1
+"""Of the floor, where a target that was missed lands."""
 
 
 @dataclass(frozen=True)
@@ -55,4 +55,5 @@ class ThrowMotion(PhysicalMotion):
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the release; the floor is the only surface."""
-        return Launch(self.start, velocity=self.velocity, release_s=self.release_s, damping_ratio=LANDING_DAMPING_RATIO)
+        velocity = ballistic_velocity(self.velocity)
+        return Launch(self.start, velocity=velocity, release_s=self.release_s, restitution=LANDING_RESTITUTION)

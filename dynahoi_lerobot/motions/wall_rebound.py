@@ -10,7 +10,7 @@ import numpy as np
 from dynahoi_lerobot.motions.base import MOTIONS
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import as_vector, yaw_quat
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, damping_ratio_for
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch
 from dynahoi_lerobot.motions.tabletop import TabletopMotion, reach_m
 from dynahoi_lerobot.objects import TargetObject
 
@@ -46,7 +46,6 @@ class WallRebound(TabletopMotion):
             as_vector(np.asarray(self.contact) - distance * direction),
             quat=yaw_quat(self.yaw_rad),
             velocity=as_vector((self.speed_m_s + lost) * direction),
-            boxes=(self.table(target), Box(as_vector(wall), WALL_HALF_M, yaw_quat(self.yaw_rad))),
-            damping_ratio=damping_ratio_for(self.restitution),
-            friction=self.friction,
+            boxes=(self.table(target), Box(as_vector(wall), WALL_HALF_M, yaw_quat(self.yaw_rad), self.restitution)),
+            friction=0.0,
         )

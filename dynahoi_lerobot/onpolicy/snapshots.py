@@ -53,22 +53,23 @@ def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.r
         chosen = [specs[i] for i in rng.choice(len(specs), size)]
         batch.reset(everyone, chosen)
         for _ in range(POSES):
-            target = np.stack([spec.oracle_path[rng.integers(len(spec.oracle_path))] for spec in chosen])
-            hand = np.stack([_hand(spec, at, rng) for spec, at in zip(chosen, target, strict=True)])
+            paths = [spec.oracle_path - spec.home_pos_w for spec in chosen]
+            frames = [int(rng.integers(len(path))) for path in paths]
+            target = np.stack([path[frame] for path, frame in zip(paths, frames, strict=True)])
+            hand = np.stack([_hand(*world, rng) for world in zip(chosen, paths, frames, strict=True)])
             batch.place(hand, np.concatenate([target, _turns(size, rng)], axis=1))
             images = batch.observe(images=True).images[EGO_VIEW]
             yield Snapshots(images, (target - hand[:, :PALM_DOF]).astype(np.float32))
 
 
-def _hand(spec: EpisodeSpec, target_w: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw (18,) a hand that may see a target at (3,) [m], world."""
+def _hand(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw (18,) a hand that may see the target at a frame of its path (F, 3) [m], home frame."""
     if rng.random() < APPROACH_SHARE:
-        frame = int(np.linalg.norm(spec.oracle_path - target_w, axis=1).argmin())
-        goal = spec.oracle_path[min(frame + rng.integers(LEAD_FRAMES), len(spec.oracle_path) - 1)]
-        palm = spec.home_pos_w + rng.random() * (goal - spec.home_pos_w) + rng.normal(0.0, STRAY_M, PALM_DOF)
+        goal = path[min(frame + rng.integers(LEAD_FRAMES), len(path) - 1)]
+        palm = rng.random() * goal + rng.normal(0.0, STRAY_M, PALM_DOF)
     else:
-        palm = target_w - rng.uniform(NEAREST_M, FARTHEST_M)
-    palm[2] = max(palm[2], LOWEST_PALM_M)
+        palm = path[frame] - rng.uniform(NEAREST_M, FARTHEST_M)
+    palm[2] = max(palm[2], LOWEST_PALM_M - spec.home_pos_w[2])
     closed = 0.0 if rng.random() < OPEN_SHARE else rng.random()
     joints = spec.open_joints + closed * (spec.reference_joints - spec.open_joints)
     return np.concatenate([palm, joints])

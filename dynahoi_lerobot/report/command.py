@@ -9,17 +9,19 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.report.page import render_report
+from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi report``."""
     parser.add_argument("folders", type=path, nargs="+", help="result folders, as `dynahoi evaluate` writes them")
+    parser.add_argument(ALLOW_MISMATCH, action="store_true", help="take results of different versions of the benchmark")
     parser.add_argument("--out", type=path, default=Path("report.html"), help="the page to write")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the page and print the table; return the exit code."""
-    page = render_report(args.folders, args.out)
+    page = render_report(args.folders, args.out, allow_version_mismatch=args.allow_version_mismatch)
     print(results_table([read_results(folder) for folder in args.folders]))
     print(f"report: {page}")
     return 0

@@ -12,6 +12,9 @@ from pathlib import Path
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
+from dynahoi_lerobot.foundation.mixing import refuse_to_mix
+from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
+from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
@@ -52,14 +55,20 @@ class Entry:
         return self._by_stratum[stratum]
 
 
-def read_entries(folders: Sequence[Path]) -> list[Entry]:
+def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = False) -> list[Entry]:
     """Read result folders, each once, best S_loc first.
 
     Raises:
         ResultsError: if a folder is missing or damaged.
+        MixedError: if they are of different versions of the benchmark, unless ``allow_version_mismatch``.
+        ValueError: if they are of different salts, or of a salt and the public stream.
     """
     unique = dict.fromkeys(Path(folder).resolve() for folder in folders)
     results = [read_results(folder) for folder in unique]
+    refuse_mixed_streams((result.folder, result.info.split) for result in results)
+    if not allow_version_mismatch:
+        found = [(result.folder, result.info.benchmark) for result in results]
+        refuse_to_mix("benchmark", found, f"evaluate both under one version, or add {ALLOW_MISMATCH}")
     results.sort(key=lambda result: -sum(row["S_loc"] for row in result.rows) / len(result.rows))
     labels = unique_labels(results)
     return [
@@ -69,8 +78,8 @@ def read_entries(folders: Sequence[Path]) -> list[Entry]:
 
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
-    """Return a label per result: policy and delay; folder, then a number, are added where it is not unique."""
-    labels = [_delayed(short_name(result.info.policy), result.info.extra.get("delay_ms")) for result in results]
+    """Return a label per result: policy and inference; folder, then a number, are added where it is not unique."""
+    labels = [_timed(short_name(result.info.policy), result.info.extra.get("inference")) for result in results]
     labels = [
         clip(f"{label} ({result.folder.name})") if _is_repeated(label, labels) else label
         for label, result in zip(labels, results, strict=True)
@@ -101,8 +110,8 @@ def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
     return list(rows.values())
 
 
-def _delayed(name: str, delay_ms: float | None) -> str:
-    return clip(f"{name} +{delay_ms:g} ms") if delay_ms else name
+def _timed(name: str, inference: str | None) -> str:
+    return clip(f"{name}, {inference}") if inference else name
 
 
 def _is_repeated(label: str, labels: Sequence[str]) -> bool:

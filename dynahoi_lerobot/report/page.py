@@ -21,23 +21,25 @@ from dynahoi_lerobot.report.tables import (
 FILE_NAME = "report.html"
 
 
-def render_report(folders: Sequence[Path], out: Path) -> Path:
+def render_report(folders: Sequence[Path], out: Path, *, allow_version_mismatch: bool = False) -> Path:
     """Write the report of ``folders`` as one self-contained HTML page.
 
     Args:
         folders: result folders; one that is named twice counts once.
         out: the file to write, or an existing folder in which ``report.html`` is written.
+        allow_version_mismatch: take results of different versions of the benchmark.
 
     Returns:
         The path of the page.
 
     Raises:
         ResultsError: if a folder is missing or damaged.
+        MixedError: for different versions of the benchmark, unless that is allowed.
         ValueError: if no folder is given.
     """
     if not folders:
         raise ValueError("a report needs at least one result folder, got none")
-    entries = read_entries(folders)
+    entries = read_entries(folders, allow_version_mismatch=allow_version_mismatch)
     html = _template().render(**page_content(entries))
     page = Path(out) / FILE_NAME if Path(out).is_dir() else Path(out)
     write_atomically({page: lambda path: path.write_text(html, encoding="utf-8")})

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from dynahoi_lerobot.evaluate.compare import Comparison, compare, paired_values
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary
-from dynahoi_lerobot.evaluate.table import columns_for, heading, printed_parts
+from dynahoi_lerobot.evaluate.table import LABELS, columns_for, heading, labels, printed_parts
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report.entries import Entry
 
@@ -45,7 +45,7 @@ class Table:
 
 
 def leaderboard(entries: Sequence[Entry]) -> Table:
-    """Return the paper's columns and S_joint, one row per evaluation; the best of a split and rule is marked."""
+    """Return the paper's columns and S_joint, one row per evaluation; the best under equal conditions is marked."""
     names = (*columns_for([entry.results for entry in entries]), "S_joint")
     return _metric_table("One row per evaluation, 95 % intervals under the values.", entries, names)
 
@@ -88,20 +88,19 @@ def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str]) 
     best = _best(entries, names)
     rows = tuple(
         (
-            Cell(entry.label), Cell(entry.results.info.split), Cell(entry.results.info.capture),
-            _count(len(entry.results.rows)),
+            Cell(entry.label), *map(Cell, labels(entry.results)[1:]), _count(len(entry.results.rows)),
             *(_cell(entry.summary[name], "best" if (place, name) in best else "") for name in names),
         )
         for place, entry in enumerate(entries)
     )  # fmt: skip
-    return Table(caption, ("policy", "split", "capture", "n", *map(heading, names)), rows)
+    return Table(caption, (*LABELS, "n", *map(heading, names)), rows)
 
 
 def _best(entries: Sequence[Entry], names: Sequence[str]) -> set[tuple[int, str]]:
-    """Return (row, metric) of the best values among the rows of one split and rule, if there are two at least."""
-    groups: dict[tuple[str, str], list[int]] = defaultdict(list)
+    """Return (row, metric) of the best values among rows under equal conditions, if there are two at least."""
+    groups: dict[tuple[str, ...], list[int]] = defaultdict(list)
     for place, entry in enumerate(entries):
-        groups[entry.results.info.split, entry.results.info.capture].append(place)
+        groups[tuple(labels(entry.results)[1:])].append(place)
     return {
         (place, name)
         for places in groups.values()
@@ -141,7 +140,9 @@ def _compared(row: Entry, column: Entry, name: str) -> Cell:
         return Cell("–")
     if len(paired_values(row.results.rows, column.results.rows, name)) == 0:
         return Cell("–")
-    result = compare(row.results.rows, column.results.rows, name)
+    result = compare(
+        row.results.rows, column.results.rows, name, allow_version_mismatch=True
+    )  # asked for, if they differ
     estimate = Estimate(result.difference, result.low, result.high, METRICS[name].unit, result.n)
     difference, ends = printed_parts(estimate)
     p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"

@@ -72,6 +72,8 @@ def evaluate(
 ) -> Iterator[Episode]:
     """Yield one evaluated episode per spec, as they end: the window, then up to L control steps.
 
+    The frame after the last step is recorded as well, as its outcome; what is commanded there has none.
+
     An expert that may try again does so here as well; ``meta.attempts`` says how often it had to.
     """
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))

@@ -14,6 +14,7 @@ from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.features import FEATURES, frame_features
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -38,8 +39,8 @@ class Job:
 
     @classmethod
     def evaluation(cls, index: int, spec: EpisodeSpec) -> Job:
-        """Return the job of an evaluation: the window and then up to L control steps."""
-        return cls(index, spec, spec.window_frames + spec.length_frames, stop_settled=True)
+        """Return the job of an evaluation: the window, up to L control steps, and the frame the last of them led to."""
+        return cls(index, spec, spec.window_frames + spec.length_frames + 1, stop_settled=True)
 
 
 MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {
@@ -88,7 +89,7 @@ class WorldRecorder:
             self.images.setdefault(view, []).append(pixels[i])
 
     def add_action(self, executed: np.ndarray) -> None:
-        """Record the command (18,) that was executed from this frame on, palm [m] world and joints [rad]."""
+        """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad]."""
         self.actions.append(executed.copy())
 
     def settled(self, rule: CaptureRule) -> bool:
@@ -113,7 +114,8 @@ class WorldRecorder:
         columns |= {
             "action": np.stack(self.actions),
             "captured": captured,
-            "intercept_position": spec.intercept_pos_w,
+            "intercept_position": spec.intercept_pos_h,
+            "home_position": spec.home_pos_w,
             "open_joints": track.open_joints,
             "reference_joints": track.reference_joints,
         }
@@ -141,7 +143,7 @@ class WorldRecorder:
             localized=columns["localized"][control],
             contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
             palm_distance=columns["palm_distance"][control],
-            palm_pos_w=columns["state"][control, :PALM_DOF],
+            palm_pos_h=columns["state"][control, :PALM_DOF],
         )
 
 
@@ -164,4 +166,5 @@ def _meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta
         intercept_frame=spec.intercept_frame,
         attempts=job.attempt,
         fingerprint=spec.fingerprint,
+        benchmark=BENCHMARK.version,
     )

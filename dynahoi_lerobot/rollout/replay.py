@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import draccus
@@ -12,20 +13,35 @@ from dynahoi_lerobot.agent import Agent, Observation
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.rollout.loop import Job, make_batch, play, record
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_spec
+from dynahoi_lerobot.sampling.sampler import sample_specs
 
 Resimulate = Callable[[int], Episode | None]
 """Makes the episode of a seed again, from nothing but its recipe; None if the expert does not manage it."""
 
 
+@dataclass(frozen=True, eq=False)
+class ActionLog:
+    """The commands that one episode was played with.
+
+    Attributes:
+        seed: of the episode.
+        actions: (T, 18) palm positions [m], home frame, and joint angles [rad].
+        attempt: the try that was recorded.
+    """
+
+    seed: int
+    actions: np.ndarray
+    attempt: int = 1
+
+
 class Player(Agent):
-    """Repeats given commands and looks at nothing."""
+    """Repeats given commands, those of one log a world, and looks at nothing."""
 
     name = "player"
 
-    def __init__(self, actions: np.ndarray) -> None:
-        """Take the (T, 18) commands of one world: palm position [m] world and joint angles [rad]."""
-        self._actions = actions
+    def __init__(self, logs: Sequence[ActionLog]) -> None:
+        """Take one log for each world."""
+        self._logs = logs
         self._frame = 0
 
     def reset(self, count: int) -> None:
@@ -33,10 +49,10 @@ class Player(Agent):
         self._frame = 0
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (1, 18), the next command."""
-        command = self._actions[self._frame]
+        """Return (N, 18), the next command of each world, the last one where a log is over."""
+        commands = [log.actions[min(self._frame, len(log.actions) - 1)] for log in self._logs]
         self._frame += 1
-        return command[None].astype(np.float64)
+        return np.stack(commands).astype(np.float64)
 
 
 def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
@@ -54,16 +70,15 @@ def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
     return resimulate
 
 
-def replay(recipe: Recipe, seed: int, actions: np.ndarray, *, attempt: int = 1, images: bool = True) -> Episode:
-    """Return the episode that commands (T, 18) lead to, played again from its seed.
+def replay(recipe: Recipe, logs: Sequence[ActionLog], *, images: bool = True) -> list[Episode]:
+    """Return the episodes that logged commands lead to, played again from their seeds, in the order of the logs.
 
     Args:
         recipe: what was played.
-        seed: of the episode.
-        actions: palm positions [m] world and joint angles [rad].
-        attempt: the try that was recorded.
+        logs: one an episode; all are played side by side.
         images: whether to render.
     """
-    job = Job(0, sample_spec(recipe, seed), len(actions), attempt)
-    ((_, episode),) = play(make_batch(recipe, 1), Player(actions), [job], images=images)
-    return episode
+    specs = sample_specs(recipe, [log.seed for log in logs])
+    jobs = [Job(i, spec, len(log.actions), log.attempt) for i, (spec, log) in enumerate(zip(specs, logs, strict=True))]
+    played = play(make_batch(recipe, len(logs)), Player(logs), jobs, images=images)
+    return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]

@@ -1,15 +1,27 @@
-"""The benchmark: which motions, objects and seeds each split holds, and how durations and travels are distributed.
+"""The benchmark: which motions, objects and seeds each split holds, how long and how far they are, and the rules.
 
 What is listed here, and nothing else, decides which episodes the splits hold. Any other registered motion or object is
 played when a recipe names it and never enters a split by itself, so registering one changes no published episode.
-A change to this file is a new version of the benchmark.
+A change to this file, or to what it refers to, is a new version of the benchmark: `python benchmarks/pin.py --check`
+compares it, the episodes of all splits and some pictures with the digests that are committed.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M, UNIT_M
+from dynahoi_lerobot.control_class import CONTROL_CLASSES, ControlClass
+from dynahoi_lerobot.foundation.conventions import (
+    CONTROL_HZ,
+    GRASP_FRACTION,
+    HAND_SPEED_M_S,
+    LENIENT_RADIUS_M,
+    LOCALIZATION_RADIUS_M,
+    MIN_WINDOW_FRAMES,
+    PHYSICS_HZ,
+    UNIT_M,
+    WINDOW_FRACTION,
+)
 
 HOLD_CLEARANCE_M = LOCALIZATION_RADIUS_M + 0.005
 """Least distance of the target from the palm centre of a hand that never moves, from control start to the end.
@@ -63,17 +75,48 @@ class Histogram:
 
 
 @dataclass(frozen=True)
+class Rules:
+    """What is the same for whoever is evaluated.
+
+    Attributes:
+        physics_hz: simulation rate [Hz].
+        control_hz: control and frame rate [Hz].
+        window_fraction: share of the L frames that is observed before the hand may move, rounded up.
+        min_window_frames: least length of that window.
+        intercept_speed_m_s: hand speed for which the oracle's intercept is the earliest reachable one [m/s].
+        localization_radius_m: palm centre to target centre, below which a target is localised [m].
+        lenient_radius_m: the same on the lenient track [m].
+        grasp_fraction: share of the reference rotation that every joint must reach.
+        control_classes: limits of the hand and latency of its commands.
+    """
+
+    physics_hz: int = PHYSICS_HZ
+    control_hz: int = CONTROL_HZ
+    window_fraction: float = WINDOW_FRACTION
+    min_window_frames: int = MIN_WINDOW_FRAMES
+    intercept_speed_m_s: float = HAND_SPEED_M_S
+    localization_radius_m: float = LOCALIZATION_RADIUS_M
+    lenient_radius_m: float = LENIENT_RADIUS_M
+    grasp_fraction: float = GRASP_FRACTION
+    control_classes: tuple[ControlClass, ...] = tuple(CONTROL_CLASSES.values())
+
+
+@dataclass(frozen=True)
 class Benchmark:
     """One version of the benchmark.
 
     Attributes:
         version: results of different versions cannot be compared.
+        rules: clocks, window, thresholds and limits of the hand.
+        look: version of what the default renderer draws of hand, target and surroundings.
         splits: by name.
         durations: of L, the length of an expert's recording [frames].
         travels: of the straight distance from the hand's home to the intercept [m].
     """
 
     version: str
+    rules: Rules
+    look: int
     splits: dict[str, Split]
     durations: Histogram
     travels: Histogram
@@ -90,6 +133,8 @@ class Benchmark:
 
 BENCHMARK = Benchmark(
     version="v1-draft",
+    rules=Rules(),
+    look=1,
     splits={
         "train": Split("train", None),
         "val": Split("val", 220),
@@ -113,3 +158,6 @@ BENCHMARK = Benchmark(
     ),
 )
 """The benchmark that the commands play."""
+
+ALLOW_MISMATCH = "--allow-version-mismatch"
+"""Option of the commands that otherwise refuse to mix versions of the benchmark."""

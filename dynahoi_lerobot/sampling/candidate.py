@@ -13,10 +13,12 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PhysicalMotion
+from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.sampling.instructions import draw_instruction
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.salt import salt_words
 from dynahoi_lerobot.sampling.timing import Timing, draw_timing
 
 MIN_OBSERVED_S = 0.25
@@ -51,12 +53,12 @@ class Candidate:
         """Return the candidate of a seed, with its first timing.
 
         Raises:
-            ValueError: if the seed is negative, or too large to be stored.
+            ValueError: if the seed is negative or too large to be stored, or of the recipe's salt only a hash is known.
         """
         if not 0 <= seed <= MAX_SEED:
             raise ValueError(f"a seed must be 0 to {MAX_SEED}, got {seed}")
         names = recipe.motion_names
-        rng = np.random.default_rng([zlib.crc32(recipe.split.encode()), seed])
+        rng = np.random.default_rng([zlib.crc32(recipe.split.encode()), seed, *salt_words(recipe.salt)])
         candidate = cls(recipe, seed, MOTIONS[names[seed % len(names)]], rng)
         candidate.draw_timing()
         return candidate
@@ -88,6 +90,11 @@ class Candidate:
             return True
         return self.motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
 
+    @property
+    def fixtures(self) -> tuple[Box, ...]:
+        """The static boxes around the motion last drawn."""
+        return self.motion.launch(self.target).boxes if isinstance(self.motion, PhysicalMotion) else ()
+
     def _draw_target(self) -> TargetObject:
         allowed = [name for name in self.recipe.object_names if name in self.kind.objects()]
         if not allowed:
@@ -106,7 +113,7 @@ class Candidate:
         """
         spec = EpisodeSpec(
             seed=self.seed,
-            split=self.recipe.split,
+            split=self.recipe.split_label,
             motion=self.motion,
             target=self.target,
             appearance=Appearance.sample(self.rng),

@@ -1,15 +1,19 @@
 """Where the hand waits: a home that makes the drawn intercept the earliest reachable one, with the target in view.
 
 The target never comes to the home by itself, and lies in no preferred direction from it, so that neither a hand that
-stands still nor one that always goes the same way catches it.
+stands still nor one that always goes the same way catches it. The open hand is clear of tables, ramps and walls.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S
+from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.sampling.benchmark import HOLD_CLEARANCE_M
+from dynahoi_lerobot.sampling.fixture_clearance import keeps_clear
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES, Timing
 from dynahoi_lerobot.sampling.visibility import visible
 from dynahoi_lerobot.scene.model import ARENA_HALF_M
@@ -26,7 +30,7 @@ HOME_HEIGHT_M = (0.15, 2.2)
 MAX_HOME_ASIDE_M = 1.7
 
 
-def find_homes(path_w: np.ndarray, timing: Timing, rng: np.random.Generator) -> np.ndarray:
+def find_homes(path_w: np.ndarray, timing: Timing, fixtures: Sequence[Box], rng: np.random.Generator) -> np.ndarray:
     """Return those homes for the palm centre, of some that are tried, that fit the motion until the intercept.
 
     The home lies ``travel_m`` away from the intercept, so that a hand of fixed speed arrives there together with the
@@ -37,6 +41,7 @@ def find_homes(path_w: np.ndarray, timing: Timing, rng: np.random.Generator) -> 
     Args:
         path_w: (F, 3) path of the untouched target at every frame [m], world, at least to the intercept.
         timing: frames and travel of the episode.
+        fixtures: the boxes around the motion, which the waiting hand must not touch, nor the palm on its way.
         rng: source of the directions tried.
 
     Returns:
@@ -44,10 +49,12 @@ def find_homes(path_w: np.ndarray, timing: Timing, rng: np.random.Generator) -> 
     """
     start, intercept = timing.window_frames, timing.intercept_frame
     homes = path_w[intercept] - timing.travel_m * _draw_directions(rng)
+    homes = homes.astype(np.float32).astype(np.float64)  # as datasets store it
     homes = homes[_in_workspace(homes)]
     homes = homes[~_reachable_earlier(path_w[start:intercept], homes)]
     homes = homes[_clear_of(path_w[start : intercept + 1], homes)]
-    return homes[_watches(path_w[: start + 1], homes)]
+    homes = homes[_watches(path_w[: start + 1], homes)]
+    return homes[keeps_clear(homes, path_w[intercept], fixtures)]
 
 
 def choose_home(path_w: np.ndarray, timing: Timing, homes: np.ndarray) -> np.ndarray | None:

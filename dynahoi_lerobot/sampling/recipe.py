@@ -6,8 +6,9 @@ import dataclasses
 import hashlib
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import draccus
 
@@ -16,14 +17,15 @@ from dynahoi_lerobot.control_class import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.renderers.camera_views import check_views
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
 from dynahoi_lerobot.sampling.instructions import INSTRUCTION_STYLES
 from dynahoi_lerobot.sampling.randomization import check_appearance
+from dynahoi_lerobot.sampling.salt import check_salt, sealed, stream_label
 
-PROTOCOLS = ("observe_before_act", "direct_act")
 MIN_HOLD_FRAMES = 12
 """The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
 MAX_DISTURBANCE_M = 0.2
@@ -38,7 +40,7 @@ class Recipe:
         motions: kinds of motion that take turns; empty for those of the split. A registered motion that is not part of
             the benchmark is played only if it is named here.
         objects: objects to draw from; likewise.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        protocol: see `protocol.py`.
         control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``.
         capture: name of the capture rule.
         hand: name of the hand; empty for the default of the capture rule.
@@ -52,12 +54,13 @@ class Recipe:
             average two thirds of those show an object that is already held, of which a training set needs few.
         disturbance_m: standard deviation of the disturbance that is injected into the palm's commands [m]; see
             ``world.disturbance``.
+        salt: goes into the random numbers besides split and seed; empty for the public episodes. See ``salt``.
     """
 
     split: str = "train"
     motions: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
-    protocol: str = "observe_before_act"
+    protocol: str = DEFAULT_PROTOCOL
     control_class: str = DEFAULT_CONTROL_CLASS
     capture: str = "attach"
     hand: str = ""
@@ -69,6 +72,7 @@ class Recipe:
     renderer: str = DEFAULT_RENDERER
     hold_frames: int | None = None
     disturbance_m: float = 0.0
+    salt: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         """Check every name against what exists.
@@ -78,7 +82,7 @@ class Recipe:
         """
         for value, allowed, noun in (
             (self.split, BENCHMARK.streams, "split"),
-            (self.protocol, PROTOCOLS, "protocol"),
+            (self.protocol, tuple(PROTOCOLS), "protocol"),
             (self.control_class, tuple(CONTROL_CLASSES), "control class"),
             (self.instructions, INSTRUCTION_STYLES, "instructions"),
         ):
@@ -91,6 +95,7 @@ class Recipe:
             for name in chosen:
                 registry[name]  # raises if there is none
                 self._check_split_of(noun, name)
+        check_salt(self.salt)
         check_appearance(self.appearance)
         check_views(self.views)
         if not 16 <= self.image_size <= 1024:
@@ -119,6 +124,15 @@ class Recipe:
         return self._split.speed_scale
 
     @property
+    def split_label(self) -> str:
+        """What episodes say of their split: its name, and digits that identify the salt if there is one."""
+        return stream_label(self.split, self.salt)
+
+    def stored(self) -> dict[str, Any]:
+        """Return the values as datasets and results hold them: of the salt only a hash."""
+        return sealed(dataclasses.asdict(self))
+
+    @property
     def _split(self) -> Split:
         return BENCHMARK.splits[self.split]
 
@@ -140,7 +154,7 @@ class Recipe:
             code: fingerprint of that code; by default of the code that runs.
         """
         named = [*(MOTIONS[name] for name in self.motions), *(OBJECTS[name] for name in self.objects)]
-        text = json.dumps(dataclasses.asdict(self), sort_keys=True)
+        text = json.dumps(self.stored(), sort_keys=True)
         text += (code_fingerprint() if code is None else code) + extension_fingerprint(named)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

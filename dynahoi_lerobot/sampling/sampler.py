@@ -55,7 +55,7 @@ def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dic
     """Draw a motion for every pending candidate, roll all targets ahead together; return the episodes that fit."""
     drawn = {i: candidate for i, candidate in pending.items() if candidate.draw_motion()}
     paths = _roll_ahead(recipe, drawn, {i: c.timing.intercept_frame + 1 for i, c in drawn.items()}, threads)
-    homes = {i: find_homes(paths[i], c.timing, c.rng) for i, c in drawn.items()}
+    homes = {i: find_homes(paths[i], c.timing, c.fixtures, c.rng) for i, c in drawn.items()}
     reached = {i: c for i, c in drawn.items() if len(homes[i])}
     paths = _roll_ahead(recipe, reached, {i: c.timing.path_frames for i, c in reached.items()}, threads)
     return {

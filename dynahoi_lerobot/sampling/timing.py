@@ -20,6 +20,7 @@ from dynahoi_lerobot.foundation.conventions import (
     WINDOW_FRACTION,
 )
 from dynahoi_lerobot.motions import MOTIONS, Motion
+from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 MIN_APPROACH_FRAMES = 5
@@ -72,7 +73,7 @@ def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
 
     Args:
         kind: kind of motion.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        protocol: see `protocol.py`.
         rng: source of the random numbers.
     """
     table = kind_table(kind)
@@ -80,7 +81,7 @@ def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
     travel_m = _draw_travel(MOTIONS[kind], int(travel), rng)
     approach = approach_frames(travel_m)
     length = _draw_length(MOTIONS[kind], int(duration), approach, rng)
-    window = window_frames(length) if protocol == "observe_before_act" else 0
+    window = window_frames(length) if protocol_of(protocol).has_window else 0
     return Timing(length, window, approach, travel_m)
 
 

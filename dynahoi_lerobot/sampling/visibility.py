@@ -51,8 +51,7 @@ def _camera() -> tuple[np.ndarray, np.ndarray, float]:
 @functools.cache
 def _hand_distance() -> np.ndarray:
     """(K, K) distance of the open hand from the camera [m], infinite beside it; rows upwards, columns rightwards."""
-    scene = compile_scene(REFERENCE_HAND)
-    data = _open_hand(scene)
+    scene, data = open_reference_hand()
     _, rotation, half = _camera()
     across = np.linspace(-half, half, SILHOUETTE_SIZE)
     x, y = np.meshgrid(across, across)
@@ -67,12 +66,12 @@ def _hand_distance() -> np.ndarray:
     return np.where(hit, distance, np.inf).reshape(SILHOUETTE_SIZE, SILHOUETTE_SIZE)
 
 
-def _open_hand(scene: Scene) -> mujoco.MjData:
-    """Kinematics of the open hand 1 m above the floor, with the target out of its view."""
-    assert scene.hand is not None
+def open_reference_hand() -> tuple[Scene, mujoco.MjData]:
+    """Return the scene and kinematics of the open hand 1 m above the floor, with the target out of its view."""
+    scene = compile_scene(REFERENCE_HAND)
     data = mujoco.MjData(scene.model)
     data.qpos[scene.hand_qpos[:3]] = (0.0, 0.0, 1.0)
     data.qpos[scene.hand_qpos[3:]] = scene.hand.open_joints()
     data.qpos[scene.target_qpos : scene.target_qpos + 3] = (0.0, 0.0, 100.0)
     mujoco.mj_forward(scene.model, data)
-    return data
+    return scene, data

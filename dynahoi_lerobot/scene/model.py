@@ -23,13 +23,18 @@ from dynahoi_lerobot.scene.slots import LARGEST_SLOT_M, SHAPES, TARGET_SLOTS
 ENVIRONMENT, HAND_BIT = 1, 2
 """Collision bits: surfaces and striker answer to the first, the hand to the second; the target asks for either."""
 
-CONTACT_RATE_RAD_S = 300.0
-"""Natural frequency of contacts: the stiffest spring that 500 Hz resolves well (five steps a bounce)."""
-PAD_SOLMIX = 1e4
-"""The hand's skin decides how it meets the target: critically damped, so that nothing rebounds from it, however the
-target rebounds elsewhere."""
+RIGID_IMPEDANCE = (0.999, 0.999, 0.001, 0.5, 2.0)
+"""MuJoCo's ``solimp`` of contacts between the target and anything but the hand."""
+SINKING_CORRECTION = 0.001
+"""Share of a penetration that becomes, in every physics step, the way out of it in the next: enough to hold what rests
+on a surface up, too little to add to a rebound."""
+PAD_RATE_RAD_S = 300.0
+"""Natural frequency of contacts with the hand's skin, critically damped: nothing rebounds from it, however the target
+rebounds elsewhere."""
 
 SURFACE_FRICTION = (1.0, TORSIONAL_FRICTION_M, ROLLING_FRICTION_M)
+SMOOTH_FRICTION = (0.0, *SURFACE_FRICTION[1:])
+"""Of fixtures, whose own friction is a matter of the motion: of two frictions the greater counts."""
 FIXTURE_BOXES = ("box_a", "box_b")
 DISTRACTORS = ("box", "capsule", "cylinder", "sphere")
 """Shapes of the things that are only there to be seen, one of each."""
@@ -56,6 +61,16 @@ SIDE_CAMERA = "side"
 SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([-0.65, -0.6, 0.4]), np.array([0.35, 0.05, 0.0])
 SIDE_CAMERA_FOVY_DEG = 54.0
 """A camera that stands still, behind the waiting hand and to its right; from the palm centre at home."""
+
+
+def impact_solref(restitution: float) -> tuple[float, float]:
+    """Return MuJoCo's ``solref`` of a rigid contact from which a target rebounds with ``restitution``.
+
+    The two are stiffness k and damping b per mass, negative by MuJoCo's convention: a contact with penetration r and
+    approach speed v accelerates by k r + b v. With b = (1 + e) / h the first step turns v into -e v (Newton's law of
+    restitution), wherever in that step the contact begins; a spring would return more or less depending on it.
+    """
+    return (-SINKING_CORRECTION / PHYSICS_DT**2, -(1 + restitution) / PHYSICS_DT)
 
 
 def build_model(hand: Hand, extra_slots: Mapping[str, int]) -> mujoco.MjModel:
@@ -129,7 +144,7 @@ def _set_hand_collisions(spec: mujoco.MjSpec) -> None:
     for geom in spec.geoms:
         if geom.name.startswith(HAND_GEOM_PREFIX):
             geom.contype, geom.conaffinity, geom.condim = 0, HAND_BIT, 6
-            geom.priority, geom.solmix, geom.solref = 1, PAD_SOLMIX, (1 / CONTACT_RATE_RAD_S, 1.0)
+            geom.priority, geom.friction, geom.solref = 2, SURFACE_FRICTION, (1 / PAD_RATE_RAD_S, 1.0)
 
 
 def _add_target(spec: mujoco.MjSpec, extra: Mapping[str, int]) -> None:
@@ -151,7 +166,7 @@ def _add_slots(body: mujoco.MjsBody, shape: str, numbers: range) -> None:
         body.add_geom(
             name=f"target_{shape}_{number}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, mass=0.0,
             contype=ENVIRONMENT | HAND_BIT, conaffinity=0, condim=6, friction=SURFACE_FRICTION, priority=1,
-            material="plain_fine", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
+            material="plain_fine", solimp=RIGID_IMPEDANCE, pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
         )  # fmt: skip
 
 
@@ -168,7 +183,7 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
         body = spec.worldbody.add_body(name=name, mocap=True, pos=HIDDEN_POS)
         body.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=LARGEST_BOX_M, contype=0, conaffinity=ENVIRONMENT,
-            material="plain_fine", condim=6, friction=SURFACE_FRICTION,
+            material="plain_fine", condim=6, friction=SMOOTH_FRICTION, priority=1, solimp=RIGID_IMPEDANCE,
         )  # fmt: skip
     home = spec.worldbody.add_body(name=SIDE_CAMERA, mocap=True)
     quat = camera_quat(SIDE_CAMERA_TARGET_M - SIDE_CAMERA_POS_M)
@@ -178,7 +193,8 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
     striker.add_joint(name="striker", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1, 0, 0))
     striker.add_geom(
         name="striker", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.04, 0, 0), contype=0, conaffinity=ENVIRONMENT,
-        mass=0.0, rgba=(0.2, 0.2, 0.22, 1), condim=3,
+        mass=0.0, rgba=(0.2, 0.2, 0.22, 1), condim=3, friction=SMOOTH_FRICTION, priority=1,
+        solimp=RIGID_IMPEDANCE,
     )  # fmt: skip
     stiff = {"solref": (0.004, 1.0), "solimp": (0.99, 0.999, 0.001, 0.5, 2.0)}
     tether = spec.add_equality(

@@ -45,6 +45,9 @@ def _shortened(step: np.ndarray, length: np.ndarray, farthest: float) -> np.ndar
 class Servo:
     """Ramps each command linearly over its frame, with velocity feed-forward.
 
+    Attributes:
+        low, high: (18,) least and greatest position of the palm along each slide [m], world, and joint angles [rad].
+
     A position servo kp (u - q) - kv q' lags behind a moving set-point by kv / kp times its speed; adding that to u
     makes the joint arrive at the command exactly at the end of the frame.
     """
@@ -56,15 +59,18 @@ class Servo:
         self._lead_s = -model.actuator_biasprm[:HAND_DOF, 2] / model.actuator_gainprm[:HAND_DOF, 0]
         self._limits = limits
 
-    def within_range(self, command: np.ndarray) -> np.ndarray:
-        """Return (n, 18) commands within joint ranges and the palm's reach."""
-        return np.clip(command, self.low, self.high)
+    def within_reach(self, command: np.ndarray, previous: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """Return (n, 18) commands towards ``command`` that a hand at ``previous`` can meet within one frame.
 
-    def within_reach(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
-        """Return (n, 18) commands towards ``command`` that a hand at ``previous`` (n, 18) can meet within one frame."""
+        Args:
+            command: (n, 18) palm positions [m] and joint angles [rad].
+            previous: (n, 18) where the hands are.
+            origin: (n, 18) from what both are counted: the homes' positions [m], world, and zero for joints.
+        """
         step = command - previous
         cut = self._limits.cut(step)
-        return self.within_range(np.where(cut == step, command, previous + cut))
+        towards = np.where(cut == step, command, previous + cut)
+        return np.clip(towards, self.low - origin, self.high - origin)
 
     def set_points(self, command: np.ndarray, previous: np.ndarray) -> np.ndarray:
         """Return (n, 25, 18) set-points that lead from ``previous`` to ``command``, (n, 18) each."""

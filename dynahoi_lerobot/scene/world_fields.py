@@ -11,7 +11,7 @@ from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.motions.geometry import yaw_quat
 from dynahoi_lerobot.motions.launch import Box, Launch, Striker, Tether
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.scene.model import CONTACT_RATE_RAD_S, HIDDEN_POS
+from dynahoi_lerobot.scene.model import HIDDEN_POS, impact_solref
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.target_drive import TargetDrive
 
@@ -143,10 +143,7 @@ class WorldFields:
             fields["geom_rgba"][i, geom, 3] = 1.0
         fields["geom_friction"][i, geoms, 0] = target.friction if launch.friction is None else launch.friction
         fields["geom_friction"][i, self._scene.hand_geoms, 0] = target.friction  # of two frictions the greater counts
-        fields["geom_solref"][i, geoms] = (
-            1 / (CONTACT_RATE_RAD_S * launch.damping_ratio),
-            launch.damping_ratio,
-        )
+        fields["geom_solref"][i, geoms] = impact_solref(launch.restitution)
         fields["body_mass"][i, self._scene.target_body] = target.mass_kg
         fields["body_inertia"][i, self._scene.target_body] = target.inertia
         self.set_collisions(i, collides_with)
@@ -156,6 +153,9 @@ class WorldFields:
         self._mocap_pos[i, mocap] = HIDDEN_POS if box is None else box.pos
         self._mocap_quat[i, mocap] = (1.0, 0.0, 0.0, 0.0) if box is None else box.quat
         self.fields["geom_size"][i, geom] = HIDDEN_SIZE if box is None else box.half_size
+        if box is not None:
+            self.fields["geom_solref"][i, geom] = impact_solref(box.restitution)
+            self.fields["geom_friction"][i, geom, 0] = box.friction
         self.fields["geom_rgba"][i, geom, 3] = float(box is not None)
 
     def _write_tether(self, i: int, tether: Tether | None, start: np.ndarray) -> None:
@@ -177,5 +177,6 @@ class WorldFields:
         yaw = float(np.arctan2(velocity[1], velocity[0]))
         self.fields["body_pos"][i, body], self.fields["body_quat"][i, body] = striker.pos, yaw_quat(yaw)
         self.fields["geom_size"][i, geom, 0] = striker.radius_m
+        self.fields["geom_solref"][i, geom] = impact_solref(striker.restitution)
         self.fields["body_mass"][i, body] = striker.mass_kg
         self.qvel[i, self._scene.striker_dof] = float(np.linalg.norm(velocity))

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Agent, Observation
+from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.foundation.conventions import EGO_VIEW
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.prompt import HORIZON
 
 
-class VlmAgent(Agent):
+class VlmAgent(ChunkAgent):
     """Executes the action chunks that a model answers with.
 
     After a failed decision the hand holds its pose for as many frames as a chunk has, and the failure is counted.
@@ -37,20 +39,31 @@ class VlmAgent(Agent):
         """Return the next command of each world, after waiting for the decisions that are due.
 
         Returns:
-            (N, 18) palm centre position [m] world and joint angles [rad].
+            (N, 18) palm centre position [m], home frame, and joint angles [rad].
         """
-        images = observation.images[EGO_VIEW]
         due = [i for i, queue in enumerate(self._planned) if not queue and self._in_play(observation, i)]
         states = observation.state.astype(np.float64)
-        answers = self._threads.map(
-            lambda i: self._client.plan(observation.tasks[i], states[i], images[i]),
-            due,
-        )
-        for i, commands in zip(due, answers, strict=True):
-            self._planned[i].extend(np.repeat(states[i][None], HORIZON, axis=0) if commands is None else commands)
+        for i, (commands, _) in zip(due, self._decisions(observation, due), strict=True):
+            self._planned[i].extend(commands)
         return np.stack(
             [queue.popleft() if queue else state for queue, state in zip(self._planned, states, strict=True)]
         )
+
+    def plan(
+        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+    ) -> Plan:
+        """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took."""
+        decisions = self._decisions(observation, worlds.tolist())
+        return Plan(np.stack([commands for commands, _ in decisions]), np.array([seconds for _, seconds in decisions]))
+
+    def _decisions(self, observation: Observation, worlds: Sequence[int]) -> list[tuple[np.ndarray, float]]:
+        """Ask for a chunk (10, 18) for each of ``worlds``, several at a time; also return the seconds each took."""
+        return list(self._threads.map(lambda i: self._decision(observation, i), worlds))
+
+    def _decision(self, observation: Observation, i: int) -> tuple[np.ndarray, float]:
+        start, state = time.monotonic(), observation.state[i].astype(np.float64)
+        commands = self._client.plan(observation.tasks[i], state, observation.images[EGO_VIEW][i])
+        return np.repeat(state[None], HORIZON, axis=0) if commands is None else commands, time.monotonic() - start
 
     def report(self) -> dict[str, Any]:
         """Return the account of the client under ``vlm``."""

@@ -1,9 +1,10 @@
-"""The prompt for a vision-language model (appendix "Details for Evaluating VLMs") and the schema of its answer."""
+"""The prompts for a vision-language model (appendix "Details for Evaluating VLMs") and the schema of its answer."""
 
 from __future__ import annotations
 
 import base64
 import io
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -16,29 +17,79 @@ HORIZON = 10
 SKILLS = ("WAIT", "APPROACH", "INTERCEPT", "GRASP", "LIFT", "ADJUST")
 
 SYSTEM = "You are a Vision-Language-Action agent for dynamic hand-object interaction."
-REQUEST = """Task: {task}
-Input: the RGB image of the camera on the hand, and the current hand state s_t, 18 numbers \
-[x, y, z in metres (world, z up), 15 joint angles in radians, 0 open to 1.6 closed]: {state}
-The order of the joints is {names}. The palm faces +x; one frame lasts 0.05 s; the palm moves at most 0.1 m a frame.
-Skill set: {{{skills}}}.
-Output: (i) a parameterized skill program whose durations sum to {horizon}, and (ii) an explicit low-level rollout of \
-the next {horizon} frames, each with 18 values in the same order.
+PAPER = """Task. $task
+Input. RGB image + current hand state s_t ∈ R^18: [x, y, z, 15 joint angles (rad)] = $state.
+Skill Set. {$skills}.
+Output. Return (i) a parameterized skill program whose durations sum to $horizon, and (ii) an explicit low-level \
+rollout of the next $horizon frames, each with 18 values in the same order.
 Return only the following JSON:
-{{"action_sequence": [{{"skill": "APPROACH", "params": {{"target": "object"}}, "duration": 4}}, ...],
- "predicted_motion": [{{"frame_index": 1, "hand_params": [18 values]}}, ..., \
-{{"frame_index": {horizon}, "hand_params": [18 values]}}]}}"""
+{
+  "action_sequence": [
+    {
+      "skill": "APPROACH",
+      "params": {"target": "object",......},
+      "duration": 4,
+      "terminate_if": ...,
+    },
+    {
+      "skill": "GRASP",
+      "params": {...},
+      "duration": 6
+    }
+  ],
+  "predicted_motion": [
+    {"frame_index": 1, "hand_params": [18 values]},
+    ...,
+    {"frame_index": $horizon, "hand_params": [18 values]}
+  ]
+}"""
+"""Figure "Hybrid prompt template for VLM online control", to the letter: <TASK_TEXT>, the state and T are filled in."""
+
+EXTENDED = """Task: $task
+Input: the RGB image of the camera on the hand, and the current hand state s_t, 18 numbers \
+[x, y, z in metres (from where the palm started, z up), 15 joint angles in radians, 0 open to 1.6 closed]: $state
+The order of the joints is $names. The palm faces +x; one frame lasts 0.05 s; the palm moves at most 0.1 m a frame.
+Skill set: {$skills}.
+Output: (i) a parameterized skill program whose durations sum to $horizon, and (ii) an explicit low-level rollout of \
+the next $horizon frames, each with 18 values in the same order.
+Return only the following JSON:
+{"action_sequence": [{"skill": "APPROACH", "params": {"target": "object"}, "duration": 4}, ...],
+ "predicted_motion": [{"frame_index": 1, "hand_params": [18 values]}, ..., \
+{"frame_index": $horizon, "hand_params": [18 values]}]}"""
+"""The same with what the paper's leaves the model to guess: units, axes, the order of the joints, rate and speed."""
+
+PROMPTS = {"extended": Template(EXTENDED), "paper": Template(PAPER)}
+"""By the name that ``--prompt`` takes and that results carry. Both ask for the same answer, but for ``terminate_if``.
+
+The paper gives ``terminate_if`` no grammar, and says that the simulator receives the rollout. So an answer may hold any
+value there; it is written to the log with the answer and, as the skills themselves, changes no command."""
+DEFAULT_PROMPT = "extended"
 
 
-def messages(task: str, state: np.ndarray, image: np.ndarray, horizon: int = HORIZON) -> list[dict[str, Any]]:
+def check_prompt(name: str) -> str:
+    """Return the name of a prompt.
+
+    Raises:
+        ValueError: naming the prompts there are, if it is none.
+    """
+    if name not in PROMPTS:
+        raise ValueError(f"unknown prompt {name!r}; known: {', '.join(PROMPTS)}")
+    return name
+
+
+def messages(
+    task: str, state: np.ndarray, image: np.ndarray, horizon: int = HORIZON, prompt: str = DEFAULT_PROMPT
+) -> list[dict[str, Any]]:
     """Return the chat messages of one request: system, then user with text and a JPEG image.
 
     Args:
         task: the instruction.
-        state: (18,) palm centre position [m] world and joint angles [rad].
+        state: (18,) palm centre position [m], home frame, and joint angles [rad].
         image: (H, W, 3) uint8 RGB of the hand's camera.
         horizon: T, the number of frames to command.
+        prompt: one of ``PROMPTS``.
     """
-    text = REQUEST.format(
+    text = PROMPTS[prompt].substitute(
         task=task,
         state=np.round(state.astype(float), 4).tolist(),
         names=", ".join(HAND_NAMES[3:]),
@@ -57,6 +108,7 @@ def answer_schema(horizon: int = HORIZON) -> dict[str, Any]:
             "skill": {"type": "string", "enum": list(SKILLS)},
             "params": {"type": "object"},
             "duration": {"type": "integer", "minimum": 1, "maximum": horizon},
+            "terminate_if": {"type": "string"},
         },
         "required": ["skill", "duration"],
     }

@@ -34,7 +34,7 @@ def parse_reply(text: str | None, horizon: int = HORIZON) -> np.ndarray:
         horizon: number of frames that must be commanded.
 
     Returns:
-        (horizon, 18) float64, palm centre position [m] world and joint angles [rad], finite but not clipped.
+        (horizon, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but not clipped.
 
     Raises:
         ReplyError: for a refusal, broken or oversized JSON, missing keys, unknown skills, durations that do not sum to

@@ -15,6 +15,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
+from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
@@ -38,6 +39,9 @@ class WorldBatch:
 
     Every array below has one row per world. Rows are independent to the bit: what happens in one depends neither on
     its neighbours, nor on the size of the batch, nor on the number of threads.
+
+    Positions are in the *home frame*: axes of the world, origin at the palm's home in this episode. The simulation
+    underneath keeps the world frame; this class converts.
 
     Attributes:
         size: N.
@@ -103,6 +107,7 @@ class WorldBatch:
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self.commanded, self.executed = np.zeros((2, size, HAND_DOF))
+        self._origin = np.zeros((size, HAND_DOF))  # homes [m], world, and zero for the joints
 
     def reset(
         self, ids: Sequence[int] | np.ndarray, specs: Sequence[EpisodeSpec], attempt: Sequence[int] | int = 1
@@ -128,12 +133,13 @@ class WorldBatch:
         """Pose hands and targets of all worlds without physics, to look at them; what was going on there is lost.
 
         Args:
-            state: (N, 18) palm centre position [m], world, and joint angles [rad].
-            target_pose: (N, 7) position [m] and quaternion wxyz, world.
+            state: (N, 18) palm centre position [m], home frame, and joint angles [rad].
+            target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
         """
-        self._fields.qpos[:, self.scene.hand_qpos] = state
         first = self.scene.target_qpos
+        self._fields.qpos[:, self.scene.hand_qpos] = state + self._origin
         self._fields.qpos[:, first : first + 7] = target_pose
+        self._fields.qpos[:, first : first + PALM_DOF] += self.home_pos_w
         self._update_kinematics()
 
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> None:
@@ -142,7 +148,7 @@ class WorldBatch:
         During the observation window the hand is held at home; commands that would take effect in it are void.
 
         Args:
-            commands: (n, 18) palm positions [m], world, and joint angles [rad].
+            commands: (n, 18) palm positions [m], home frame, and joint angles [rad].
             ids: sorted, distinct worlds.
 
         Raises:
@@ -152,14 +158,14 @@ class WorldBatch:
         wanted = check_command(commands, len(chosen))
         if not len(chosen):
             return
-        previous, acting = self.executed[chosen], self.acting[chosen]
+        previous, acting, origin = self.executed[chosen], self.acting[chosen], self._origin[chosen]
         # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
-        commanded = self.servo.within_reach(wanted, self._state_when_due()[chosen]).astype(np.float32)
+        commanded = self.servo.within_reach(wanted, self._state_when_due()[chosen], origin).astype(np.float32)
         commanded = np.where(self.accepting[chosen, None], commanded.astype(np.float64), previous)
         due = self._latency.exchange(chosen, commanded) + self._disturbance.offsets(chosen, self.frame[chosen])
-        executed = self.servo.within_reach(due, previous)
+        executed = self.servo.within_reach(due, previous, origin)
         force_w = np.stack([self._targets.force(int(i), int(self.frame[i])) for i in chosen])  # (n, 25, 3)
-        control = self._physics.control(self.servo.set_points(executed, previous), force_w)
+        control = self._physics.control(self.servo.set_points(executed, previous) + origin[:, None], force_w)
         self._physics.advance(chosen, control, acting)
         self.commanded[chosen], self.executed[chosen] = commanded, executed
         self.frame[chosen] += 1
@@ -170,8 +176,14 @@ class WorldBatch:
         return check_command(commands, self.size)
 
     def command_limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the (18,) least and greatest commands, float32: reach of the palm [m] and joint ranges [rad]."""
-        return self.servo.low.astype(np.float32), self.servo.high.astype(np.float32)
+        """Return the (18,) least and greatest commands, float32, in any episode: palm [m] and joint ranges [rad].
+
+        The palm's are the whole length of each slide either way: where on them the home lies is not told.
+        """
+        length = self.servo.high - self.servo.low
+        palm = np.arange(HAND_DOF) < PALM_DOF
+        low, high = np.where(palm, -length, self.servo.low), np.where(palm, length, self.servo.high)
+        return low.astype(np.float32), high.astype(np.float32)
 
     @property
     def acting(self) -> np.ndarray:
@@ -190,17 +202,24 @@ class WorldBatch:
 
     @property
     def state(self) -> np.ndarray:
-        """(N, 18) palm centre position [m], world, and joint angles [rad], as measured."""
-        return self._fields.qpos[:, self.scene.hand_qpos]
+        """(N, 18) palm centre position [m], home frame, and joint angles [rad], as measured."""
+        return self._fields.qpos[:, self.scene.hand_qpos] - self._origin
+
+    @property
+    def home_pos_w(self) -> np.ndarray:
+        """(N, 3) the origin of each world's home frame [m], world."""
+        return self._origin[:, :PALM_DOF].copy()
 
     @property
     def target_pose(self) -> np.ndarray:
-        """(N, 7) position [m] and quaternion wxyz, world."""
-        return self._targets.pose
+        """(N, 7) position [m], home frame, and quaternion wxyz."""
+        pose = self._targets.pose
+        pose[:, :PALM_DOF] -= self.home_pos_w
+        return pose
 
     @property
     def target_velocity(self) -> np.ndarray:
-        """(N, 6) linear [m/s] and angular [rad/s] velocity, world."""
+        """(N, 6) linear [m/s] and angular [rad/s] velocity, along the world's axes."""
         return self._targets.velocity
 
     @property
@@ -233,17 +252,23 @@ class WorldBatch:
 
         Args:
             images: whether to render the views; without, they cost nothing.
-            ids: the worlds to render (default: all); the images of the others are black.
+            ids: the worlds to render (default: all); the images of the others are black, as are those of worlds in the
+                control phase of a protocol with ``blind_control``.
         """
         sensed = self.rule.uses_contact_sensors
         return Observation(
-            images={view: self.cameras.render(ids, view) for view in self._views} if images else {},
+            images={view: self.cameras.render(self._seeing(ids), view) for view in self._views} if images else {},
             state=self.state.astype(np.float32),
-            fingertips=self._fingertips.poses().astype(np.float32),
+            fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
             phase=self.accepting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
         )
+
+    def _seeing(self, ids: np.ndarray | None) -> np.ndarray:
+        """(n,) those of worlds ``ids`` (default: all) whose protocol lets them see now."""
+        blind = np.array([spec is not None and protocol_of(spec.protocol).blind_control for spec in self.specs])
+        return np.setdiff1d(np.arange(self.size) if ids is None else ids, np.flatnonzero(blind & self.acting))
 
     def world_state(self, observation: Observation) -> WorldState:
         """Return what an expert sees: the observation and everything the simulator knows."""
@@ -257,6 +282,7 @@ class WorldBatch:
             target_contacts=self.touching(),
             localized=self.localized.copy(),
             control=self.control,
+            localization_radius_m=self.rule.localization_radius_m,
             state_when_due=self._state_when_due(),
         )
 
@@ -264,7 +290,7 @@ class WorldBatch:
         """(N, 18) where undisturbed hands will be when a command given now takes effect."""
         state = self.executed.copy()
         for command in self._latency.pending():
-            state = self.servo.within_reach(command, state)
+            state = self.servo.within_reach(command, state, self._origin)
         return state
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
@@ -275,11 +301,12 @@ class WorldBatch:
             self._fields.turn_target(i, spec.yaw_rad, spec.spin_rad_s)
         self._fields.write_appearance(i, spec.appearance)
         self._fields.place_side_camera(i, spec.home_pos_w)
-        # rounded as commands are, or the hand would creep to its home and, by rounding, disturb what slides or rests
-        rest = np.concatenate([spec.home_pos_w, self.scene.hand.open_joints()]).astype(np.float32)
+        # rounded as commands are, or the hand would creep and, by rounding, disturb what slides or rests
+        rest = np.concatenate([np.zeros(PALM_DOF), self.scene.hand.open_joints()]).astype(np.float32)
         self.commanded[i] = self.executed[i] = rest
         self._latency.reset(i, rest)
-        self._fields.qpos[i, self.scene.hand_qpos] = rest
+        self._origin[i, :PALM_DOF] = spec.home_pos_w
+        self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
         self._targets.reset(i, drive)
         self._disturbance.reset(i, spec, int(self.attempt[i]))
         self.specs[i] = spec

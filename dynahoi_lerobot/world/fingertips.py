@@ -26,9 +26,13 @@ class Fingertips:
         """Drop the measured distances, because something has moved."""
         self._distance = None
 
-    def poses(self) -> np.ndarray:
-        """Return (N, 30), position [m] and rotation vector [rad] of each fingertip, world."""
-        position = self._site_pos[:, self._scene.tip_sites]  # (N, 5, 3)
+    def poses(self, origin_w: np.ndarray) -> np.ndarray:
+        """Return (N, 30), position [m] and rotation vector [rad] of each fingertip.
+
+        Args:
+            origin_w: (N, 3) from where positions are counted [m], world.
+        """
+        position = self._site_pos[:, self._scene.tip_sites] - origin_w[:, None]  # (N, 5, 3)
         rotation = self._site_mat[:, self._scene.tip_sites].reshape(*position.shape, 3)  # (N, 5, 3, 3)
         return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(len(position), -1)
 

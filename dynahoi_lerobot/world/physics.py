@@ -8,7 +8,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.captures import CaptureRule
 from dynahoi_lerobot.captures.base import NO_EVENT, Substeps
-from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.foundation.conventions import PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.world.target import Targets
@@ -64,7 +64,7 @@ class Physics:
         before = self._batch.state[ids].copy()
         substeps = self._roll(ids, control, acting)
         self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
-        self.localized[ids] |= acting & (self.palm_distance[ids] < LOCALIZATION_RADIUS_M)
+        self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
         events = np.where(self._targets.released[ids], NO_EVENT, self._rule.events(substeps))
         for row in np.flatnonzero(events != NO_EVENT):
             self._batch.state[ids[row]] = before[row]

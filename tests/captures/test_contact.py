@@ -51,7 +51,7 @@ def energy_j(batch: WorldBatch, spec: EpisodeSpec) -> float:
     """Kinetic and potential energy of the target."""
     linear, angular = batch.target_velocity[0, :3], batch.target_velocity[0, 3:]
     inertia = max(spec.target.inertia)  # an upper bound is enough
-    potential = spec.target.mass_kg * 9.81 * batch.target_pose[0, 2]
+    potential = spec.target.mass_kg * 9.81 * (batch.target_pose[0, 2] + spec.home_pos_w[2])
     return 0.5 * spec.target.mass_kg * linear @ linear + 0.5 * inertia * angular @ angular + potential
 
 
@@ -83,21 +83,21 @@ def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
     batch = begin(spec)
     while not batch.contacts.by_hand[0]:
         frame = batch.frame[0]
-        np.testing.assert_allclose(batch.target_pose[0, :3], spec.oracle_path[frame], atol=1e-9)
+        np.testing.assert_allclose(batch.target_pose[0, :3], spec.oracle_path[frame] - HOME_W, atol=1e-9)
         before = batch.target_pose[0, :3].copy()
         batch.step(batch.executed)
     assert np.linalg.norm(batch.target_pose[0, :3] - before) < 0.5 * CONTROL_DT + 0.005
     assert batch.contacts.palm_force_n[0] > 0
     for _ in range(10):
         batch.step(batch.executed)
-    assert batch.target_pose[0, 2] < HOME_W[2] - 0.5, "nothing carries it any more"
+    assert batch.target_pose[0, 2] < -0.5, "nothing carries it any more"
 
 
 def test_an_untouched_target_follows_its_path(constant: EpisodeSpec):
     batch = begin(constant)
     for _ in range(12):
         batch.step(batch.executed)
-    np.testing.assert_allclose(batch.target_pose[0, :3], constant.oracle_path[12], atol=1e-9)
+    np.testing.assert_allclose(batch.target_pose[0, :3], constant.oracle_path[12] - constant.home_pos_w, atol=1e-9)
     assert not batch.contacts.by_hand.any()
     assert not batch.contacts.others.any()
 

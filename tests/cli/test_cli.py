@@ -14,7 +14,7 @@ from dynahoi_lerobot.cli.listing import LISTS
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 
@@ -104,7 +104,7 @@ def test_an_evaluated_episode_plays_again_from_its_results(
     results = read_results(out)
     recipe = draccus.decode(Recipe, results.info.extra["recipe"])
     for row, actions in zip(results.rows, results.actions, strict=True):
-        episode = replay(recipe, row["seed"], actions, images=False)
+        (episode,) = replay(recipe, [ActionLog(row["seed"], actions)], images=False)
         assert (episode.stage, episode.success) == (row["stage"], row["success"])
         assert measure(episode)["E_loc"] == pytest.approx(row["E_loc"], abs=1e-4)
     capsys.readouterr()

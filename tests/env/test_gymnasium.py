@@ -66,13 +66,13 @@ def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None
         assert sum(r[1][world] for r in results) == 1.0
 
 
-def test_a_hand_that_waits_is_truncated_after_window_and_l_steps() -> None:
+def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_the_last() -> None:
     env = DynahoiVectorEnv(1, kind="vertical_circle", images=False, **SMALL)
     observation, _ = env.reset(seed=[0])
     spec = env._batch.specs[0]
     assert spec is not None
     hold = observation["agent_pos"]
-    flags = [env.step(hold)[2:4] for _ in range(spec.window_frames + spec.length_frames)]
+    flags = [env.step(hold)[2:4] for _ in range(spec.window_frames + spec.length_frames + 1)]
     assert [bool(t or u) for (t, u) in [(f[0][0], f[1][0]) for f in flags]].index(True) == len(flags) - 1
     assert flags[-1][1][0]
 
@@ -90,7 +90,7 @@ def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
     assert fresh is not None
     assert fresh is not first
     assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
-    np.testing.assert_allclose(observation["agent_pos"][0, :3], fresh.home_pos_w, atol=1e-6)
+    np.testing.assert_allclose(observation["agent_pos"][0, :3], 0.0, atol=1e-6)
     del results
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 import pytest
 
 from dynahoi_lerobot.evaluate.compare import compare, mcnemar, paired_values
+from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.foundation.registry import UnknownNameError
 
 
 def rows(values: list[float | None], metric: str = "S_loc", first_seed: int = 0, **changes: object):
-    base = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40, **changes}
+    base = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40, "benchmark": "v1", **changes}
     return [{**base, "seed": first_seed + i, metric: value} for i, value in enumerate(values)]
 
 
@@ -72,3 +73,12 @@ def test_conditional_metrics_pair_where_both_apply():
 def test_an_unknown_metric_is_named():
     with pytest.raises(UnknownNameError, match="S_lok"):
         compare(rows([1.0]), rows([1.0]), "S_lok")
+
+
+def test_versions_of_the_benchmark_are_not_compared_unless_asked():
+    new, old = rows([1.0, 1.0]), rows([0.0, 1.0], benchmark="v0")
+    with pytest.raises(
+        MixedError, match=r"seed 0 of A has benchmark 'v1', seed 0 of B has benchmark 'v0'; evaluate both"
+    ):
+        compare(new, old, "S_loc")
+    assert compare(new, old, "S_loc", allow_version_mismatch=True).difference == pytest.approx(0.5)

@@ -23,6 +23,7 @@ from dynahoi_lerobot.evaluate.results import (
     write_results,
 )
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.synthetic import synthetic_episode
 
 RUN = {
@@ -50,6 +51,7 @@ def folder(tmp_path: Path) -> Path:
 def test_metrics_json_is_the_documented_table(folder: Path):
     head = json.loads((folder / "metrics.json").read_text())
     assert {key: head[key] for key in RUN} == RUN
+    assert head["benchmark"] == BENCHMARK.version
     assert head["n"] == 6
     assert head["extra"] == {"n_obs_frames": 5}
     assert set(head["metrics"]) == set(METRICS.names())
@@ -72,6 +74,7 @@ def test_episodes_parquet_has_a_row_an_episode_with_every_metric(folder: Path):
     assert table.num_rows == 6
     assert {"seed", "kind", "object", "stage", *METRICS.names()} <= set(table.column_names)
     assert table["S_hold"].null_count == 6
+    assert set(table["benchmark"].to_pylist()) == {BENCHMARK.version}
     assert table["stage"].to_pylist() == ["missed", "captured", "captured"] * 2
 
 
@@ -124,7 +127,8 @@ def test_a_stopped_run_goes_on_where_it_ended(tmp_path: Path):
         ({"split": "val"}, "split test, not val"),
         ({"capture": "contact"}, "capture rule attach, not contact"),
         ({"fingerprint": "f2"}, "recipe f1, not f2"),
-        ({"extra": {"delay_ms": 150.0}}, "delay_ms none, not 150.0"),
+        ({"benchmark": "v0"}, f"benchmark {BENCHMARK.version}, not v0"),
+        ({"extra": {"inference": "async 150 ms"}}, "inference none, not async 150 ms"),
         ({"extra": {"settings": ["n_action_steps=2"]}}, r"settings none, not \['n_action_steps=2'\]"),
     ],
 )

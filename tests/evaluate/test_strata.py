@@ -78,7 +78,7 @@ def test_duration_bins(frames: int, expected: str):
 )
 def test_travel_is_from_the_palm_at_control_start_to_the_intercept(distance_m: float, expected: str):
     window = EPISODE.meta.window_frames
-    goal = EPISODE.palm_pos_w[window] + np.array([0, distance_m, 0], np.float32)
+    goal = EPISODE.palm_pos_h[window] + np.array([0, distance_m, 0], np.float32)
     state = EPISODE.state.copy()
     state[:window, :3] = 50.0
     assert STRATA["travel"].label(replace(EPISODE, state=state, intercept_position=goal)) == expected

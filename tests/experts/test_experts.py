@@ -58,7 +58,7 @@ def test_the_expert_meets_the_target_on_its_path(expert_episodes: list[Episode],
     for episode, spec in zip(expert_episodes, specs, strict=True):
         assert episode.first_localized is not None
         assert episode.first_localized <= spec.intercept_frame + 1
-        caught, path = episode.palm_pos_w[episode.first_localized], spec.oracle_path
+        caught, path = episode.palm_pos_h[episode.first_localized], spec.oracle_path - spec.home_pos_w
         around = path[episode.first_localized - 1 : episode.first_localized + 1]
         along = np.linspace(around[0], around[1], 51)
         assert np.linalg.norm(along - caught, axis=1).min() < LOCALIZATION_RADIUS_M + 0.03
@@ -85,7 +85,7 @@ def test_a_hand_that_never_moves_catches_little(specs: list[EpisodeSpec]):
     assert mean(episodes, "S_loc") < 0.15
     assert mean(episodes, "S_joint") == 0.0
     for episode in episodes:
-        assert np.abs(episode.palm_pos_w - episode.palm_pos_w[0]).max() < 1e-3
+        assert np.abs(episode.palm_pos_h - episode.palm_pos_h[0]).max() < 1e-3
 
 
 def test_knowing_the_velocity_is_worth_less_than_knowing_the_motion(specs: list[EpisodeSpec]):
@@ -112,7 +112,7 @@ def test_the_expert_catches_everything_in_every_control_class(control_class: str
     assert [episode.stage for episode in episodes] == ["captured"] * len(specs)
     assert {episode.meta.control_class for episode in episodes} == {control_class}
     for episode in episodes:
-        speed = np.linalg.norm(np.diff(episode.palm_pos_w, axis=0), axis=1) / CONTROL_DT
+        speed = np.linalg.norm(np.diff(episode.palm_pos_h, axis=0), axis=1) / CONTROL_DT
         assert speed.max() < 1.02 * CONTROL_CLASSES[control_class].palm_speed_m_s
 
 
@@ -130,9 +130,8 @@ STANDARD = CONTROL_CLASSES["standard"]
 def view_of(spec: EpisodeSpec, palm_w: np.ndarray, frame: int, **changes) -> WorldView:
     """What an expert sees of a hand at ``palm_w`` (3,) with open fingers."""
     state = np.concatenate([palm_w, spec.open_joints])
-    seen = WorldView(
-        spec, state, frame, frame, spec.oracle_path[frame], np.zeros(3), False, 1, CONTROL_CLASSES["standard"]
-    )
+    target_w, radius_m = spec.oracle_path[frame], LOCALIZATION_RADIUS_M
+    seen = WorldView(spec, state, frame, frame, target_w, np.zeros(3), False, 1, STANDARD, radius_m)
     return replace(seen, **changes)
 
 

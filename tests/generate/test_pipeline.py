@@ -3,19 +3,22 @@ from __future__ import annotations
 import dataclasses
 import errno
 import itertools
+import re
 
 import pytest
 
-from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.dataset import read_episodes, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.generate import workers
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, shard_size
 from dynahoi_lerobot.generate.workspace import workspace_path
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
-from tests.dataset.episodes import write
+from tests.dataset.episodes import varied_episode, write
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
 
@@ -88,6 +91,17 @@ def test_merge_refuses_unlike_datasets(tmp_path):
     with pytest.raises(ValueError, match="nothing to merge"):
         merge([], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
+
+
+def test_merge_refuses_versions_of_the_benchmark_unless_asked(tmp_path):
+    old, new = tmp_path / "old", write(tmp_path / "new", range(1))
+    made = varied_episode(1)
+    write_episodes(old, [dataclasses.replace(made, meta=dataclasses.replace(made.meta, benchmark="v0"))])
+    sentence = f"{old} has benchmark 'v0', {new} has benchmark '{BENCHMARK.version}'; merge datasets of one version"
+    with pytest.raises(MixedError, match=re.escape(sentence)):
+        merge([old, new], tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+    assert merge([old, new], tmp_path / "merged", allow_version_mismatch=True).benchmark == f"v0, {BENCHMARK.version}"
 
 
 def test_missed_slots_are_drawn_again(tmp_path):

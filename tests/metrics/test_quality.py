@@ -82,6 +82,14 @@ def test_flicker_of_the_last_bit_is_no_motion():
     assert METRICS["Q_line"](episode) == 0.0
 
 
+@pytest.mark.parametrize(("reach_m", "still"), [(0.0009, True), (0.0011, False)])
+def test_a_palm_that_only_recoils_from_the_fingers_stands_still(reach_m: float, still: bool):
+    path = [(0, 0, 1.0), (0, reach_m, 1.0), (0, 0, 1.0), (0, 0, 1.0), (0, reach_m / 2, 1.0)]
+    episode = hand_made(path)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(1.0 if still else plain_smoothness(path), abs=1e-3)
+    assert METRICS["Q_line"](episode) == pytest.approx(0.0 if still else 1 / 4, abs=1e-3)
+
+
 def test_a_round_trip_has_no_linearity():
     episode = hand_made([(0, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (0, 0, 0)])
     assert METRICS["Q_line"](episode) == 0.0

@@ -18,7 +18,6 @@ NAMES = METRICS.names()
 DESIGNED = {
     *(
         "S_loc",
-        "S_loc_lenient",
         "S_loc_planar",
         "S_gra",
         "S_gra_window",
@@ -39,7 +38,7 @@ def wild_episode(seed: int):
     start = None if rng.random() < 0.3 else int(rng.integers(frames))
     palm = rng.normal(0, 1, (frames, 3)) * rng.choice([0.0, 1e-7, 0.1, 10.0])
     episode = hand_made(palm.tolist(), joints=rng.normal(1, 1, frames).tolist(), localized_from=start, stage="missed")
-    capture = str(rng.choice(["attach", "contact"]))
+    capture = str(rng.choice(["attach", "attach_lenient", "contact"]))
     return replace(episode, meta=replace(episode.meta, capture=capture))
 
 

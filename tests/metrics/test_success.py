@@ -24,13 +24,22 @@ def test_localisation_is_any_localised_control_frame():
     assert METRICS["S_loc"](hand_made(LINE)) == 0.0
 
 
-@pytest.mark.parametrize(("nearest_m", "expected"), [(0.099, 1.0), (0.101, 0.0)])
-def test_lenient_localisation_is_closer_than_one_unit(nearest_m: float, expected: float):
-    assert METRICS["S_loc_lenient"](with_distance([0.5, 0.4, nearest_m, 0.3, 0.2])) == expected
-
-
 def test_planar_localisation_ignores_height():
     assert METRICS["S_loc_planar"](hand_made(STILL, target=[(0.0, 0.0, 4.0)] * 5)) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "capture", "expected"),
+    [
+        (0.031, "attach", 0.0),
+        (0.029, "attach", 1.0),
+        (0.101, "attach_lenient", 0.0),
+        (0.099, "attach_lenient", 1.0),
+    ],
+)
+def test_planar_localisation_has_the_radius_of_its_track(offset_m: float, capture: str, expected: float):
+    episode = hand_made(STILL, target=[(offset_m, 0.0, 4.0)] * 5)
+    assert METRICS["S_loc_planar"](replace(episode, meta=replace(episode.meta, capture=capture))) == expected
 
 
 @pytest.mark.parametrize(("offset_m", "expected"), [(0.029, 1.0), (0.031, 0.0)])

@@ -1,4 +1,8 @@
-"""Suspended targets against the compound pendulum: periods, steady precession, decay."""
+"""Suspended targets against the compound pendulum: periods, steady precession, decay.
+
+Tolerances are about twice the largest error over twelve draws. What remains is the string, a constraint that gives way
+by (g + centripetal acceleration) / (250 rad/s)^2 times its impedance of 0.01, and (h omega)^2 / 24 of the integrator.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ def test_the_string_keeps_its_length(kind: str):
     drawn = draw_motion(kind, 0)
     track = simulate(drawn.motion, drawn.target, 2.0)
     length = np.linalg.norm(_from_anchor(drawn, track), axis=1)
-    np.testing.assert_allclose(length, _pendulum(drawn).length_m, atol=1e-4)
+    np.testing.assert_allclose(length, _pendulum(drawn).length_m, atol=5e-5)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -30,7 +34,7 @@ def test_small_swings_have_the_small_period(seed: int):
     drawn = draw_motion("planar", seed)
     drawn = replace(drawn, motion=replace(_pendulum(drawn), angle_rad=0.02))
     expected = _pendulum(drawn).small_period_s(drawn.target)
-    assert _period_s(drawn, expected) == pytest.approx(expected, rel=1e-3)
+    assert _period_s(drawn, expected) == pytest.approx(expected, rel=3e-4)
 
 
 @pytest.mark.parametrize("angle_deg", [30.0, 60.0, 90.0])
@@ -39,7 +43,7 @@ def test_large_swings_have_the_period_of_the_elliptic_integral(angle_deg: float)
     angle = float(np.radians(angle_deg))
     drawn = replace(drawn, motion=replace(_pendulum(drawn), angle_rad=angle))
     expected = _pendulum(drawn).small_period_s(drawn.target) / _arithmetic_geometric_mean(1.0, np.cos(angle / 2))
-    assert _period_s(drawn, expected) == pytest.approx(expected, rel=1e-3)
+    assert _period_s(drawn, expected) == pytest.approx(expected, rel=3e-4)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -47,7 +51,7 @@ def test_swings_stay_in_their_plane(seed: int):
     drawn = draw_motion("planar", seed)
     yaw = _pendulum(drawn).yaw_rad
     across = _from_anchor(drawn, simulate(drawn.motion, drawn.target, 2.0)) @ [-np.sin(yaw), np.cos(yaw), 0.0]
-    assert np.abs(across).max() < 1e-3
+    assert np.abs(across).max() < 1e-9
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -57,24 +61,26 @@ def test_a_conical_pendulum_circles_at_constant_height_and_rate(seed: int):
     assert isinstance(motion, ConicalPendulum)
     track = simulate(motion, drawn.target, 3.0)
     arm = _from_anchor(drawn, track)
-    assert np.ptp(arm[:, 2]) < 0.002
+    assert np.ptp(arm[:, 2]) < 0.001
     angle = np.unwrap(np.arctan2(arm[:, 1], arm[:, 0]))
     rate = (angle[-1] - angle[0]) / track.time[-1]
-    assert rate == pytest.approx(motion.precession_rad_s(drawn.target), rel=2e-3)
+    assert rate == pytest.approx(motion.precession_rad_s(drawn.target), rel=1e-3)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_drag_shrinks_the_swing_exponentially(seed: int):
-    """The envelope is exp(-drag t / 2), up to 2 % for the moment of inertia, which drag does not act on."""
+    """The envelope is exp(-s drag t / 2); s is the share of m l^2 in the inertia, as drag acts on the centre alone."""
     drawn = draw_motion("damped", seed)
-    motion = replace(_pendulum(drawn), angle_rad=0.2)
+    motion, target = replace(_pendulum(drawn), angle_rad=0.2), drawn.target
     drawn = replace(drawn, motion=motion)
-    track = simulate(motion, drawn.target, 5 * motion.small_period_s(drawn.target))
+    track = simulate(motion, target, 5 * motion.small_period_s(target))
     swing = _swing_angle(drawn, track)
     peaks = np.flatnonzero((swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:])) + 1
     assert len(peaks) >= 3
-    expected = 0.2 * np.exp(-motion.drag_1_s * track.time[peaks] / 2)
-    np.testing.assert_allclose(swing[peaks], expected, rtol=0.02)
+    about_anchor = target.mass_kg * motion.length_m**2
+    share = about_anchor / (about_anchor + max(target.inertia[:2]))
+    expected = 0.2 * np.exp(-share * motion.drag_1_s * track.time[peaks] / 2)
+    np.testing.assert_allclose(swing[peaks], expected, rtol=0.0015)
 
 
 def _pendulum(drawn: Drawn) -> SuspendedMotion:

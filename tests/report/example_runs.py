@@ -10,6 +10,7 @@ import numpy as np
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import Results, write_results
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.synthetic import synthetic_episode
 
 KINDS = {
@@ -26,20 +27,24 @@ PAIRS = [(category, kind) for category, kinds in KINDS.items() for kind in kinds
 LENGTHS = (32, 48, 52, 70, 96, 130)
 
 
-def play(count: int, skill: float, capture: str = "attach", image_size: int | None = None) -> Iterator[Episode]:
+def play(
+    count: int, skill: float, capture: str = "attach", image_size: int | None = None, **meta_changes: str
+) -> Iterator[Episode]:
     """Yield ``count`` episodes; a share of about ``skill`` of them is caught."""
     for seed in range(count):
         rng = np.random.default_rng([seed, round(100 * skill)])
         miss = 0.0 if rng.random() < skill else float(rng.uniform(0.03, 0.3))
         episode = synthetic_episode(seed, LENGTHS[seed % len(LENGTHS)], image_size, miss)
         category, kind = PAIRS[seed % len(PAIRS)]
-        meta = replace(episode.meta, category=category, motion=kind, capture=capture, split="test_small")
+        meta = replace(
+            episode.meta, category=category, motion=kind, capture=capture, split="test_small", **meta_changes
+        )
         travel = np.array([0.3, 0.1, 0.05], np.float32) * (0.1 + 0.4 * (seed % 5)) ** 1.5
         action = episode.action + rng.normal(0, 0.004 * (1.2 - skill), episode.action.shape).astype(np.float32)
         stage = episode.stage
         if capture == "contact":
             stage = str(rng.choice(["missed", "touched", "enclosed", "slipped"])) if miss else "held"
-        start = episode.palm_pos_w[episode.meta.window_frames]
+        start = episode.palm_pos_h[episode.meta.window_frames]
         yield replace(
             episode, meta=meta, action=action, stage=stage, success=not miss, intercept_position=start + travel
         )
@@ -48,13 +53,15 @@ def play(count: int, skill: float, capture: str = "attach", image_size: int | No
 def example_run(folder: Path, policy: str, skill: float, count: int = 44, **options: object) -> Results:
     """Write the result folder of a made-up policy."""
     capture = str(options.pop("capture", "attach"))
+    benchmark = str(options.pop("benchmark", BENCHMARK.version))
     return write_results(
         folder,
-        play(count, skill, capture),
+        play(count, skill, capture, benchmark=benchmark),
         policy=policy,
         split="test_small",
         capture=capture,
         command=str(options.pop("command", f"dynahoi evaluate --policy {policy} --split test_small")),
         fingerprint="f00dcafe",
         extra=options,
+        benchmark=benchmark,
     )

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
+from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.report.entries import LABEL_LENGTH, distinct_episodes, read_entries, short_name, unique_labels
+from dynahoi_lerobot.report.tables import leaderboard
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.report.example_runs import example_run
 
 
@@ -47,9 +52,9 @@ def test_equal_names_are_told_apart_by_folder_and_then_by_number():
     assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
 
 
-def test_a_delayed_policy_is_labelled_as_such():
-    late = replace(named("obact"), info=replace(named("obact").info, extra={"delay_ms": 150.0}))
-    assert unique_labels([late, named("obact")]) == ["obact +150 ms", "obact"]
+def test_a_policy_whose_inference_takes_time_is_labelled_as_such():
+    late = replace(named("obact"), info=replace(named("obact").info, extra={"inference": "async 150 ms"}))
+    assert unique_labels([late, named("obact")]) == ["obact, async 150 ms", "obact"]
 
 
 def test_entries_come_best_first_and_once(tmp_path: Path):
@@ -72,3 +77,21 @@ def test_a_stratum_is_computed_once(tmp_path: Path):
 def test_a_missing_folder_is_named(tmp_path: Path):
     with pytest.raises(ResultsError, match="nowhere"):
         read_entries([tmp_path / "nowhere"])
+
+
+def test_versions_of_the_benchmark_are_not_mixed_unless_asked(tmp_path: Path, capsys: pytest.CaptureFixture):
+    old, new = tmp_path / "old", tmp_path / "new"
+    example_run(old, "old", 0.5, 4, benchmark="v0")
+    example_run(new, "new", 0.5, 4)
+    sentence = f"{old} has benchmark 'v0', {new} has benchmark '{BENCHMARK.version}'; evaluate both under one version"
+    with pytest.raises(MixedError, match=re.escape(sentence)):
+        read_entries([old, new])
+    assert main(["report", str(old), str(new), "--out", str(tmp_path / "page.html")]) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "page.html").exists()
+    words = ["report", str(old), str(new), "--out", str(tmp_path / "page.html"), "--allow-version-mismatch"]
+    assert main(words) == 0
+    assert all(version in (tmp_path / "page.html").read_text() for version in ("v0", BENCHMARK.version))
+    assert not any(
+        cell.mark for row in leaderboard(read_entries([old, new], allow_version_mismatch=True)).rows for cell in row
+    )

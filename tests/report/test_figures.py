@@ -9,17 +9,21 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.evaluate.episode_row import episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.figures.base import FIGURES, in_order
+from dynahoi_lerobot.report.figures.grasp_magnitude import by_object
 from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay
 from dynahoi_lerobot.report.figures.panels import scaled
 from dynahoi_lerobot.report.style import new_figure
 from tests.report.example_runs import example_run
 
 HOSTILE = '<script>$x^{"&$'
-ALWAYS = {"main", "stages", "per-frame-grasp", "data", "joint-deltas", "palm-displacements"}
+ALWAYS = {"main", "stages", "per-frame-grasp", "data", "grasp-magnitude", "joint-deltas", "palm-displacements"}
 
 
 def runs(root: Path) -> list[Entry]:
@@ -128,3 +132,19 @@ def test_deltas_are_those_of_the_control_phase(entries: list[Entry]):
     assert deltas.shape == (expected, HAND_DOF)
     first = results.actions[0][results.rows[0]["window_frames"] :]
     assert deltas[0].tolist() == (first[1] - first[0]).tolist()
+
+
+def test_small_objects_need_large_grasps_and_are_caught_from_near_and_far(
+    specs: list[EpisodeSpec], expert_episodes: list[Episode]
+):
+    rows = [episode_row(episode) for episode in expert_episodes]
+    radius_m = np.array([spec.target.grasp_radius_m for spec in specs])
+    grasp_rad = np.array([row["grasp_rad"] for row in rows])
+    assert np.corrcoef(radius_m, grasp_rad)[0, 1] < -0.9
+    objects = by_object(rows)
+    assert sum(map(len, objects.values())) == len(rows)
+    means = [points[:, 1].mean() for points in objects.values()]
+    assert means == sorted(means, reverse=True)
+    for name, points in objects.items():
+        wanted = sorted(row["travel_u"] for row in rows if row["object"] == name)
+        assert sorted(points[:, 0]) == wanted

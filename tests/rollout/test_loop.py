@@ -11,10 +11,12 @@ from dynahoi_lerobot.agent import Agent, Expert, Observation, WorldState
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch, play, record
 from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
 from tests.world.playing import digest
 
 QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=32)
@@ -123,7 +125,7 @@ def test_pushes_move_the_hand_and_not_what_is_recorded_as_its_command(batch_size
 def test_a_pushed_episode_plays_again_from_its_commands():
     recipe = replace(QUICK, disturbance_m=0.02)
     (episode,) = record(recipe, [3], threads=1, images=False)
-    again = replay(recipe, 3, episode.action, images=False)
+    (again,) = replay(recipe, [ActionLog(3, episode.action)], images=False)
     np.testing.assert_allclose(again.state, episode.state, atol=1e-6)
 
 
@@ -148,7 +150,7 @@ def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(sp
     for job, episode in played.items():
         assert len(episode) == job.frames
         shown = agent.shown[job.index // 3]
-        np.testing.assert_array_equal(shown[0].state[job.index % 3, :3], np.float32(job.spec.home_pos_w))
+        np.testing.assert_array_equal(shown[0].state[job.index % 3, :3], 0)
         np.testing.assert_array_equal(episode.state, [o.state[job.index % 3] for o in shown[: job.frames]])
 
 
@@ -182,3 +184,35 @@ def test_what_an_agent_does_in_one_world_is_nothing_to_another(specs: list[Episo
     alone = [digest(e) for e in evaluate(make_batch(QUICK, 1, threads=1), Remembering(), specs[:3])]
     together = evaluate(make_batch(QUICK, 3, threads=1), Remembering(), specs[:3])
     assert sorted(alone) == sorted(digest(e) for e in together)
+
+
+class Closing(Expert):
+    """Stays where it is and closes its fingers."""
+
+    name = "closing"
+
+    def act(self, world: WorldState) -> np.ndarray:
+        reference = np.stack([spec.reference_joints for spec in world.specs if spec is not None])
+        return np.hstack([world.state_when_due[:, :3], reference])
+
+
+def test_a_palm_whose_fingers_close_stands_still():
+    specs = sample_specs(QUICK, SEEDS[:3])
+    for episode in evaluate(make_batch(QUICK, 3), Closing(), specs):
+        assert np.abs(np.diff(episode.joints, axis=0)).max() > 0.1
+        assert METRICS["Q_smooth"](episode) == 1.0
+        assert METRICS["Q_line"](episode) == 0.0
+
+
+@pytest.mark.parametrize(("spare", "localized"), [(0, True), (-1, False)])
+def test_the_outcome_of_the_last_of_l_steps_counts(spare: int, localized: bool):
+    spec = sample_specs(QUICK, SEEDS[:1])[0]
+    (first,) = evaluate(make_batch(QUICK, 1), Intercept(), [spec])
+    assert first.first_localized is not None
+    short = replace(spec, length_frames=first.first_localized - spec.window_frames + spare)
+    (episode,) = evaluate(make_batch(QUICK, 1), Intercept(), [short])
+    assert METRICS["S_loc"](episode) == float(localized)
+    assert METRICS["R_time"](episode) == 0.0, "the last moment is no better than never"
+    assert len(episode) == short.window_frames + short.length_frames + 1
+    if localized:
+        assert METRICS["E_loc"](episode) == METRICS["E_loc"](first)

@@ -13,6 +13,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import MAX_DISTURBANCE_M, Recipe
+from dynahoi_lerobot.verify.checks.plausibility import limits_of
 from tests.synthetic import synthetic_episode
 
 KINDS = len(BENCHMARK.splits["train"].motions)
@@ -23,6 +24,8 @@ STRAYING = {"disturbance_m": MAX_DISTURBANCE_M}
     ("capture", "options", "count"),
     [
         ("attach", {}, KINDS),
+        ("attach", {"control_class": "late"}, 8),
+        ("attach_lenient", {}, KINDS),
         ("contact", {}, KINDS),
         ("attach", STRAYING, 8),
         ("contact", STRAYING, 8),
@@ -33,8 +36,14 @@ STRAYING = {"disturbance_m": MAX_DISTURBANCE_M}
 def test_experts_recordings_pass(capture, options, count):
     episodes = list(record(Recipe(capture=capture, **options), range(count), images=False))
     assert len(episodes) > 0.8 * count
-    found = {episode.meta.seed: trajectory_problems(content_arrays(episode)) for episode in episodes}
+    found = {episode.meta.seed: problems(episode) for episode in episodes}
     assert not any(found.values()), found
+
+
+def problems(episode: Episode, **changes: str) -> list[str]:
+    """What is wrong with an episode under its own capture rule and control class, or others."""
+    names = {"capture": episode.meta.capture, "control_class": episode.meta.control_class} | changes
+    return trajectory_problems(content_arrays(episode), episode.home_position, limits_of(**names))
 
 
 def corrupted(name: str, where: object, value: object) -> Episode:
@@ -61,8 +70,26 @@ def corrupted(name: str, where: object, value: object) -> Episode:
     ],
 )
 def test_corrupt_recordings_are_rejected(episode, sentence):
-    assert any(sentence in problem for problem in trajectory_problems(content_arrays(episode)))
+    assert any(sentence in problem for problem in trajectory_problems(content_arrays(episode), episode.home_position))
+
+
+def test_the_speed_of_the_class_decides_what_is_a_jump():
+    moved = corrupted("state", (9, 1), lambda y: y + 0.08)
+    for control_class in ("standard", "late"):
+        (problem,) = problems(moved, control_class=control_class)
+        assert "m at frame 9; 0.06 m is possible" in problem
+    assert not problems(moved, control_class="unlimited")
+    assert not problems(moved, control_class="standard", capture="contact"), "its gantry is as fast as `unlimited`"
 
 
 def test_the_sound_episode_passes():
-    assert not trajectory_problems(content_arrays(synthetic_episode(0)))
+    episode = synthetic_episode(0)
+    assert not trajectory_problems(content_arrays(episode), episode.home_position)
+
+
+def test_the_range_of_the_slides_is_that_of_the_world():
+    """The same numbers in the home frame are possible at one home and not at another."""
+    episode = synthetic_episode(0)
+    beside_the_end = np.array([1.9, 0.0, 1.0])
+    (problem,) = trajectory_problems(content_arrays(episode), beside_the_end)
+    assert "-3.90 to 0.10 m are possible" in problem

@@ -13,6 +13,7 @@ from PIL import Image
 
 from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.vlm.agent import VlmAgent
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, answer_schema, messages
@@ -66,6 +67,51 @@ def test_a_bad_answer_is_refused_with_the_reason(name: str):
     with pytest.raises(ReplyError, match=reason) as error:
         parse_reply(text)
     assert len(str(error.value)) < 300
+
+
+PAPER_PROMPT = """Task. Catch the ball.
+Input. RGB image + current hand state s_t ∈ R^18: [x, y, z, 15 joint angles (rad)] = STATE.
+Skill Set. {WAIT, APPROACH, INTERCEPT, GRASP, LIFT, ADJUST}.
+Output. Return (i) a parameterized skill program whose durations sum to 10, and (ii) an explicit low-level rollout of \
+the next 10 frames, each with 18 values in the same order.
+Return only the following JSON:
+{
+  "action_sequence": [
+    {
+      "skill": "APPROACH",
+      "params": {"target": "object",......},
+      "duration": 4,
+      "terminate_if": ...,
+    },
+    {
+      "skill": "GRASP",
+      "params": {...},
+      "duration": 6
+    }
+  ],
+  "predicted_motion": [
+    {"frame_index": 1, "hand_params": [18 values]},
+    ...,
+    {"frame_index": 10, "hand_params": [18 values]}
+  ]
+}"""
+
+
+def test_the_papers_prompt_is_literal():
+    system, user = messages("Catch the ball.", STATE, IMAGE, prompt="paper")
+    assert system["content"] == "You are a Vision-Language-Action agent for dynamic hand-object interaction."
+    text = user["content"][0]["text"]
+    assert text == PAPER_PROMPT.replace("STATE", str(np.round(STATE.astype(float), 4).tolist()))
+
+
+@pytest.mark.parametrize("condition", ['"distance < 0.03"', "true", "null", '{"contact": 5}', "0.5"])
+def test_an_answer_may_say_when_a_skill_ends_and_its_rollout_is_played(condition: str):
+    conditional = answer().replace('"duration": 4', f'"duration": 4, "terminate_if": {condition}')
+    assert "terminate_if" in conditional
+    np.testing.assert_array_equal(parse_reply(conditional), parse_reply(answer()))
+    skill = answer_schema()["properties"]["action_sequence"]["items"]
+    assert "terminate_if" in skill["properties"]
+    assert "terminate_if" not in skill["required"]
 
 
 def test_the_request_holds_what_the_paper_says():
@@ -213,12 +259,35 @@ def test_evaluating_a_model_from_the_command_line(tmp_path: Path, capsys: pytest
         words = ["--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant"]
         assert main(["evaluate", *words, "--episodes", "2", "--image-size", "32", "--out", str(out)]) == 0
     head = json.loads((out / "metrics.json").read_text())
-    assert head["policy"] == "vlm:tiny"
+    assert head["policy"] == "vlm:tiny:extended"
+    assert {row["agent"] for row in read_results(out).rows} == {"vlm:tiny:extended"}
+    assert head["extra"]["vlm"]["prompt"] == "extended"
     account = head["extra"]["vlm"]
     assert account["failed_requests_by"] == {"unplayable": 1}
     assert account["failed"] == 0
     assert account["requests"] == len((out / "vlm.jsonl").read_text().splitlines()) > 4
     assert "failed 0" in capsys.readouterr().out
+
+
+def test_the_papers_prompt_is_sent_and_named_in_every_row(tmp_path: Path, capsys: pytest.CaptureFixture):
+    def handler(exchange: Exchange) -> None:
+        assert exchange.body["messages"][1]["content"][0]["text"].startswith("Task. ")
+        exchange.say(answer())
+
+    out = tmp_path / "results"
+    with serving(handler) as (url, _):
+        words = ["evaluate", "--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant"]
+        words += ["--image-size", "32", "--out", str(out), "--capture", "attach_lenient"]
+        assert main([*words, "--prompt", "paper", "--episodes", "1"]) == 0
+        assert "vlm:tiny:paper  test_small  attach_lenient  standard" in capsys.readouterr().out
+        assert main([*words, "--prompt", "extended", "--episodes", "2"]) == 2
+        assert "holds results with policy vlm:tiny:paper, not vlm:tiny:extended" in capsys.readouterr().err
+        assert main([*words, "--prompt", "short"]) == 2
+        assert "unknown prompt 'short'; known: extended, paper" in capsys.readouterr().err
+    (row,) = read_results(out).rows
+    assert (row["agent"], row["capture"]) == ("vlm:tiny:paper", "attach_lenient")
+    account = read_results(out).info.extra["vlm"]
+    assert (account["prompt"], account["failed"]) == ("paper", 0)
 
 
 def test_a_model_must_be_named(capsys: pytest.CaptureFixture):

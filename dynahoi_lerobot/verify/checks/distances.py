@@ -8,7 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS, LOCALIZATION_RADIUS_M, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS, PALM_DOF
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 from dynahoi_lerobot.world.batch import TOUCH_M
 
@@ -38,7 +38,7 @@ class Distances(Check):
             return  # said by `episode_columns`
         problems = (
             _palm(palm, columns),
-            _localized(palm, columns),
+            _localized(CAPTURES[row["capture"]].localization_radius_m, palm, columns),
             _tips(row, tips, columns),
             _contacts(row, tips, columns),
         )
@@ -77,11 +77,11 @@ def _bend(columns: Columns) -> np.ndarray:
     return CONTROL_DT / 4 * target + np.maximum(turns[:-1], turns[1:]) / 2
 
 
-def _localized(palm: np.ndarray, columns: Columns) -> str | None:
+def _localized(radius_m: float, palm: np.ndarray, columns: Columns) -> str | None:
     """Find a frame that is localised without the palm having been near, or the other way round."""
     acting = columns["observation.phase"][:, 0] > 0.5
     acting = np.concatenate([[False], acting[:-1]])  # a distance is that of the step before its frame
-    wanted = np.maximum.accumulate((palm < LOCALIZATION_RADIUS_M) & acting)
+    wanted = np.maximum.accumulate((palm < radius_m) & acting)
     wrong = np.flatnonzero(columns["localized"][:, 0].astype(bool) != wanted)
     if not wrong.size:
         return None

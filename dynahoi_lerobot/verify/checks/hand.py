@@ -10,7 +10,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.captures.base import Weld
 from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.foundation.conventions import FINGER_DOF, PALM_DOF
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
@@ -34,7 +34,12 @@ class HandCheck(Check):
         """Yield states that no hand of this name has, or that its servos would not have reached."""
         if (recipe := dataset.recipe) is None:
             return
-        problems = (_fingertips(recipe, columns), _range(recipe, columns), _lag(recipe, columns), _open(recipe, row))
+        problems = (
+            _fingertips(recipe, columns),
+            _range(recipe, row, columns),
+            _lag(recipe, columns),
+            _open(recipe, row),
+        )
         yield from (f"episode {row['episode_index']}{problem}" for problem in problems if problem)
 
 
@@ -49,13 +54,15 @@ def _fingertips(recipe: Recipe, columns: Columns) -> str | None:
     return f", frame {frame}: observation.fingertips is {apart[frame]:.2g} m or rad off the kinematics of its state"
 
 
-def _range(recipe: Recipe, columns: Columns) -> str | None:
+def _range(recipe: Recipe, row: EpisodeRow, columns: Columns) -> str | None:
     hand, action = hand_kinematics(recipe.hand), columns["action"]
-    beyond = np.maximum(hand.low - action, action - hand.high)  # (T, 18), positive outside
+    origin = np.concatenate([row["stats/home_position"], np.zeros(FINGER_DOF)])
+    low, high = hand.low - origin, hand.high - origin
+    beyond = np.maximum(low - action, action - high)  # (T, 18), positive outside
     frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
     if beyond[frame, axis] <= RANGE_TOLERANCE:
         return None
-    allowed = f"commands are clipped to {hand.low[axis]:.2f} to {hand.high[axis]:.2f}"
+    allowed = f"commands are clipped to {low[axis]:.2f} to {high[axis]:.2f}"
     return f", frame {frame}: action[{axis}] is {action[frame, axis]:.3f}; {allowed}"
 
 

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.captures.base import Weld
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
@@ -51,18 +53,19 @@ def _off_path(motion: PrescribedMotion, row: EpisodeRow, columns: Columns) -> It
         columns["target.pose"],
         columns["target.velocity"],
     )
+    home_w = np.asarray(row["stats/home_position"], float)
     met = columns["localized"][:, 0].astype(bool) | (columns["target.contacts"] > 0).any(axis=1)
-    if row["capture"] != "attach":
+    if not isinstance(CAPTURES[row["capture"]].effect, Weld):
         met |= np.asarray(row["stats/palm_distance"]) < TOUCHING_M
     free = ~np.maximum.accumulate(met)
     for key, found, wanted, tolerance, unit in (
-        ("target.pose", pose[:, :3], motion.position(times), PATH_TOLERANCE_M, "m"),
+        ("target.pose", pose[:, :3], motion.position(times) - home_w, PATH_TOLERANCE_M, "m"),
         ("target.velocity", twist[:, :3], motion.velocity(times), VELOCITY_TOLERANCE_M_S, "m/s"),
     ):
         apart = np.where(free, np.abs(found - wanted).max(axis=1), 0.0)
         if apart.max() > tolerance:
             yield f", frame {int(apart.argmax())}: {key} is {apart.max():.2g} {unit} off the path of its parameters"
-    meeting = motion.position(np.array([row["intercept_frame"] * CONTROL_DT]))[0]
+    meeting = motion.position(np.array([row["intercept_frame"] * CONTROL_DT]))[0] - home_w
     if (gap := float(np.abs(columns["intercept.position"][0] - meeting).max())) > PATH_TOLERANCE_M:
         yield f": intercept.position is {gap:.2g} m off the path at intercept.time"
 

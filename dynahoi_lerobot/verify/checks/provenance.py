@@ -35,6 +35,8 @@ class Provenance(Check):
         for number, (row, seed) in enumerate(zip(rows, manifest.seeds, strict=False)):
             if row["seed"] != seed:
                 yield f"episode {number} has seed {row['seed']}; the manifest says {seed}"
+        if (found := ", ".join(sorted({row["benchmark"] for row in rows}))) != manifest.benchmark:
+            yield f"the episodes are of benchmark {found!r}; the manifest says {manifest.benchmark!r}"
         plan = {key: value for key, value in manifest.provenance.items() if key != "kept"}
         if not plan:
             return

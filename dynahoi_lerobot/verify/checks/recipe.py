@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.protocol import protocol_of
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.instructions import NEUTRAL, REVEALING
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.timing import window_frames
@@ -47,18 +49,20 @@ def _allowed(recipe: Recipe, row: EpisodeRow, code: str | None) -> dict[str, lis
         "attempts": list(range(1, 2 + expert.retries)),
         "capture": [recipe.capture],
         "protocol": [recipe.protocol],
-        "split": [recipe.split],
+        "split": [recipe.split_label],
         "fingerprint": [recipe.fingerprint(code)],
+        "benchmark": [BENCHMARK.version],
     }
 
 
 def _lengths(recipe: Recipe, row: EpisodeRow) -> Iterator[str]:
     """Yield lengths that the recipe does not give: window, and frames after the intercept."""
     length, window, intercept = row["length_frames"], row["window_frames"], row["intercept_frame"]
-    if recipe.protocol == "direct_act" and window:
-        yield f"window_frames is {window}; protocol 'direct_act' has no window"
+    has_window = protocol_of(recipe.protocol).has_window
+    if window and not has_window:
+        yield f"window_frames is {window}; protocol {recipe.protocol!r} has no window"
     drawn = length - CAPTURES[recipe.capture].hold_frames  # at least so many frames were drawn before the rule's own
-    if recipe.protocol != "direct_act" and window < (least := window_frames(max(drawn, 0))):
+    if has_window and window < (least := window_frames(max(drawn, 0))):
         yield f"window_frames is {window}; of {length} frames at least {least} observe"
     if not window < intercept < length:
         yield f"intercept_frame is {intercept}; it lies between the window's {window} and the length's {length} frames"

@@ -44,5 +44,5 @@ def _track(row: EpisodeRow, columns: Columns) -> Track:
         localized=columns["localized"][control, 0].astype(bool),
         contacts=TargetContacts(touch, captured.astype(float), (~captured).astype(float)),
         palm_distance=np.asarray(row["stats/palm_distance"])[control],
-        palm_pos_w=state[:, :PALM_DOF],
+        palm_pos_h=state[:, :PALM_DOF],
     )

@@ -38,7 +38,7 @@ class DynahoiEnvConfig(EnvConfig):
         image_size: side of the square images [px]; use the dataset's.
         views: views besides ``ego``, the hand's camera, such as ``side`` or ``ego_depth``.
         appearance: what is randomised more strongly, such as ``lights`` or ``distractors``.
-        protocol: ``observe_before_act`` or ``direct_act``.
+        protocol: see `protocol.py`.
         control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``.
         capture: capture rule, one of ``dynahoi list captures``.
         hand: embodiment, one of ``dynahoi list hands``; the capture rule's own if empty.

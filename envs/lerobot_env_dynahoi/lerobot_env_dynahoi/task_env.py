@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,7 @@ class ResultsLog:
         """Write the folder if there is anything new, and print the table."""
         if not self._unwritten:
             return
-        extra = {"recipe": asdict(self._recipe)}
+        extra = {"recipe": self._recipe.stored()}
         name, command = policy_name(sys.argv), " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
         info = RunInfo(name, self._split, self._recipe.capture, command, self._fingerprint, extra)
         results = self._recorder.write(self.folder, info)

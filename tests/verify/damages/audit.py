@@ -81,6 +81,7 @@ AUDIT: Table = {
     "bytes appended to a video": (file(VIDEO, lambda c: c + b"secret"), "default", "of which the boxes"),
     "a box appended to a video": (file(VIDEO, lambda c: c + b"\0\0\0\x0dfreesecre"), "default", "of which the boxes"),
     "palm moved by 25 cm": (at(STATE, (10, 0), lambda x: x + 0.25), "default", "observation.state jumps by 0.2"),
+    "palm moved by 8 cm": (at(STATE, (10, 0), lambda x: x + 0.08), "default", "m at frame 10; 0.06 m is possible"),
     "palm moved by 25 cm throughout": (at(STATE, (slice(None), 0), lambda x: x + 0.25), "default", "off the kinemat"),
     "target moved by 1 m": (at(POSE, (10, 0), lambda x: x + 1), "default", "target.pose jumps by 1.0"),
     "joint moved by 1.5 rad": (at(STATE, (3, 9), 1.5), "default", "jumps by 1.50 rad at frame 3; 1.20 rad"),

@@ -16,6 +16,7 @@ def slow(row, columns):
 EPISODES: Table = {
     "a failed episode": (row_is(success=False), "default", "success is False"),
     "another protocol": (row_is(protocol="direct_act"), "default", "protocol is 'direct_act'"),
+    "another version of the benchmark": (row_is(benchmark="v0"), "default", "benchmark is 'v0'"),
     "another fingerprint": (row_is(fingerprint="f" * 16), "default", "fingerprint is 'ffff"),
     "too many attempts": (row_is(attempts=9), "default", "attempts is 9; seed and recipe allow"),
     "a wrong window": (row_is(window_frames=3), "default", "window_frames is 3"),

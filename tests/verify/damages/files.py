@@ -44,8 +44,9 @@ FILES: Table = {
         for kind, change in (("truncation", half), ("emptying", lambda c: b""), ("a flipped last byte", flip(0.99999)))
         if not (name == VIDEO and kind == "a flipped last byte")
     },
-    "a flipped byte within the frames": (file(DATA, flip(0.3)), "default", "the data give"),
-    "a flipped byte within the episode table": (file(ROWS, flip(0.3)), "default", "file-000.parquet"),
+    # where the byte falls decides whether the file cannot be read or has other values
+    "a flipped byte within the frames": (file(DATA, flip(0.3)), "default", "data"),
+    "a flipped byte within the episode table": (file(ROWS, flip(0.3)), "default", "episode"),
     "a flipped byte in a video's index": (
         file(VIDEO, lambda c: flip((c.index(b"stsz") + 21) / len(c))(c)), "default", "file-000.mp4"
     ),

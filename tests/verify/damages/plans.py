@@ -17,5 +17,8 @@ PLANS: Table = {
     "an unknown recipe": (plan(recipe={"split": "moon"}), "default", "recipe cannot be read"),
     "half a plan": (entry(MANIFEST, lambda m: m["provenance"].pop("code")), "default", "lacks or adds code"),
     "no plan at all": (entry(MANIFEST, lambda m: m.update(provenance={})), "replay", "names no recipe"),
+    "another benchmark": (
+        entry(MANIFEST, lambda m: m.update(benchmark="v0")), "default", "the manifest says 'v0'"
+    ),
     "other yields": (entry(MANIFEST, lambda m: m["yields"].update(tried=99)), "default", "yields"),
 }  # fmt: skip

@@ -1,0 +1,177 @@
+"""Write tests/sampling/benchmark_digests.json: what the benchmark's version promises, as digests; or compare with it.
+
+python benchmarks/pin.py [--check] [--out tests/sampling/benchmark_digests.json] [--json FILE]
+
+Pinned are the definition (`sampling/benchmark.py`), the specs of every seed of all splits (of ``train`` the first 220),
+and pictures of the default renderer at 64 px. A digest that changes is a new version of the benchmark.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from support.options import benchmark_parser, write_numbers
+
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts.base import SingleWorldExpert, WorldView
+from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+
+DIGESTS = Path(__file__).parents[1] / "tests" / "sampling" / "benchmark_digests.json"
+TRAIN_SEEDS = 220
+"""How many seeds of the endless split are pinned."""
+PICTURED_EPISODES = 4
+"""Of each split, at seeds of its own, so that all of them together have every kind of motion."""
+PICTURE_PX, PICTURE_STRIDE = 64, 5
+DECIMALS = 6
+"""Lengths [m], times [s] and angles [rad] are pinned to a millionth, so that compilers may round differently."""
+ACROSS = 11
+"""Digests in a line of the file."""
+TINY = {"out": Path("digests.json"), "seeds": 2, "pictured": 1}
+
+Pinned = dict[str, Any]
+"""``version`` and ``definition``; ``specs`` and ``pictures`` by split and seed."""
+
+
+class Closing(SingleWorldExpert):
+    """Moves forwards at 0.1 m/s and closes over 30 frames, whatever the target does; it changes with no expert."""
+
+    name = "closing"
+
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        palm, joints = world.state[:PALM_DOF], world.state[PALM_DOF:]
+        return np.concatenate([palm + [0.005, 0.0, 0.0], np.minimum(joints + 0.05, 1.5)])
+
+
+def main() -> int:
+    parser = benchmark_parser(__doc__, **TINY)
+    parser.add_argument("--out", type=Path, default=DIGESTS)
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; compare with the file and exit 1 if it differs"
+    )
+    parser.add_argument("--seeds", type=int, help="pin no more than the first seeds of each split")
+    parser.add_argument("--pictured", type=int, default=PICTURED_EPISODES, help="pictured episodes of each split")
+    args = parser.parse_args()
+    found = pin(args.seeds, args.pictured)
+    write_numbers(args, specs=sum(map(len, found["specs"].values())), pictures=len(found["pictures"]))
+    if args.check:
+        differing = differences(found, read(args.out))
+        print("\n".join(differing) or f"{args.out}: nothing differs")
+        return bool(differing)
+    args.out.write_text(json.dumps(_in_lines(found), indent=1) + "\n")
+    print(f"{args.out}: {BENCHMARK.version}, {sum(map(len, found['specs'].values()))} episodes")
+    return 0
+
+
+def pin(seeds: int | None = None, pictured: int = PICTURED_EPISODES) -> Pinned:
+    """Return all digests, of the first ``seeds`` of each split only if that is given."""
+    return {
+        "version": BENCHMARK.version,
+        "definition": definition(),
+        "specs": {split: spec_digests(split, pinned_seeds(split)[:seeds]) for split in BENCHMARK.streams},
+        "pictures": {
+            name: digest for split in BENCHMARK.streams for name, digest in picture_digests(split, pictured).items()
+        },
+    }
+
+
+def definition() -> str:
+    """Return the digest of everything that `sampling/benchmark.py` says."""
+    return _digest(asdict(BENCHMARK))[:16]
+
+
+def pinned_seeds(split: str) -> range:
+    """Return the seeds of a split whose specs are pinned."""
+    return range(BENCHMARK.splits[split].size or TRAIN_SEEDS)
+
+
+def spec_digests(split: str, seeds: Sequence[int], *, threads: int = 0) -> dict[int, str]:
+    """Return a digest of all that each spec holds but the fingerprint of the code, by seed."""
+    specs = sample_specs(Recipe(split=split), seeds, threads=threads)
+    return {spec.seed: _digest(_content(spec))[:8] for spec in specs}
+
+
+def picture_digests(
+    split: str, count: int = PICTURED_EPISODES, *, batch_size: int = 4, threads: int = 0
+) -> dict[str, str]:
+    """Return a digest of the pictures of the first of ``PICTURED_EPISODES`` episodes, by ``split/seed``.
+
+    Of every fifth frame in which a hand moves forwards and closes, from the hand's camera, 64 px.
+    """
+    recipe = Recipe(split=split, image_size=PICTURE_PX)
+    first = PICTURED_EPISODES * BENCHMARK.streams.index(split)
+    specs = sample_specs(recipe, range(first, first + count), threads=threads)
+    episodes = evaluate(make_batch(recipe, batch_size, threads), Closing(), specs, images=True)
+    pixels = {f"{split}/{episode.meta.seed}": episode.images["ego"][::PICTURE_STRIDE] for episode in episodes}
+    return {name: hashlib.sha256(pixels[name].tobytes()).hexdigest()[:16] for name in sorted(pixels)}
+
+
+def read(path: Path = DIGESTS) -> Pinned:
+    """Return the digests of a file."""
+    pinned = json.loads(path.read_text())
+    specs = {split: dict(enumerate(" ".join(lines).split())) for split, lines in pinned["specs"].items()}
+    return pinned | {"specs": specs}
+
+
+def differences(found: Pinned, wanted: Pinned) -> list[str]:
+    """Return a sentence for everything in ``found`` that is pinned otherwise, or not at all."""
+    sentences = [
+        f"{name} is {found[name]!r}; pinned is {wanted[name]!r}"
+        for name in ("version", "definition")
+        if found[name] != wanted[name]
+    ]
+    for split, digests in found["specs"].items():
+        sentences += _differing(f"specs of {split}", digests, wanted["specs"].get(split, {}))
+    return sentences + _differing("pictures", found["pictures"], wanted["pictures"])
+
+
+def _differing(noun: str, found: Mapping[Any, str], wanted: Mapping[Any, str]) -> list[str]:
+    keys = [str(key) for key, digest in found.items() if wanted.get(key) != digest]
+    return [f"{len(keys)} of {len(found)} {noun} differ, the first is {keys[0]}"] if keys else []
+
+
+def _in_lines(pinned: Pinned) -> Pinned:
+    """Join the digests of specs, whose seeds count from 0, to lines."""
+    specs = {
+        split: [" ".join(list(digests.values())[i : i + ACROSS]) for i in range(0, len(digests), ACROSS)]
+        for split, digests in pinned["specs"].items()
+    }
+    return pinned | {"specs": specs}
+
+
+def _content(spec: EpisodeSpec) -> dict[str, Any]:
+    motion = [spec.motion.name, spec.motion.parameters()]
+    return {**vars(spec), "motion": motion, "fingerprint": ""}
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(_rounded(value), sort_keys=True).encode()).hexdigest()
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, str):
+        return _rounded(json.loads(value)) if value.startswith("{") else value
+    if isinstance(value, float | np.floating):
+        return round(float(value), DECIMALS) + 0.0  # no negative zero
+    if isinstance(value, np.ndarray):
+        return _rounded(value.tolist())
+    if isinstance(value, dict):
+        return {key: _rounded(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(entry) for entry in value]
+    return _rounded(vars(value)) if hasattr(value, "__dict__") else value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,117 @@
+"""Checking a published result: every number follows from the logged commands, played again from the seeds.
+
+A certificate says that the commands in the folder, given in the episodes of the split, lead to the results in it. It
+does not say who gave the commands: a log of the expert's commands under another name is certified, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import batched
+from pathlib import Path
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate import result_files
+from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
+from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.salt import seal, split_of
+from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
+
+TOLERANCE = 1e-5
+"""Greatest difference of a number, in its unit, for replays on another processor; on one machine they are equal."""
+PLAYED_TOGETHER = 32
+NOT_REPLAYED = {"agent"}
+"""Columns that do not follow from the commands."""
+
+
+def open_recipe(results: Results, salt: str = "") -> Recipe:
+    """Return what was played, its salt in place of the salt's hash.
+
+    Raises:
+        ResultsError: if the folder does not say what was played.
+        ValueError: if the results are of another salt.
+    """
+    recipe = results.recipe()
+    if (stored := seal(recipe.salt)) != seal(salt):
+        raise ValueError(f"the results are of {_stream(stored)}, not of {_stream(seal(salt))}, as --salt says")
+    return replace(recipe, salt=salt)
+
+
+def _stream(sealed: str) -> str:
+    return f"salt {sealed}" if sealed else "the public stream"
+
+
+def check_folder(folder: Path, recipe: Recipe) -> Iterator[str]:
+    """Yield what in a result folder is wrong by itself, before anything is played.
+
+    Args:
+        folder: the result folder.
+        recipe: of ``open_recipe``.
+
+    Raises:
+        ResultsError: if the folder cannot be read.
+    """
+    results = read_results(folder)
+    info, split = results.info, split_of(results.info.split)
+    if (here := recipe.fingerprint()) != info.fingerprint:
+        yield f"the results were made by other code or another recipe ({info.fingerprint}, here is {here})"
+    if recipe.split != seed_stream(split) or recipe.capture != info.capture:
+        played = f"{recipe.split} under {recipe.capture}"
+        yield f"metrics.json names split {info.split} and capture rule {info.capture}, but its recipe plays {played}"
+    seeds = [row["seed"] for row in results.rows]
+    if repeated := sorted({seed for seed in seeds if seeds.count(seed) > 1}):
+        yield f"seed {repeated[0]} is there {seeds.count(repeated[0])} times"
+    if foreign := sorted(set(seeds) - set(split_seeds(split))):
+        yield f"seed {foreign[0]} is not in split {info.split}"
+    yield from _wrong_sums(result_files.read(folder)[0]["metrics"], results.as_json()["metrics"])
+
+
+def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:
+    """Play rows ``indices`` again and yield what differs, a list for each of them in their order."""
+    for chosen in batched(indices, PLAYED_TOGETHER):
+        episodes = replay(recipe, [results.log(i) for i in chosen], images=False)
+        for i, episode in zip(chosen, episodes, strict=True):
+            yield [*_wrong_values(episode, results.rows[i]), *_wrong_actions(episode, results.actions[i])]
+
+
+def sample(n_rows: int, count: int | None) -> list[int]:
+    """Return ``count`` of ``n_rows`` rows, evenly spread; all of them for None."""
+    if count is None or count >= n_rows:
+        return list(range(n_rows))
+    return sorted({int(i) for i in np.linspace(0, n_rows - 1, count)})
+
+
+def _wrong_sums(stored: dict, recomputed: dict) -> Iterator[str]:
+    """Yield metrics whose value in ``metrics.json`` does not follow from the rows."""
+    for name, estimate in recomputed.items():
+        told = stored.get(name)
+        value = told.get("value") if isinstance(told, dict) else told
+        if not _equal(value, estimate["value"]):
+            yield f"{name} is {value} in metrics.json and {estimate['value']} over the episodes"
+
+
+def _wrong_values(episode: Episode, row: Row) -> Iterator[str]:
+    """Yield columns of a row that the replayed episode does not confirm."""
+    for name, value in episode_row(episode).items():
+        if name not in NOT_REPLAYED and not _equal(row.get(name), value):
+            yield f"seed {row['seed']}: {name} is {row.get(name)!r}, replayed it is {value!r}"
+
+
+def _wrong_actions(episode: Episode, actions: np.ndarray) -> Iterator[str]:
+    """Yield the first frame whose logged command the world did not take as it is."""
+    differs = np.abs(episode.action - actions).max(axis=1) > TOLERANCE
+    if differs.any():
+        yield f"seed {episode.meta.seed}: the command of frame {differs.argmax()} is beyond what the hand can do"
+
+
+def _equal(one: object, other: object) -> bool:
+    """Tell whether two values of a row agree, numbers within ``TOLERANCE``."""
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=0.0, abs_tol=TOLERANCE)
+    return one == other

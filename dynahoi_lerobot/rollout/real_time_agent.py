@@ -1,0 +1,102 @@
+"""One inference at a time: a chunk is ready when its inference has ended, and the world moves on meanwhile."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dynahoi_lerobot.agent import Agent, ChunkAgent, Observation
+from dynahoi_lerobot.rollout.inference import RTC, Inference, frames_of
+
+
+class RealTimeAgent(Agent):
+    """Executes the chunks of an agent whose inference takes time, world by world.
+
+    An inference begins with the observation of frame t and its chunk, whose first action is for frame t, is ready d
+    frames later: what is past is skipped. Meanwhile the old chunk goes on. The next inference begins when the last has
+    ended. Until the first chunk is ready, a hand stays where it is; after the last action of a chunk, where that led.
+    """
+
+    def __init__(self, agent: ChunkAgent, inference: Inference) -> None:
+        """Give ``agent`` the timing ``inference``, of mode ``async`` or ``rtc``.
+
+        Raises:
+            ValueError: for ``rtc`` with an agent that cannot be guided.
+        """
+        if inference.mode == RTC and not agent.accepts_guidance:
+            raise ValueError(
+                f"inference mode rtc guides a chunk while it is generated, which {agent.name!r} does not support; "
+                "use async"
+            )
+        self.name, self.sees_images = agent.name, agent.sees_images
+        self.image_size, self.views = agent.image_size, agent.views
+        self._agent, self._inference = agent, inference
+        self._inferences, self._waited_frames = 0, 0
+        self.reset(0)
+
+    def reset(self, count: int) -> None:
+        """Forget everything, also what is being inferred."""
+        self._agent.reset(count)
+        self._frame = 0
+        self._running: list[_Chunk | None] = [None] * count
+        self._coming: list[_Chunk | None] = [None] * count
+
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (N, 18) the commands that are due."""
+        self._receive()
+        starting = np.array([i for i, chunk in enumerate(self._coming) if chunk is None], int)
+        if starting.size:
+            self._infer(observation, starting)
+            self._receive()
+        else:
+            self._agent.watch(observation)
+        commands = observation.state.astype(np.float64)
+        for i, chunk in enumerate(self._running):
+            if chunk is not None:
+                commands[i] = chunk.action(self._frame)
+        self._frame += 1
+        return commands
+
+    def report(self) -> dict[str, Any]:
+        """Return the agent's report, and how many frames an inference took on average."""
+        frames = self._waited_frames / max(self._inferences, 1)
+        return {**self._agent.report(), "inference_frames": round(frames, 3)}
+
+    def _receive(self) -> None:
+        """Go on with the chunks that are ready at this frame."""
+        for i, chunk in enumerate(self._coming):
+            if chunk is not None and chunk.ready <= self._frame:
+                self._running[i], self._coming[i] = chunk, None
+
+    def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
+        """Begin an inference in each of the sorted ``worlds`` (n,)."""
+        declared = self._inference.latency_ms
+        delay = None if declared is None else frames_of(declared / 1000)
+        old = self._running[worlds[0]] if self._inference.mode == RTC else None
+        executed = None if old is None else self._frame - old.first
+        plan = self._agent.plan(observation, worlds, executed=executed, delay=delay or 0)
+        self._check(plan.actions.shape[1], delay)
+        for i, actions, seconds in zip(worlds, plan.actions, plan.seconds, strict=True):
+            took = frames_of(seconds) if delay is None else delay
+            self._coming[i] = _Chunk(actions, self._frame, self._frame + took)
+            self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
+
+    def _check(self, length: int, delay: int | None) -> None:
+        """Raise ValueError if the chunks are over before they are ready."""
+        if delay is not None and delay >= length:
+            raise ValueError(
+                f"the chunks of {self.name!r} have {length} actions, all of them past when a chunk is ready after "
+                f"{self._inference.latency_ms:g} ms ({delay} frames); allowed are less than {length} frames"
+            )
+
+
+class _Chunk:
+    """Actions (H, 18) from frame ``first`` on, executed from frame ``ready`` on."""
+
+    def __init__(self, actions: np.ndarray, first: int, ready: int) -> None:
+        self.actions, self.first, self.ready = actions, first, ready
+
+    def action(self, frame: int) -> np.ndarray:
+        """Return the (18,) action of ``frame``, the last one where the chunk is over."""
+        return self.actions[min(frame - self.first, len(self.actions) - 1)]

@@ -1,0 +1,98 @@
+"""A salted seed stream: the same benchmark with other episodes, which only those who know the salt can make.
+
+Whoever runs a leaderboard keeps a salt, evaluates what is submitted on episodes that nobody could train on, and
+publishes results. What is written to disk names the salt by a hash, so that results of one salt can be compared with
+each other and are never mixed with those of the public stream.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from dynahoi_lerobot.foundation.mixing import refuse_to_mix
+
+SEALED = "sha256:"
+"""A salt that begins so is the hash of an unknown one, as files hold it."""
+LEAST_LENGTH = 16
+"""Characters; a hash does not hide a salt that can be guessed."""
+HASH_DIGITS = 16
+WORDS = 8
+JOINT = "+"
+OPTION = "--salt"
+HIDDEN = "(hidden)"
+PUBLIC = "public"
+
+
+def add_salt_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--salt``."""
+    parser.add_argument(
+        OPTION, default="", help="secret of a leaderboard: other episodes of the same benchmark; only a hash is stored"
+    )
+
+
+def check_salt(salt: str) -> None:
+    """Refuse a salt that could be guessed.
+
+    Raises:
+        ValueError: if it has 1 to 15 characters; the message does not repeat it.
+    """
+    if 0 < len(salt) < LEAST_LENGTH:
+        raise ValueError(f"a salt must have at least {LEAST_LENGTH} characters, or be empty, got {len(salt)}")
+
+
+def seal(salt: str) -> str:
+    """Return what files say instead of a salt: its hash, or an empty text for the public stream."""
+    if not salt or salt.startswith(SEALED):
+        return salt
+    return SEALED + hashlib.sha256(b"dynahoi salt, published" + salt.encode()).hexdigest()[:HASH_DIGITS]
+
+
+def sealed(recipe: dict[str, Any]) -> dict[str, Any]:
+    """Return a recipe's values as files hold them."""
+    return recipe | {"salt": seal(recipe["salt"])} if "salt" in recipe else recipe
+
+
+def salt_words(salt: str) -> list[int]:
+    """Return the numbers that go into the random numbers besides stream and seed; none without a salt.
+
+    They come from another hash than ``seal``'s, or whoever reads a result could make its episodes.
+
+    Raises:
+        ValueError: for a sealed salt.
+    """
+    if salt.startswith(SEALED):
+        raise ValueError(f"these episodes are of the salted stream {salt}; only those who know its salt can make them")
+    digest = hashlib.sha256(b"dynahoi salt, drawn from" + salt.encode()).digest()
+    return [int.from_bytes(digest[4 * i : 4 * i + 4], "big") for i in range(WORDS)] if salt else []
+
+
+def stream_label(split: str, salt: str) -> str:
+    """Return how episodes and results name their split: with the first digits of the salt's hash, if there is one."""
+    return split + JOINT + seal(salt).removeprefix(SEALED)[:8] if salt else split
+
+
+def split_of(label: str) -> str:
+    """Return the split's name in a ``stream_label``."""
+    return label.partition(JOINT)[0]
+
+
+def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
+    """Refuse results of different salts, or of a salt and the public stream.
+
+    Args:
+        found: what holds the results, for the message, and the ``stream_label`` of its split.
+
+    Raises:
+        MixedError: naming two that do not go together.
+    """
+    streams = ((where, label.partition(JOINT)[2] or PUBLIC) for where, label in found)
+    refuse_to_mix("seed stream", streams, "results of different salts do not mix")
+
+
+def without_salt(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line with the salt hidden."""
+    hidden = [f"{OPTION}={HIDDEN}" if word.startswith(OPTION + "=") else word for word in words]
+    return [HIDDEN if i and hidden[i - 1] == OPTION else word for i, word in enumerate(hidden)]

@@ -1,0 +1,119 @@
+"""A salted stream: other episodes, the same to whoever knows the salt; files hold its hash alone."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
+from dynahoi_lerobot.env import DynahoiVectorEnv
+from dynahoi_lerobot.evaluate.compare import compare
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.report.entries import read_entries
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.salt import seal, without_salt
+from dynahoi_lerobot.sampling.sampler import sample_spec
+
+SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
+PUBLIC = Recipe(split="test", image_size=32)
+
+
+def evaluated(folder: Path, *words: str) -> Path:
+    """A result folder of three episodes."""
+    given = ["evaluate", "--policy", "hold", "--episodes", "3", "--out", str(folder), *words]
+    assert main(given) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Results of the public stream, of a salt and of another one."""
+    root = tmp_path_factory.mktemp("runs")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, salt in (("public", ""), ("salted", SALT), ("again", SALT), ("other", OTHER)):
+            words = ["--salt", salt] if salt else []
+            patch.setattr("sys.argv", ["dynahoi", "evaluate", *words])
+            evaluated(root / name, *words)
+    return {folder.name: folder for folder in root.iterdir()}
+
+
+def test_another_salt_is_another_episode_and_the_same_salt_the_same():
+    public, salted, other = (sample_spec(replace(PUBLIC, salt=salt), 3) for salt in ("", SALT, OTHER))
+    assert public.motion.name == salted.motion.name == other.motion.name, "kinds still take turns"
+    homes = np.stack([spec.home_pos_w for spec in (public, salted, other)])
+    assert len(np.unique(homes, axis=0)) == 3
+    np.testing.assert_array_equal(sample_spec(replace(PUBLIC, salt=SALT), 3).oracle_path, salted.oracle_path)
+    assert public.split == "test"
+    assert salted.split == f"test+{seal(SALT).removeprefix('sha256:')[:8]}"
+    assert len({public.split, salted.split, other.split}) == 3
+
+
+def test_no_file_of_a_result_holds_the_salt(runs: dict[str, Path]):
+    files = [path for folder in runs.values() for path in folder.rglob("*") if path.is_file()]
+    assert len(files) >= 12
+    for path in files:
+        assert SALT.encode() not in path.read_bytes()
+    head = json.loads((runs["salted"] / "metrics.json").read_text())
+    assert head["extra"]["recipe"]["salt"] == seal(SALT)
+    assert "(hidden)" in head["command"]
+
+
+def test_no_file_of_a_dataset_holds_the_salt(tmp_path: Path):
+    root = tmp_path / "dataset"
+    words = ["--root", str(root), "--episodes", "2", "--image-size", "0", "--salt", SALT]
+    assert main(["generate", *words]) == 0
+    assert main(["verify", str(root)]) == 0
+    for path in (path for path in root.rglob("*") if path.is_file()):
+        assert SALT.encode() not in path.read_bytes()
+    assert json.loads((root / MANIFEST_PATH).read_text())["provenance"]["recipe"]["salt"] == seal(SALT)
+
+
+def test_a_hash_makes_no_episode():
+    """Also not by being taken for a salt."""
+    with pytest.raises(ValueError, match=r"of the salted stream sha256:\w{16}; only those who know its salt"):
+        sample_spec(replace(PUBLIC, salt=seal(SALT)), 0)
+
+
+def test_a_recipe_read_back_has_the_fingerprint_of_the_salted_one():
+    recipe = replace(PUBLIC, salt=SALT)
+    assert Recipe(**recipe.stored()).fingerprint("code") == recipe.fingerprint("code")
+    assert recipe.fingerprint("code") != PUBLIC.fingerprint("code")
+    assert SALT not in repr(recipe)
+
+
+def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: dict[str, Path]):
+    assert len(read_entries([runs["salted"], runs["again"]])) == 2
+    for name in ("public", "other"):
+        with pytest.raises(ValueError, match=rf"salted has seed stream '\w{{8}}', .*{name} has .*salts do not mix"):
+            read_entries([runs["salted"], runs[name]])
+    rows = {name: read_results(folder).rows for name, folder in runs.items()}
+    assert compare(rows["salted"], rows["again"], "S_loc").n == 3
+    with pytest.raises(ValueError, match=r"A has seed stream '\w{8}', B has seed stream 'public'; .* do not mix"):
+        compare(rows["salted"], rows["public"], "S_loc")
+
+
+def test_a_salt_that_can_be_guessed_is_refused_and_not_repeated():
+    with pytest.raises(ValueError, match="at least 16 characters, or be empty, got 5") as refused:
+        Recipe(salt="hush!")
+    assert "hush!" not in str(refused.value)
+
+
+def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
+    env = DynahoiVectorEnv(1, images=False, salt=SALT)
+    for one in (env, pickle.loads(pickle.dumps(env))):
+        one.reset(seed=[5])
+        spec = one._batch.specs[0]
+        assert spec is not None
+        np.testing.assert_array_equal(spec.home_pos_w, sample_spec(Recipe(split="test", salt=SALT), 5).home_pos_w)
+
+
+@pytest.mark.parametrize("words", [["evaluate", "--salt", SALT, "--gifs", "1"], ["evaluate", f"--salt={SALT}"]])
+def test_recorded_command_lines_hide_it(words: list[str]):
+    assert SALT not in " ".join(without_salt(words))
+    assert without_salt(words)[0] == "evaluate"
