@@ -129,5 +129,5 @@ class Dagger:
 def scores(episodes: tuple[Episode, ...] | list[Episode]) -> dict[str, float | None]:
     """Return the mean of each of ``SCORES`` in per cent, over the episodes where it is defined."""
     measured = [measure(episode) for episode in episodes]
-    found = {name: [row[name] for row in measured if row[name] is not None] for name in SCORES}
-    return {name: round(100 * float(np.mean(values)), 1) if values else None for name, values in found.items()}
+    found = {name: [value for row in measured if (value := row[name]) is not None] for name in SCORES}
+    return {name: round(100 * sum(values) / len(values), 1) if values else None for name, values in found.items()}

@@ -49,7 +49,7 @@ class DaggerRecipe:
         rounds: rounds in all; in the first the teacher leads all episodes.
         worlds: episodes in a round.
         n_episodes: how many different episodes are played; they come in the order of their seeds, then at random.
-        teacher_share: share of episodes that the teacher leads, disturbed, so that there is always something to imitate.
+        teacher_share: share of episodes that the teacher leads, disturbed.
         updates: updates after each round.
         batch_episodes: whole episodes in an update.
         rounds_kept: how many of the last rounds are learned from.

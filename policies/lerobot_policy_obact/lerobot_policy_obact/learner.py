@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+import draccus
 import numpy as np
 import torch
 from lerobot.configs import PreTrainedConfig
@@ -18,6 +19,7 @@ from torch import Tensor
 
 from dynahoi_lerobot.env.spaces import as_gym
 
+from .configuration_obact import ObActConfig
 from .decisions import window_decisions
 from .eye_training import learning_rate, train_eye
 from .heads.intercept import Forecast
@@ -162,10 +164,8 @@ def make_learner(recipe: DaggerRecipe) -> ObActLearner:
     Raises:
         ValueError: if the policy cannot learn this way, or its config is not valid.
     """
-    import draccus
-
     torch.manual_seed(recipe.seed)
-    config = draccus.decode(PreTrainedConfig, recipe.policy)
+    config = cast(ObActConfig, draccus.decode(PreTrainedConfig, recipe.policy))
     policy = ObActPolicy.from_pretrained(recipe.start, config=config) if recipe.start else ObActPolicy(config)
     if not (policy.model.backbone.locates and policy.model.head.forecasts):
         raise ValueError(

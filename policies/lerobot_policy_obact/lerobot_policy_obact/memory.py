@@ -1,4 +1,4 @@
-"""What fuses the frames that a decision sees into its current frame: spatiotemporal attention, or a recurrent network."""
+"""What fuses the frames that a decision sees into its current frame: attention, or a recurrent network."""
 
 from __future__ import annotations
 

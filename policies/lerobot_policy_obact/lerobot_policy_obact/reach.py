@@ -77,7 +77,7 @@ def palm_path(path: Tensor, meeting: Meeting, reach: Reach) -> Tensor:
 
 
 def first_contact(palm: Tensor, path: Tensor) -> Tensor:
-    """Return the first frame, at least 1, by which palm and target ``(B, F + 1, 3)`` come together, else F; ``(B,)``."""
+    """Return the first frame, at least 1, by which palms and targets ``(B, F + 1, 3)`` meet, else F; ``(B,)``."""
     gap = palm - path
     share = torch.arange(1, SUBFRAMES + 1, device=path.device)[:, None] / SUBFRAMES
     fine = torch.lerp(gap[:, :-1, None], gap[:, 1:, None], share)  # (B, F, SUBFRAMES, 3)

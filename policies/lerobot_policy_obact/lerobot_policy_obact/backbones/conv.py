@@ -76,6 +76,7 @@ def saturation(images: Tensor) -> Tensor:
 
 
 def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
+    """Return a 3 x 3 convolution with normalisation by groups of eight channels, and its activation."""
     return nn.Sequential(
         nn.Conv2d(n_in, n_out, kernel_size=3, stride=stride, padding=1, bias=False),
         nn.GroupNorm(n_out // 8, n_out),

@@ -30,7 +30,7 @@ N_SIGHTING = 3 + 3 + N_SCALES
 
 @backbones.register("eye")
 class EyeBackbone(Backbone):
-    """Glance and fovea; one token per frame.
+    """Glance and fovea; one token per frame. The geometry is that of square images.
 
     Args:
         width: token size.
@@ -45,6 +45,8 @@ class EyeBackbone(Backbone):
     """
 
     locates = True
+    camera_pos: Tensor
+    camera_axes: Tensor
 
     def __init__(
         self,
@@ -133,17 +135,19 @@ class EyeBackbone(Backbone):
     def _glance(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
         """Return where to look, ``(F, 2)``, and the features there, ``(F, C)``."""
         fine = self.refine(self.patches(pixels, self.pixel_mean, self.pixel_std))  # (F, C, H/4, W/4)
-        fine = self.merge(fine + F.interpolate(self.lateral(self.deep(fine)), scale_factor=2.0))
+        fine = self.merge(fine + F.interpolate(self.lateral(self.deep(fine)), size=fine.shape[-2:]))
         weights = self.heat(fine).flatten(1).softmax(-1)  # (F, h * w)
-        centre = weights @ pixel_grid(*fine.shape[-2:], fine.device).to(weights.dtype)  # (F, 2), v downwards
+        centre = weights @ pixel_grid(fine.shape[-2], fine.shape[-1], fine.device).to(
+            weights.dtype
+        )  # (F, 2), v downwards
         features = (fine.flatten(2) @ weights[..., None])[..., 0]
         return centre * centre.new_tensor([1.0, -1.0]), features
 
     def _crop(self, pixels: Tensor, centre: Tensor) -> Tensor:
         """Cut squares of ``fovea`` pixels around ``centre``, ``(F, 4, h, w)``, standardised."""
-        reach = (self.fovea - 1) / pixels.shape[-1]
-        steps = torch.linspace(-reach, reach, self.fovea, device=pixels.device)
-        x, y = centre[:, :1] + steps, -centre[:, 1:] + steps  # (F, fovea) each, in image coordinates
+        steps = torch.linspace(-1, 1, self.fovea, device=pixels.device) * (self.fovea - 1)
+        height, width = pixels.shape[-2:]
+        x, y = centre[:, :1] + steps / width, -centre[:, 1:] + steps / height  # (F, fovea) each, in image coordinates
         grid = torch.stack(torch.broadcast_tensors(x[:, None, :], y[:, :, None]), dim=-1)
         crop = F.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
         return (crop - self.pixel_mean) / self.pixel_std

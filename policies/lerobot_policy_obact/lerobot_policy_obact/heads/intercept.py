@@ -18,7 +18,7 @@ from ..track import N_SIGHTING, Track
 from .base import ActionHead, ActionSpec, Condition, Guide, heads
 
 KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
-"""Frames ahead at which the path is predicted; it is straight in between."""
+"""Frames ahead at which the path is predicted; a spline leads from one to the next."""
 PALM_DIM = 3
 CLOSED_QUANTILE = 0.7
 """Fingers that close too little lose the target, and fingers that close a little too much do not."""
@@ -49,9 +49,16 @@ class InterceptHead(ActionHead):
     """
 
     forecasts = True
+    ahead_s: Tensor
+    between: Tensor
 
     def __init__(
-        self, spec: ActionSpec, *, palm_speed_m_s: float = 0.5, joint_speed_rad_s: float = 20.0, spare_frames: int = 4
+        self,
+        spec: ActionSpec,
+        *,
+        palm_speed_m_s: float = 0.5,
+        joint_speed_rad_s: float = 20.0,
+        spare_frames: int = 4,
     ) -> None:
         super().__init__(spec)
         self.reach = Reach(palm_speed_m_s / spec.fps, joint_speed_rad_s / spec.fps, spare_frames)
@@ -60,12 +67,10 @@ class InterceptHead(ActionHead):
         self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
         self.pool = Attention(width, spec.n_heads, spec.dropout)
         n_in = 2 * width + 6 + N_SIGHTING + n_joints
-        self.net = nn.Sequential(
-            nn.Linear(n_in, 2 * width), nn.SiLU(), nn.Linear(2 * width, width), nn.SiLU(),
-            nn.Linear(width, sum(self.sizes)),
-        )  # fmt: skip
-        nn.init.zeros_(self.net[-1].weight)
-        nn.init.zeros_(self.net[-1].bias)
+        self.hidden = nn.Sequential(nn.Linear(n_in, 2 * width), nn.SiLU(), nn.Linear(2 * width, width), nn.SiLU())
+        self.out = nn.Linear(width, sum(self.sizes))
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
         self.register_buffer("ahead_s", torch.tensor(KNOTS) / spec.fps, persistent=False)
         self.register_buffer("between", interpolation(KNOTS), persistent=False)
 
@@ -75,7 +80,7 @@ class InterceptHead(ActionHead):
         pooled = self.pool(self.query.expand(n, -1, -1), condition.tokens)[:, 0]
         joints = self._joints(condition)
         context = torch.cat([condition.tokens[:, 0], pooled, track.features(), joints], dim=-1)
-        bend, damping, closed = self.net(context).split(self.sizes, dim=-1)
+        bend, damping, closed = self.out(self.hidden(context)).split(self.sizes, dim=-1)
         ahead = self.ahead_s[:, None]  # (K, 1)
         straight = track.velocity[:, None] * ahead * torch.sigmoid(damping[..., None] + 1 - ahead)
         bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead)
@@ -124,12 +129,21 @@ class InterceptHead(ActionHead):
 
 
 def interpolation(knots: tuple[int, ...]) -> Tensor:
-    """Return (F + 1, K) weights of the knots at each frame from 0 to the last knot, piecewise linear."""
-    frames = torch.arange(knots[-1] + 1, dtype=torch.float32)[:, None]
-    at = torch.tensor(knots, dtype=torch.float32)
-    right = ((frames - at[:-1]) / at.diff()).clamp(0, 1)  # (F + 1, K - 1) progress through each segment
-    ones, zeros = torch.ones(len(frames), 1), torch.zeros(len(frames), 1)
-    return torch.cat([ones, right], dim=1) - torch.cat([right, zeros], dim=1)
+    """Return (F + 1, K) weights of the knots at each frame from 0 to the last knot: the natural cubic spline."""
+    at, n = torch.tensor(knots, dtype=torch.float64), len(knots)
+    gap, identity = at.diff(), torch.eye(n, dtype=torch.float64)
+    slopes = identity.diff(dim=0) / gap[:, None]  # (K - 1, K)
+    system, right = identity.clone(), torch.zeros(n, n, dtype=torch.float64)
+    for k in range(1, n - 1):  # the second derivative is continuous at inner knots, and zero at both ends
+        system[k, k - 1 : k + 2] = torch.stack([gap[k - 1], 2 * (gap[k - 1] + gap[k]), gap[k]])
+        right[k] = 6 * (slopes[k] - slopes[k - 1])
+    second = torch.linalg.solve(system, right)  # (K, K)
+    frames = torch.arange(knots[-1] + 1, dtype=torch.float64)
+    left = (torch.searchsorted(at, frames, right=True) - 1).clamp_max(n - 2)
+    b = ((frames - at[left]) / gap[left])[:, None]
+    a, square = 1 - b, gap[left][:, None].square() / 6
+    curve = square * ((a**3 - a) * second[left] + (b**3 - b) * second[left + 1])
+    return (a * identity[left] + b * identity[left + 1] + curve).float()
 
 
 def _track_of(condition: Condition) -> Track:
