@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--tile-px", type=int, default=96, help="side of a picture [px]")
     args = parser.parse_args()
     recipe = Recipe(split="test", image_size=args.tile_px)
-    specs = _specs(recipe, args.motions)
+    specs = one_episode_per_kind(recipe, args.motions)
     episodes = list(evaluate(make_batch(recipe, min(11, len(specs))), EXPERTS["intercept"](), specs, images=True))
     episodes.sort(key=lambda episode: (episode.meta.category, episode.meta.motion))
     strips = [_strip(episode) for episode in episodes]
@@ -46,8 +46,8 @@ def main() -> None:
     write_numbers(args, kinds=kinds, objects=objects)
 
 
-def _specs(recipe: Recipe, motions: Sequence[str]) -> list[EpisodeSpec]:
-    """One episode per kind, whose objects take turns as far as the kind allows."""
+def one_episode_per_kind(recipe: Recipe, motions: Sequence[str]) -> list[EpisodeSpec]:
+    """Return one episode per kind, whose objects take turns as far as the kind allows."""
     specs, unused = [], set(recipe.object_names)
     for number, kind in enumerate(sorted(motions, key=lambda name: len(MOTIONS[name].objects()))):
         allowed = sorted(set(MOTIONS[kind].objects()) & set(recipe.object_names))

@@ -69,6 +69,19 @@ class WorldState:
     state_when_due: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Meeting:
+    """Where and when a hand is going to meet its target.
+
+    Attributes:
+        palm_pos_w: (3,) the palm centre then [m], world.
+        frame: of the episode.
+    """
+
+    palm_pos_w: np.ndarray
+    frame: int
+
+
 class Actor(ABC):
     """Whoever moves the hands of N worlds: an `Agent` from observations, an `Expert` from the simulator's state.
 
@@ -92,6 +105,10 @@ class Actor(ABC):
 
     def reset(self, count: int) -> None:  # noqa: B027 - an actor without memory has nothing to forget
         """Forget everything; ``count`` new episodes begin."""
+
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting | None:
+        """Return the meeting that it plans at the control start of an attempt (from 1); None if it plans none."""
+        return None
 
     def report(self) -> dict[str, Any]:
         """Return what else a result should say about the run, as JSON values."""

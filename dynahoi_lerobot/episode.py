@@ -87,6 +87,18 @@ class Episode:
         home_position: (3,) float32 [m], the home frame's origin, world.
         open_joints: (15,) float32 [rad], joint angles of the open hand.
         reference_joints: (15,) float32 [rad], joint angles of the reference grasp of this object.
+        succeeded: (T,) bool, the frames up to the one that ``action[t]`` leads to make the episode a success.
+        object_primitives: (S, 11) float32, the object's solids, see ``objects.primitives.as_table``.
+        object_size: (3,) float32 [m], extent of the object along its own axes.
+        object_mass: of the object [kg].
+        object_inertia: (3,) float32 [kg m^2], its moments of inertia about its own axes.
+        object_friction: (2,) float32, its sliding friction coefficients against the hand and against surfaces.
+        object_restitution: rebound speed over impact speed of the impacts of its motion; 0 if it has none.
+        ego_camera: (7,) float32, position [m] and quaternion wxyz of the hand's camera from the palm centre.
+        side_camera: (7,) float32, likewise of the side camera, home frame.
+        ego_intrinsics, side_intrinsics: (4,) float32 [px], focal lengths fx and fy, principal point cx and cy.
+        hand_limits: (3,) float32, speed limits of palm [m/s] and joints [rad/s], latency [ms].
+        first_plan: (2,) float32, planned speed [m/s] and lead time [s] at control start; 0 if the actor plans none.
         success: the capture rule's verdict on the whole episode.
         stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or ``missed``, ``touched``,
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
@@ -112,6 +124,19 @@ class Episode:
     home_position: np.ndarray = field(repr=False)
     open_joints: np.ndarray = field(repr=False)
     reference_joints: np.ndarray = field(repr=False)
+    succeeded: np.ndarray = field(repr=False)
+    object_primitives: np.ndarray = field(repr=False)
+    object_size: np.ndarray = field(repr=False)
+    object_mass: float
+    object_inertia: np.ndarray = field(repr=False)
+    object_friction: np.ndarray = field(repr=False)
+    object_restitution: float
+    ego_camera: np.ndarray = field(repr=False)
+    side_camera: np.ndarray = field(repr=False)
+    ego_intrinsics: np.ndarray = field(repr=False)
+    side_intrinsics: np.ndarray = field(repr=False)
+    hand_limits: np.ndarray = field(repr=False)
+    first_plan: np.ndarray = field(repr=False)
     success: bool
     stage: str
     touch: np.ndarray | None = field(default=None, repr=False)
@@ -134,6 +159,21 @@ class Episode:
     def joints(self) -> np.ndarray:
         """(T, 15) joint angles [rad]."""
         return self.state[:, PALM_DOF:]
+
+    @property
+    def reward(self) -> np.ndarray:
+        """(T,) float32, 1 where the action leads to the first frame on which the episode is a success, else 0."""
+        return np.diff(self.succeeded, prepend=False).astype(np.float32)
+
+    @property
+    def done(self) -> np.ndarray:
+        """(T,) bool, True for the last frame of the recording."""
+        return np.arange(len(self)) == len(self) - 1
+
+    @property
+    def attempt_success(self) -> np.ndarray:
+        """(attempts,) bool, whether each attempt succeeded: all but the last, which is recorded here, have failed."""
+        return np.array([False] * (self.meta.attempts - 1) + [self.success])
 
     @property
     def first_localized(self) -> int | None:

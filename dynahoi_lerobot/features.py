@@ -23,6 +23,8 @@ FINGERTIP_NAMES = tuple(
 POSITION_NAMES = ("x", "y", "z")
 POSE_NAMES = (*POSITION_NAMES, "qw", "qx", "qy", "qz")
 TWIST_NAMES = ("vx", "vy", "vz", "wx", "wy", "wz")
+PRIMITIVE_NAMES = ("geom_type", "size_x", "size_y", "size_z", *POSE_NAMES)
+INTRINSICS_NAMES = ("fx", "fy", "cx", "cy")
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""
@@ -51,6 +53,9 @@ class Feature:
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
         constant: whether it has one value per episode; a frame table repeats that value in every row.
+        per: what its rows are if it is not constant: ``frame``, or ``attempt`` or ``primitive``, whose number differs
+            between episodes; only the episode table can hold those.
+        derived: whether it follows from other attributes: a property of ``Episode``, which is stored but not read.
     """
 
     name: str
@@ -65,6 +70,8 @@ class Feature:
     high: float = math.inf
     needs_contact_sensors: bool = False
     constant: bool = False
+    per: str = "frame"
+    derived: bool = False
 
     @property
     def column_shape(self) -> tuple[int, ...]:
@@ -91,8 +98,13 @@ class Feature:
         """Whether the dataset stores it in the episode table instead of the frame table."""
         return self.key.startswith(EPISODE_TABLE_PREFIX)
 
+    @property
+    def has_fixed_shape(self) -> bool:
+        """Whether all episodes of one length have it in one shape."""
+        return self.constant or self.per == "frame"
+
     def array_shape(self, frames: int) -> tuple[int, ...]:
-        """Return the shape of the attribute in an ``Episode`` of ``frames`` frames."""
+        """Return the shape of the attribute in an ``Episode`` of ``frames`` frames, if it ``has_fixed_shape``."""
         return self.shape if self.constant else (frames, *self.shape)
 
 
@@ -137,6 +149,17 @@ _TABLE = (
     Feature("localized", "localized", (), ("localized",), "1", "the target is, or has been, localised", dtype="bool"),
     Feature("captured", "captured", (), ("captured",), "1", "the capture rule regards it as captured", dtype="bool"),
     Feature(
+        "reward", "next.reward", (), ("reward",), "1",
+        "1 where the action led to the first frame on which the episode is a success, else 0", derived=True,
+    ),
+    Feature(
+        "done", "next.done", (), ("done",), "1", "the recording ends with this frame", dtype="bool", derived=True
+    ),
+    Feature(
+        "succeeded", "next.success", (), ("success",), "1",
+        "the frames up to the one the action led to make the episode a success", dtype="bool",
+    ),
+    Feature(
         "palm_distance", "stats/palm_distance", (), ("distance",), "m",
         "palm centre to target centre, least of the last control step",
     ),
@@ -155,6 +178,61 @@ _TABLE = (
     Feature(
         "reference_joints", "stats/reference_joints", (FINGER_DOF,), JOINT_NAMES, "rad",
         "joint angles of the object's reference grasp", constant=True,
+    ),
+    Feature(
+        "object_primitives", "stats/object_primitives", (len(PRIMITIVE_NAMES),), PRIMITIVE_NAMES, "1, m",
+        "the object's solids: MuJoCo's geom type and half-sizes; position and quaternion wxyz in the object's frame, "
+        "whose origin is the centre of mass", per="primitive",
+    ),
+    Feature(
+        "object_size", "stats/object_size", (3,), POSITION_NAMES, "m", "extent of the object along its own axes",
+        constant=True,
+    ),
+    Feature("object_mass", "stats/object_mass", (), ("mass",), "kg", "mass of the object", constant=True),
+    Feature(
+        "object_inertia", "stats/object_inertia", (3,), POSITION_NAMES, "kg m^2",
+        "moments of inertia of the object about its own axes", constant=True,
+    ),
+    Feature(
+        "object_friction", "stats/object_friction", (2,), ("hand", "surface"), "1",
+        "sliding friction coefficients of the object against the hand and against the roughest surface it meets",
+        constant=True,
+    ),
+    Feature(
+        "object_restitution", "stats/object_restitution", (), ("restitution",), "1",
+        "rebound speed over impact speed of the impacts of its motion; 0 if it has none", constant=True,
+    ),
+    Feature(
+        "ego_camera", "stats/ego_camera", (7,), POSE_NAMES, "m, 1",
+        "pose of the hand's camera from the palm centre; it looks along its -z, y is up",
+        constant=True,
+    ),
+    Feature(
+        "side_camera", "stats/side_camera", (7,), POSE_NAMES, "m, 1",
+        "pose of the side camera, home frame, likewise", constant=True,
+    ),
+    Feature(
+        "ego_intrinsics", "stats/ego_intrinsics", (4,), INTRINSICS_NAMES, "px",
+        "focal lengths and principal point of the views of the hand's camera", constant=True,
+    ),
+    Feature(
+        "side_intrinsics", "stats/side_intrinsics", (4,), INTRINSICS_NAMES, "px", "likewise of the side camera",
+        constant=True,
+    ),
+    Feature(
+        "hand_limits", "stats/hand_limits", (3,), ("palm_speed", "joint_speed", "latency"), "m/s, rad/s, ms",
+        "greatest speed of the palm (under contact: along an axis) and of a joint; latency of commands",
+        constant=True,
+    ),
+    Feature(
+        "first_plan", "stats/first_plan", (2,), ("speed", "lead_time"), "m/s, s",
+        "the expert's plan at control start: the palm's straight way to the meeting over the time to it; this time; "
+        "0 if the actor plans none", constant=True,
+    ),
+    Feature(
+        "attempt_success", "stats/attempt_success", (), ("success",), "1",
+        "whether each attempt at the episode succeeded; the last one is recorded", dtype="bool", per="attempt",
+        derived=True,
     ),
 )  # fmt: skip
 

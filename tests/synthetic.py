@@ -7,10 +7,29 @@ import numpy as np
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
+from dynahoi_lerobot.rollout.recorder import next_frames
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.world.batch import TOUCH_M
 
 REFERENCE = np.full(15, 1.0, np.float32)
+BALL = (Primitive("sphere", (0.02,)),)
+UPRIGHT = np.array([0.0, 0, 0, 1, 0, 0, 0], np.float32)
+CONSTANTS: dict = {
+    "object_primitives": as_table(BALL),
+    "object_size": extent(BALL).astype(np.float32),
+    "object_mass": 0.125,
+    "object_inertia": np.array(solid_inertia(BALL, 0.125), np.float32),
+    "object_friction": np.array([0.75, 0.75], np.float32),
+    "object_restitution": 0.0,
+    "ego_camera": UPRIGHT,
+    "side_camera": UPRIGHT,
+    "ego_intrinsics": np.full(4, 16.0, np.float32),
+    "side_intrinsics": np.full(4, 16.0, np.float32),
+    "hand_limits": np.array([0.5, 20.0, 0.0], np.float32),
+    "first_plan": np.array([0.5, 1.0], np.float32),
+}
+"""What does not change within an episode: a ball, seen by cameras with a field of view of 90 degrees."""
 
 
 def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 32, miss_m: float = 0.0) -> Episode:
@@ -56,7 +75,8 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
         fingertip_distance=tips.astype(np.float32), localized=localized,
         captured=localized, intercept_position=meeting.astype(np.float32), intercept_time=arrival * CONTROL_DT,
         home_position=home_w.astype(np.float32),
-        open_joints=np.zeros(15, np.float32), reference_joints=REFERENCE, success=bool(localized[-1]),
+        open_joints=np.zeros(15, np.float32), reference_joints=REFERENCE, **CONSTANTS,
+        succeeded=next_frames(localized), success=bool(localized[-1]),
         stage="captured" if localized[-1] else "missed",
     )  # fmt: skip
 

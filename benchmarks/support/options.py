@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from dynahoi_lerobot.foundation.arguments import path
+from dynahoi_lerobot.foundation.output import check_output
+
 
 class _SetAll(argparse.Action):
     """An option without a value that sets several others; what follows it on the command line wins."""
@@ -26,6 +29,18 @@ class _SetAll(argparse.Action):
             setattr(namespace, name, value)
 
 
+def _output(text: str) -> Path:
+    """Return the path of a file to write; refuse, before any work, one that could not be written after it."""
+    place = path(text)
+    try:
+        check_output(place)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    if place.is_dir():
+        raise argparse.ArgumentTypeError(f"{place} is a folder; name a file in it")
+    return place
+
+
 def benchmark_parser(description: str | None, **tiny: Any) -> argparse.ArgumentParser:
     """Return a parser that knows ``--json`` and ``--tiny``.
 
@@ -34,7 +49,7 @@ def benchmark_parser(description: str | None, **tiny: Any) -> argparse.ArgumentP
         **tiny: what ``--tiny`` sets the benchmark's own options to, so that it ends within seconds.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="also write the numbers to this file")
+    parser.add_argument("--json", type=_output, help="also write the numbers to this file")
     parser.add_argument(
         "--tiny", action=_SetAll, nargs=0, const=tiny, default=False, help="only see that it runs; numbers mean nothing"
     )

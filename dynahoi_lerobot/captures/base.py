@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from bisect import bisect_left
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -71,6 +72,18 @@ class Track:
     palm_distance: np.ndarray
     palm_pos_h: np.ndarray
 
+    def first(self, frames: int) -> Track:
+        """Return the first ``frames`` of the T frames."""
+        part = slice(frames)
+        return replace(
+            self,
+            joints=self.joints[part],
+            localized=self.localized[part],
+            contacts=self.contacts[part],
+            palm_distance=self.palm_distance[part],
+            palm_pos_h=self.palm_pos_h[part],
+        )
+
 
 class CaptureRule(ABC):
     """A rule; it has no state of its own and changes nothing itself, so one instance serves all worlds."""
@@ -114,4 +127,12 @@ class CaptureRule(ABC):
 
     @abstractmethod
     def success(self, track: Track) -> bool:
-        """Return the verdict."""
+        """Return the verdict; once it is a success, no further frame changes it."""
+
+    def succeeded(self, track: Track) -> np.ndarray:
+        """Return (T,) bool: the frames up to and including this one make the episode a success."""
+        frames = range(1, len(track.localized) + 1)
+        if not self.success(track):
+            return np.zeros(len(frames), bool)
+        decisive = bisect_left(frames, True, key=lambda count: self.success(track.first(count)))
+        return np.arange(len(frames)) >= decisive

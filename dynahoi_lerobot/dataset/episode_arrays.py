@@ -32,11 +32,14 @@ def content_arrays(episode: Episode) -> dict[str, np.ndarray]:
 def content_values(table: pa.Table) -> dict[str, Any]:
     """Return the attributes of an Episode that its rows of the frame table hold: undoes ``content_arrays``.
 
+    Those that follow from others are left out.
+
     Raises:
         KeyError: if a column is missing that every dataset has.
     """
     every, present = frame_features(None, contact_sensors=True), table.column_names
-    read = (feature for feature in every if feature.key in present or not feature.needs_contact_sensors)
+    held = (feature for feature in every if feature.key in present or not feature.needs_contact_sensors)
+    read = (feature for feature in held if not feature.derived)
     return {feature.name: _value(feature, column_array(table, feature.key)) for feature in read}
 
 
@@ -47,8 +50,9 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
         ValueError: naming the column, what the episode has and what the dataset needs.
     """
     frames = len(episode)
-    wanted = {feature.key: feature.array_shape(frames) for feature in (*features, *episode_features())}
-    held = (*_held(episode), *episode_features())
+    in_rows = [feature for feature in episode_features() if feature.has_fixed_shape]
+    wanted = {feature.key: feature.array_shape(frames) for feature in (*features, *in_rows)}
+    held = (*_held(episode), *in_rows)
     found = {feature.key: np.shape(getattr(episode, feature.name)) for feature in held}
     found |= {key: images.shape for key, images in image_arrays(episode).items()}
     for key in (*wanted, *found):

@@ -16,7 +16,7 @@ import pyarrow as pa
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, bookkeeping_arrays, image_keys, numeric_keys
 from dynahoi_lerobot.dataset.statistics import LEVELS, NAMES, Stats, table_stats
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.features import episode_features
+from dynahoi_lerobot.features import Feature, episode_features
 
 EpisodeRow = dict[str, Any]
 
@@ -24,7 +24,10 @@ HISTOGRAM = "stats/histogram_of:"
 """Before an image's key: column with the 3 x 256 counts of the episode's sample, from which datasets sum theirs."""
 
 _META = {field.name: pa.string() if field.type == "str" else pa.int64() for field in fields(EpisodeMeta)}
-_ARRAYS = {feature.key: pa.list_(pa.float32()) for feature in episode_features()}
+_SCALARS = {"float32": pa.float32(), "bool": pa.bool_()}
+_ARRAYS = {
+    f.key: _SCALARS[f.dtype] if f.constant and not f.shape else pa.list_(_SCALARS[f.dtype]) for f in episode_features()
+}
 _OWN = _META | {"success": pa.bool_(), "stage": pa.string()} | _ARRAYS
 OWN_COLUMNS = tuple(_OWN)
 """Our columns of the episode table."""
@@ -35,15 +38,29 @@ ARRAY_COLUMNS = tuple(_ARRAYS)
 
 def own_columns(episode: Episode) -> EpisodeRow:
     """Return our columns of the episode's row."""
-    arrays = {f.key: np.asarray(getattr(episode, f.name), f.dtype).tolist() for f in episode_features()}
+    arrays = {f.key: _cells(getattr(episode, f.name), f) for f in episode_features()}
     return asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | arrays
 
 
 def own_values(row: EpisodeRow) -> dict[str, Any]:
     """Return the attributes of an Episode that its row holds: undoes ``own_columns``."""
-    arrays = {f.name: np.array(row[f.key], f.dtype) for f in episode_features()}
+    arrays = {f.name: _value(row[f.key], f) for f in episode_features() if not f.derived}
     meta = EpisodeMeta(**{name: row[name] for name in _META})
     return {"meta": meta, "success": row["success"], "stage": row["stage"]} | arrays
+
+
+def _cells(value: Any, feature: Feature) -> Any:
+    """A number, or the elements of an array one after the other."""
+    array = np.asarray(value, feature.dtype)
+    return array.ravel().tolist() if array.ndim else array.item()
+
+
+def _value(cells: Any, feature: Feature) -> Any:
+    """The attribute of an Episode: a number, or an array of the feature's shape, of several where it has several."""
+    array = np.array(cells, feature.dtype)
+    if not array.ndim:
+        return array.item()
+    return array.reshape(feature.shape if feature.constant else (-1, *feature.shape))
 
 
 def stats_columns(stats: dict[str, Stats]) -> EpisodeRow:

@@ -29,7 +29,7 @@ class Manifest:
         files: sha256 of every other file, by its path below the root.
         seeds: every episode's seed, in the dataset's order.
         provenance: recipe, seed, encoding and code fingerprint of the generation plan.
-        yields: how many seeds were tried and how many were kept, missed or rejected.
+        yields: how many seeds were tried and how many were kept, missed or rejected; how many of those kept failed.
         benchmark: version of the benchmark that the episodes are of.
         sha256: what the file says ``digest`` is; empty for a manifest that was not read from a file.
     """

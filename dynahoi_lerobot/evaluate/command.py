@@ -225,8 +225,8 @@ def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) 
     """Sample the episodes that are not recorded yet."""
     seeds = split_seeds(args.split)
     if args.episodes is not None:
-        if args.episodes < 1:
-            raise ValueError(f"--episodes must be at least 1, got {args.episodes}")
+        if not 1 <= args.episodes <= len(seeds):
+            raise ValueError(f"--episodes must be 1 to {len(seeds)}, all of split {args.split}; got {args.episodes}")
         seeds = seeds[: args.episodes]
     return sample_specs(recipe, [seed for seed in seeds if seed not in recorder.seeds], threads=0)
 

@@ -56,8 +56,8 @@ def compare(
 
     Raises:
         UnknownNameError: if the metric is not registered.
-        MixedError: if versions were mixed, unless that is allowed.
-        ValueError: if the rows are of different salts, or if no episode is in both sets with the metric applying.
+        MixedError: if they were, unless that is allowed; always if they are of different salts.
+        ValueError: if no episode is in both sets with the metric applying.
     """
     aggregation = METRICS[metric].aggregation
     refuse_mixed_streams((name, row["split"]) for name, rows in (("A", rows_a), ("B", rows_b)) for row in rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
 
@@ -31,7 +32,7 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
     palm, joints, closed = world.state[:PALM_DOF], world.state[PALM_DOF:], world.spec.reference_joints
     if world.localized:
         return np.concatenate([palm, closed])
-    arrival = earliest_arrival(world, path_w, speed_m_s)
+    arrival = earliest_arrival(world.state, closed, path_w, speed_m_s, world.control)
     towards = path_w[arrival] - palm
     longest_m = speed_m_s * CONTROL_DT
     step = towards * min(1.0 / arrival, longest_m / max(float(np.linalg.norm(towards)), 1e-12))
@@ -42,13 +43,23 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
     return np.concatenate([palm + step, joints + turn])
 
 
-def earliest_arrival(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> int:
-    """Return how many frames after ``world.due_frame``, at least 1, the hand can first be there and closed."""
+def earliest_arrival(
+    state: np.ndarray, closed: np.ndarray, path_w: np.ndarray, speed_m_s: float, control: ControlClass
+) -> int:
+    """Return after how many frames, at least 1, a hand can first be at the target and closed; the last if never.
+
+    Args:
+        state: (18,) of the hand: palm centre [m], world, and joint angles [rad].
+        closed: (15,) joint angles of the closed hand [rad].
+        path_w: (K, 3) the target's path from now on [m], world; K > 1.
+        speed_m_s: speed limit of the palm [m/s].
+        control: limits of the joints.
+    """
     frames = np.arange(1, len(path_w))
-    turn_rad = np.abs(world.spec.reference_joints - world.state[PALM_DOF:]).max()
-    closed = frames * world.control.joint_speed_rad_s * CONTROL_DT >= turn_rad
-    distance = np.linalg.norm(path_w[1:] - world.state[:PALM_DOF], axis=1)
-    possible = closed & (distance <= speed_m_s * CONTROL_DT * frames)
+    turn_rad = np.abs(closed - state[PALM_DOF:]).max()
+    in_time = frames * control.joint_speed_rad_s * CONTROL_DT >= turn_rad
+    distance = np.linalg.norm(path_w[1:] - state[:PALM_DOF], axis=1)
+    possible = in_time & (distance <= speed_m_s * CONTROL_DT * frames)
     return int(possible.argmax()) + 1 if possible.any() else len(path_w) - 1
 
 

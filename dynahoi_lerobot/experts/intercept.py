@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.agent import WorldState
+from dynahoi_lerobot.agent import Meeting, WorldState
+from dynahoi_lerobot.control_class import ControlClass
+from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.approach import approach, earliest_arrival
 from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView, views
 
@@ -25,20 +27,28 @@ class Intercept(SingleWorldExpert):
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        return approach(world, _path_ahead(world), _speed(world))
+        return approach(world, _path_from(world.spec, world.due_frame), _speed(world.control))
 
     def arrivals(self, state: WorldState) -> np.ndarray:
         """Return (N,) int, in how many frames from now it means to meet each target; 0 without an episode."""
         frames = np.zeros(len(state.specs), int)
         for i, world in views(state):
-            frames[i] = world.due_frame - world.frame + earliest_arrival(world, _path_ahead(world), _speed(world))
+            path_w, closed = _path_from(world.spec, world.due_frame), world.spec.reference_joints
+            arrival = earliest_arrival(world.state, closed, path_w, _speed(world.control), world.control)
+            frames[i] = world.due_frame - world.frame + arrival
         return frames
 
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
+        """Return the meeting of its first plan, from the open hand at home."""
+        path_w, waiting = _path_from(spec, spec.window_frames), np.concatenate([spec.home_pos_w, spec.open_joints])
+        arrival = earliest_arrival(waiting, spec.reference_joints, path_w, _speed(control), control)
+        return Meeting(path_w[arrival], spec.window_frames + arrival)
 
-def _path_ahead(world: WorldView) -> np.ndarray:
-    """(K, 3) the untouched target's path [m], world, from the frame on at which a command takes effect; K > 1."""
-    return world.spec.oracle_path[min(world.due_frame, world.spec.horizon_frames - 2) :]
+
+def _path_from(spec: EpisodeSpec, frame: int) -> np.ndarray:
+    """(K, 3) where the untouched target is [m], world, from ``frame`` on; K > 1."""
+    return spec.oracle_path[min(frame, spec.horizon_frames - 2) :]
 
 
-def _speed(world: WorldView) -> float:
-    return min(SPEED_M_S, world.control.palm_speed_m_s)
+def _speed(control: ControlClass) -> float:
+    return min(SPEED_M_S, control.palm_speed_m_s)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynahoi_lerobot.agent import Meeting
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.experts.planned import PlannedExpert
@@ -48,6 +49,11 @@ class Catch:
     palm_w: np.ndarray
     start_frame: int
     contact_frame: int
+
+    @property
+    def meeting(self) -> Meeting:
+        """Where the palm is when the target reaches it."""
+        return Meeting(self.palm_w[self.contact_frame - self.start_frame], self.contact_frame)
 
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
         """Return (18,) the command that takes effect at ``frame``, as a ``MotionPlan`` does.

@@ -8,12 +8,19 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from dynahoi_lerobot.agent import Meeting
+from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import SingleWorldExpert, WorldView
 
 
 class MotionPlan(Protocol):
     """What a hand is going to do in one attempt."""
+
+    @property
+    def meeting(self) -> Meeting:
+        """Where and when the hand meets the target."""
+        ...
 
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
         """Return (18,) the command that takes effect at ``frame``: where the hand should be one frame later.
@@ -38,7 +45,14 @@ class PlannedExpert(SingleWorldExpert):
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        plans = self._plans.setdefault(world.spec, {})
-        if world.attempt not in plans:
-            plans[world.attempt] = self.plan(world.spec, world.attempt)
-        return plans[world.attempt].command(world.due_frame, world.state)
+        return self._kept(world.spec, world.attempt).command(world.due_frame, world.state)
+
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
+        """Return the meeting of the attempt's plan."""
+        return self._kept(spec, attempt).meeting
+
+    def _kept(self, spec: EpisodeSpec, attempt: int) -> MotionPlan:
+        plans = self._plans.setdefault(spec, {})
+        if attempt not in plans:
+            plans[attempt] = self.plan(spec, attempt)
+        return plans[attempt]

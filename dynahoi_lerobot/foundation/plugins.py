@@ -20,6 +20,11 @@ class PluginWarning(RuntimeWarning):
     """A plugin could not be imported; everything else works without it."""
 
 
+def plugin_packages() -> set[str]:
+    """Return the top-level packages that the entry points in ``GROUP`` name, whether they can be imported or not."""
+    return {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}
+
+
 def load_plugins() -> None:
     """Import the module of every entry point in ``GROUP``, once in a process; one that fails is named in a warning."""
     global _loaded  # noqa: PLW0603 - a module that is being imported may look names up, which leads here again

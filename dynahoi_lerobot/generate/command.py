@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi generate``."""
     parser.add_argument("--root", type=path, required=True, help="the dataset's folder; must not exist")
     parser.add_argument("--recipe", type=path, help="YAML file; the options below override it")
-    parser.add_argument("--episodes", type=int, required=True, help="number of successful episodes")
+    parser.add_argument("--episodes", type=int, required=True, help="number of episodes, all successful by default")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
     parser.add_argument("--image-size", type=int, help="side of the square frames [pixels]; 0 for no camera")
     parser.add_argument(
@@ -42,6 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--capture", help="capture rule, with its own hand and expert")
     parser.add_argument("--control-class", help="hand limits: unlimited, standard or late")
     add_salt_argument(parser)
+    parser.add_argument(
+        "--keep-failures", action="store_true", help="store episodes that the expert fails, with success false"
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
@@ -107,6 +110,8 @@ def _plan(args: argparse.Namespace, recipe: Any) -> GenerationPlan:
         changes["salt"] = args.salt
     if args.control_class:
         changes["control_class"] = args.control_class
+    if args.keep_failures:
+        changes["keep_failures"] = True
     if args.capture:
         changes |= {"capture": args.capture, "hand": "", "expert": ""}
     return GenerationPlan(
@@ -152,13 +157,15 @@ def _generate(plan: GenerationPlan, args: argparse.Namespace, record: Record) ->
 
 def _summary(root: Path, manifest: Manifest) -> dict[str, Any]:
     size = sum((root / name).stat().st_size for name in manifest.files)
+    yields = manifest.yields
     return {
         "root": str(root),
         "episodes": manifest.episodes,
         "frames": manifest.frames,
         "megabytes": round(size / 1e6, 1),
-        "yield": round(manifest.yields["kept"] / manifest.yields["tried"], 4),
-        "rejected": manifest.yields["rejected"],
+        "yield": round((yields["kept"] - yields["failed"]) / yields["tried"], 4),
+        "failed": yields["failed"],
+        "rejected": yields["rejected"],
         "sha256": manifest.digest,
     }
 

@@ -26,7 +26,7 @@ class Recipe(Protocol):
 
 
 class Record(Protocol):
-    """Plays the expert: yields the successful episodes among ``seeds``, in their order."""
+    """Plays the expert: yields the episodes among ``seeds`` that are to be stored, in their order."""
 
     def __call__(self, recipe: Any, seeds: Sequence[int], /) -> Iterator[Episode]:
         """Yield at most one episode per seed, a deterministic function of (recipe, seed)."""
@@ -63,7 +63,7 @@ class GenerationPlan:
 
     Attributes:
         recipe: what to play.
-        episodes: how many successful episodes.
+        episodes: how many to store.
         seed: the first episode's seed.
         camera: whether to store pictures, of the recipe's size.
         encoding: how to store them.

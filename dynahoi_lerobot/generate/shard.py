@@ -16,11 +16,10 @@ from dynahoi_lerobot.dataset.episode_arrays import content_arrays
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems, stray_files
 from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.dataset.quality_control import trajectory_problems
+from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
 from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
-from dynahoi_lerobot.verify.checks.plausibility import limits_of
 
 logger = logging.getLogger(__name__)
 
@@ -160,10 +159,10 @@ class _Filling:
 
     def __init__(self, maker: ShardMaker, writer: DatasetWriter, tick: Tick) -> None:
         self._maker, self._writer, self._tick = maker, writer, tick
-        self._tally = Counter(tried=0, kept=0, missed=0, rejected=0)
+        self._tally = Counter(tried=0, kept=0, failed=0, missed=0, rejected=0)
 
     def fill(self, shard: int) -> dict[str, int]:
-        """Fill every slot of the shard; return how many seeds were tried, kept, missed and rejected."""
+        """Fill every slot of the shard; return how many seeds were tried, kept (of these failed), missed, rejected."""
         open_slots = list(self._maker.plan.slots(shard))
         for draw in range(MAX_DRAWS):
             seeds = [slot + draw * REDRAW_STRIDE for slot in open_slots]
@@ -186,6 +185,7 @@ class _Filling:
             if not trajectory_problems(content_arrays(episode), episode.home_position, limits):
                 self._writer.add(episode)
                 kept.add(seed)
+                self._tally["failed"] += not episode.success
                 self._tick()
         missed, rejected = len(seeds) - len(seen), len(seen) - len(kept)
         self._tally.update(tried=len(seeds), kept=len(kept), missed=missed, rejected=rejected)

@@ -19,6 +19,11 @@ EGO_CAMERA = EGO_VIEW
 HAND_GEOM_PREFIX = "hand_"
 """Names that every hand uses, by which the scene finds its parts; fingertip sites are ``<finger>_tip``."""
 
+SKIN_GEOM_PREFIX, SLEEVE_GEOM = "skin_", "sleeve"
+"""Names of geoms that are only drawn: they collide with nothing and have no mass."""
+SHOWN_GROUP, SKIN_GROUP, HIDDEN_GROUP = 0, 1, 4
+"""Groups of geoms that are drawn, that are drawn and nothing else, and that are not drawn."""
+
 
 def camera_quat(forward: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return (4,) quaternion wxyz of an upright camera, whose -z points along ``forward`` (3,), of any length."""

@@ -14,9 +14,10 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS
-from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, Hand
+from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, HIDDEN_GROUP, Hand
 from dynahoi_lerobot.hands.closing import close_around
 from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
+from dynahoi_lerobot.hands.skin import SKIN, add_skin
 
 LINK_MASS_KG = 0.012
 FINGER_TORQUE_NM = 1.2
@@ -61,7 +62,6 @@ HAND = {
     "ring": _row_finger(-0.008, 1.0),
     "little": _row_finger(-0.028, 0.82),
 }
-SKIN = (0.87, 0.68, 0.55, 1.0)
 JOINT_SUFFIXES = ("base", "middle", "tip")
 
 
@@ -76,10 +76,11 @@ class CapsuleHand(Hand):
         palm = add_palm(spec, FINGER_DOF * LINK_MASS_KG)
         palm.add_geom(
             name=f"{HAND_GEOM_PREFIX}palm", type=mujoco.mjtGeom.mjGEOM_BOX, pos=(-0.0475, -0.03, 0.003),
-            size=(0.0115, 0.045, 0.041), rgba=SKIN, mass=0.0,
+            size=(0.0115, 0.045, 0.041), rgba=SKIN, mass=0.0, group=HIDDEN_GROUP,
         )  # fmt: skip
         for name in FINGERS:
             self._add_finger(spec, palm, name, self.fingers[name])
+        add_skin(palm, {name: finger.base for name, finger in self.fingers.items()})
 
     def open_joints(self) -> np.ndarray:
         """Return (15,) zeros: straight fingers."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
+GEOM_TYPES = {"sphere": 2, "capsule": 3, "ellipsoid": 4, "cylinder": 5, "box": 6}
+"""MuJoCo's ``mjtGeom`` of each shape: how datasets store it."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,47 @@ def solid_inertia(primitives: tuple[Primitive, ...], mass_kg: float) -> tuple[fl
         offset = np.asarray(primitive.pos)
         total += own + mass * (offset @ offset - offset**2)
     return (float(total[0]), float(total[1]), float(total[2]))
+
+
+def as_table(primitives: Sequence[Primitive]) -> np.ndarray:
+    """Return (S, 11) float32: MuJoCo's geom type, half-sizes [m], position [m] and quaternion wxyz of each solid."""
+    rows = [(GEOM_TYPES[p.shape], *p.half_size, *p.pos, *p.quat) for p in primitives]
+    return np.array(rows, np.float32)
+
+
+def from_table(table: np.ndarray) -> tuple[Primitive, ...]:
+    """Return the solids of (S, 11) rows: undoes ``as_table``, up to rounding and zeros behind their sizes.
+
+    Raises:
+        ValueError: if a geom type is none of ``GEOM_TYPES``.
+    """
+    shapes = {code: shape for shape, code in GEOM_TYPES.items()}
+    if unknown := sorted(set(table[:, 0].tolist()) - set(shapes)):
+        raise ValueError(f"geom type {unknown[0]:g} is none of {', '.join(map(str, shapes))}")
+    return tuple(
+        Primitive(shapes[kind], (a, b, c), (x, y, z), (qw, qx, qy, qz))
+        for kind, a, b, c, x, y, z, qw, qx, qy, qz in table.tolist()
+    )
+
+
+def extent(primitives: Sequence[Primitive]) -> np.ndarray:
+    """Return (3,) how far the solids reach along each axis of their common frame [m], from end to end."""
+    reach = np.stack([_reach(p) for p in primitives])  # (S, 3)
+    pos = np.array([p.pos for p in primitives])
+    return (pos + reach).max(axis=0) - (pos - reach).min(axis=0)
+
+
+def _reach(primitive: Primitive) -> np.ndarray:
+    """(3,) how far a solid reaches from its centre along each axis of the object's frame [m]."""
+    turn, (a, b, c) = quat_to_matrix(np.asarray(primitive.quat)), primitive.half_size
+    along = np.abs(turn[:, 2])  # of the solid's own axis
+    return {
+        "sphere": np.full(3, a),
+        "capsule": a + b * along,
+        "cylinder": b * along + a * np.sqrt(np.maximum(1 - along**2, 0.0)),
+        "ellipsoid": np.linalg.norm(turn * (a, b, c), axis=1),
+        "box": np.abs(turn) @ (a, b, c),
+    }[primitive.shape]
 
 
 def _volume(primitive: Primitive) -> float:

@@ -73,7 +73,7 @@ def _palette(scene: Scene) -> np.ndarray:
     palette = np.full((scene.model.ngeom + 1, 3), COLORS["surroundings"], np.uint8)
     striker_and_string = [scene.striker_geom, scene.tether_geom]
     palette[[*scene.box_geoms, *striker_and_string]] = COLORS["fixture"]
-    palette[scene.hand_geoms] = COLORS["hand"]
+    palette[np.concatenate([scene.hand_geoms, scene.skin_geoms, scene.sleeve_geoms])] = COLORS["hand"]
     palette[scene.target_geoms] = COLORS["target"]
     palette[-1] = COLORS["nothing"]
     return palette

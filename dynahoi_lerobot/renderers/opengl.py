@@ -13,7 +13,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
-from dynahoi_lerobot.scene.model import SHOWN_GROUP
+from dynahoi_lerobot.scene.model import SHOWN_GROUPS
 from dynahoi_lerobot.scene.scene import Scene
 
 FLAG = mujoco.mjtRndFlag
@@ -48,7 +48,7 @@ class OpenGLRenderer(Renderer):
         self._view.flags[OFF] = False
         self._options = mujoco.MjvOption()
         self._options.geomgroup[:], self._options.sitegroup[:] = 0, 0
-        self._options.geomgroup[SHOWN_GROUP] = 1
+        self._options.geomgroup[list(SHOWN_GROUPS)] = 1
         self._camera = mujoco.MjvCamera()
         self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self.camera
         self._rectangle = mujoco.MjrRect(0, 0, image_size, image_size)

@@ -15,7 +15,7 @@ import mujoco_warp as mjw  # noqa: E402
 from dynahoi_lerobot.hands.base import EGO_CAMERA  # noqa: E402
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
 from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields  # noqa: E402
-from dynahoi_lerobot.scene.model import SHOWN_GROUP  # noqa: E402
+from dynahoi_lerobot.scene.model import SHOWN_GROUPS  # noqa: E402
 from dynahoi_lerobot.scene.scene import Scene  # noqa: E402
 
 APPEARANCE_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
@@ -99,7 +99,7 @@ class WarpRenderer(Renderer):
                 nworld=self.batch.nsim,
                 cam_res=(self.image_size, self.image_size),
                 cam_active=[self.scene.model.camera(self.camera).name],
-                enabled_geom_groups=[SHOWN_GROUP],
+                enabled_geom_groups=list(SHOWN_GROUPS),
                 use_textures=True,
                 use_shadows=False,
                 enable_emission=False,

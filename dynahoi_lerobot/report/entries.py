@@ -60,8 +60,8 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
     Raises:
         ResultsError: if a folder is missing or damaged.
-        MixedError: if they are of different versions of the benchmark, unless ``allow_version_mismatch``.
-        ValueError: if they are of different salts, or of a salt and the public stream.
+        MixedError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
+            benchmark.
     """
     unique = dict.fromkeys(Path(folder).resolve() for folder in folders)
     results = [read_results(folder) for folder in unique]

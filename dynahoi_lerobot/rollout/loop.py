@@ -44,13 +44,15 @@ def play(
         observation = session.observe(images=images or actor.sees_images)
         ended = session.step(actor.commands(observation, batch.world_state))
         for i in ended.worlds:
-            yield session.finish(int(i), actor.name)
+            yield session.finish(int(i), actor)
 
 
 def record(
     recipe: Recipe, seeds: Sequence[int], *, batch_size: int = DEFAULT_BATCH, threads: int = 0, images: bool = True
 ) -> Iterator[Episode]:
     """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are left out.
+
+    With ``recipe.keep_failures`` the last attempt at them is yielded instead.
 
     Each is a function of (recipe, seed): batch size and threads do not matter.
     """
@@ -63,7 +65,7 @@ def record(
         while next_index in finished:
             ready = finished.pop(next_index)
             next_index += 1
-            if ready.success:
+            if ready.success or recipe.keep_failures:
                 yield ready
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Observation
+from dynahoi_lerobot.agent import Meeting, Observation
 from dynahoi_lerobot.captures import CaptureRule, Track
-from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.features import FEATURES, frame_features
+from dynahoi_lerobot.features import FEATURES, Feature, frame_features
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.rollout.constants import episode_constants
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -105,28 +106,27 @@ class WorldRecorder:
         """Return the rule's verdict on the frames so far."""
         return self.localized_frames > 0 and rule.success(self._track(self._columns()))
 
-    def freeze(self, rule: CaptureRule, control: ControlClass, actor: str) -> Episode:
-        """Return the recording as an Episode."""
-        spec, columns = self.job.spec, self._columns()
+    def freeze(self, batch: WorldBatch, actor: str, meeting: Meeting | None) -> Episode:
+        """Return the recording as an Episode of ``actor``, which planned ``meeting`` at control start."""
+        spec, rule, columns = self.job.spec, batch.rule, self._columns()
         track = self._track(columns)
-        captured = np.zeros(len(self.frames), bool)
-        captured[spec.window_frames :] = rule.captured(track)
-        columns |= {
+        columns |= episode_constants(batch, spec, meeting) | {
             "action": np.stack(self.actions),
-            "captured": captured,
-            "intercept_position": spec.intercept_pos_h,
-            "home_position": spec.home_pos_w,
-            "open_joints": track.open_joints,
-            "reference_joints": track.reference_joints,
+            "captured": self._padded(rule.captured(track)),
+            "succeeded": next_frames(self._padded(rule.succeeded(track))),
+            "intercept_time": spec.intercept_time_s,
         }
         return Episode(
-            meta=_meta(self.job, rule.name, control.name, actor),
+            meta=_meta(self.job, rule.name, batch.control.name, actor),
             images={view: np.stack(frames) for view, frames in self.images.items()},
-            intercept_time=spec.intercept_time_s,
             success=rule.success(track),
             stage=rule.stage(track),
-            **{name: columns[name].astype(feature.dtype) for name, feature in FEATURES.items() if name in columns},
+            **{name: _typed(columns[name], feature) for name, feature in FEATURES.items() if name in columns},
         )
+
+    def _padded(self, control: np.ndarray) -> np.ndarray:
+        """(T,) bool of the control phase's frames, False in the window."""
+        return np.concatenate([np.zeros(self.job.spec.window_frames, bool), control])
 
     def _columns(self) -> dict[str, np.ndarray]:
         """Everything recorded besides images, (T, ...) each."""
@@ -145,6 +145,17 @@ class WorldRecorder:
             palm_distance=columns["palm_distance"][control],
             palm_pos_h=columns["state"][control, :PALM_DOF],
         )
+
+
+def next_frames(flags: np.ndarray) -> np.ndarray:
+    """Return (T,) what follows each frame; the last one, whose successor is not recorded, stands for it."""
+    return np.append(flags[1:], flags[-1:])
+
+
+def _typed(value: Any, feature: Feature) -> Any:
+    """A value in the feature's element type; one number as Python's."""
+    array = np.asarray(value, feature.dtype)
+    return array if array.ndim else array.item()
 
 
 def _meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta:

@@ -15,6 +15,7 @@ from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PhysicalMotion
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.sampling.furniture import furnish
 from dynahoi_lerobot.sampling.instructions import draw_instruction
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -130,4 +131,4 @@ class Candidate:
             oracle_path=path_w,
             fingerprint=self.recipe.fingerprint(),
         )
-        return randomize_appearance(spec, self.recipe.appearance)
+        return randomize_appearance(furnish(spec), self.recipe.appearance)

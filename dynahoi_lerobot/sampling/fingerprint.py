@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import platform
 import sys
 from collections.abc import Iterable, Iterator
@@ -11,6 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import dynahoi_lerobot
+from dynahoi_lerobot.foundation.plugins import plugin_packages
 
 LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "pillow")
 """Libraries whose versions may change states, pixels or files."""
@@ -37,9 +39,13 @@ DECIDING = (
 
 @cache
 def code_fingerprint() -> str:
-    """Return 16 hexadecimal digits that change with the deciding sources, library versions and processor kind."""
+    """Return 16 hexadecimal digits that change with the deciding sources, library versions and processor kind.
+
+    Installed plugins count with every module of their packages: what they register may be drawn or change what is.
+    """
     digest = hashlib.sha256(platform.machine().encode())
     digest.update(hash_sources(Path(dynahoi_lerobot.__file__).parent))
+    digest.update(hash_plugins())
     for library in LIBRARIES:
         digest.update(f"{library}={_version(library)}".encode())
     return digest.hexdigest()[:16]
@@ -65,6 +71,26 @@ def hash_sources(package: Path) -> bytes:
         digest.update(path.relative_to(package).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.digest()
+
+
+def hash_plugins() -> bytes:
+    """Return the sha256 of the names and contents of the modules of all installed plugins' packages."""
+    digest = hashlib.sha256()
+    for path in sorted({path for name in plugin_packages() for path in _package_sources(name)}):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.digest()
+
+
+def _package_sources(name: str) -> Iterator[Path]:
+    """Yield the modules of a top-level package, or the one module of that name; none if it cannot be found."""
+    spec = importlib.util.find_spec(name)
+    if spec is None:
+        return
+    for folder in spec.submodule_search_locations or ():
+        yield from Path(folder).rglob("*.py")
+    if not spec.submodule_search_locations and spec.origin:
+        yield Path(spec.origin)
 
 
 def deciding_sources(package: Path) -> Iterator[Path]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynahoi_lerobot.appearance import Appearance, Distractor, hsv
+from dynahoi_lerobot.appearance import Appearance, Solid, hsv
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.scene.model import DISTRACTORS
 
@@ -68,7 +68,7 @@ def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     begin = max(float(spec.oracle_path[:, 0].max()), float(spec.home_pos_w[0])) + BEHIND_M
     chosen = rng.permutation(list(DISTRACTORS))[: rng.integers(1, len(DISTRACTORS) + 1)]
     things = [
-        Distractor(
+        Solid(
             shape=str(shape),
             half_size=tuple(rng.uniform(0.03, 0.16, 3).tolist()),
             pos_w=(

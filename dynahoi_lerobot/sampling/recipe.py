@@ -55,6 +55,8 @@ class Recipe:
         disturbance_m: standard deviation of the disturbance that is injected into the palm's commands [m]; see
             ``world.disturbance``.
         salt: goes into the random numbers besides split and seed; empty for the public episodes. See ``salt``.
+        keep_failures: whether to record the expert's last attempt, with ``success`` false, where all of them failed;
+            otherwise another episode takes its place.
     """
 
     split: str = "train"
@@ -73,6 +75,7 @@ class Recipe:
     hold_frames: int | None = None
     disturbance_m: float = 0.0
     salt: str = field(default="", repr=False)
+    keep_failures: bool = False
 
     def __post_init__(self) -> None:
         """Check every name against what exists.

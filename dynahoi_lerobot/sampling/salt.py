@@ -21,9 +21,9 @@ LEAST_LENGTH = 16
 HASH_DIGITS = 16
 WORDS = 8
 JOINT = "+"
+PUBLIC = "none"
 OPTION = "--salt"
 HIDDEN = "(hidden)"
-PUBLIC = "public"
 
 
 def add_salt_argument(parser: argparse.ArgumentParser) -> None:
@@ -88,8 +88,8 @@ def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
     Raises:
         MixedError: naming two that do not go together.
     """
-    streams = ((where, label.partition(JOINT)[2] or PUBLIC) for where, label in found)
-    refuse_to_mix("seed stream", streams, "results of different salts do not mix")
+    streams = [(where, label.partition(JOINT)[2] or PUBLIC) for where, label in found]
+    refuse_to_mix("salt", streams, "evaluate both with one salt, or without")
 
 
 def without_salt(words: Sequence[str]) -> list[str]:

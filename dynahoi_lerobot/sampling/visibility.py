@@ -11,6 +11,7 @@ import functools
 import mujoco
 import numpy as np
 
+from dynahoi_lerobot.hands.base import SKIN_GROUP
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 
 REFERENCE_HAND = "capsule"
@@ -19,6 +20,8 @@ VIEW_MARGIN = 0.92
 MIN_DEPTH_M = 0.05
 SILHOUETTE_SIZE = 96
 """Rays along each side of the view with which the hand's silhouette is measured."""
+COLLIDING_GROUPS = np.array([group != SKIN_GROUP for group in range(mujoco.mjNGROUP)], np.uint8)
+"""The silhouette is that of the hand that collides, so that homes do not depend on how the hand is drawn."""
 
 
 def visible(points: np.ndarray) -> np.ndarray:
@@ -59,7 +62,7 @@ def _hand_distance() -> np.ndarray:
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     geom, distance = np.zeros(len(rays), np.int32), np.zeros(len(rays))
     mujoco.mj_multiRay(
-        scene.model, data, data.cam_xpos[scene.camera], rays.ravel(), None, True, -1, geom, distance, None,
+        scene.model, data, data.cam_xpos[scene.camera], rays.ravel(), COLLIDING_GROUPS, True, -1, geom, distance, None,
         len(rays), mujoco.mjMAXVAL,
     )  # fmt: skip
     hit = np.isin(geom, scene.hand_geoms) & (distance >= 0)

@@ -33,6 +33,10 @@ class TargetContacts:
     palm_force_n: np.ndarray
     others: np.ndarray
 
+    def __getitem__(self, part: slice) -> TargetContacts:
+        """Return those of some rows of the first axis."""
+        return TargetContacts(self.finger_force_n[part], self.palm_force_n[part], self.others[part])
+
     @property
     def by_hand(self) -> np.ndarray:
         """(...) bool, a finger or the palm touches the target."""

@@ -12,11 +12,18 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.appearance import PATTERNS, texture_pixels
 from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
 from dynahoi_lerobot.hands import Hand
-from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, PALM_BODY, camera_quat
+from dynahoi_lerobot.hands.base import (
+    HAND_GEOM_PREFIX,
+    HIDDEN_GROUP,
+    PALM_BODY,
+    SHOWN_GROUP,
+    SKIN_GROUP,
+    camera_quat,
+)
 from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
+from dynahoi_lerobot.patterns import PATTERNS, texture_pixels
 from dynahoi_lerobot.scene.contact_sensors import add_contact_sensors
 from dynahoi_lerobot.scene.slots import LARGEST_SLOT_M, SHAPES, TARGET_SLOTS
 
@@ -38,6 +45,10 @@ SMOOTH_FRICTION = (0.0, *SURFACE_FRICTION[1:])
 FIXTURE_BOXES = ("box_a", "box_b")
 DISTRACTORS = ("box", "capsule", "cylinder", "sphere")
 """Shapes of the things that are only there to be seen, one of each."""
+FURNITURE_SLOTS = 16
+"""Boxes that furniture is made of; they are only there to be seen."""
+USES = {"thing": (0.4, 1.0), "floor": (0.22, 8.0), "wall": (0.16, 12.0)}
+"""Contrast of a pattern, the share that its dark parts lack, and how often it repeats, by what it is used for."""
 LARGEST_BOX_M = (1.5, 1.0, 0.3)
 OFF_FRAME_POS, OFF_FRAME_QUAT = (0.01, 0.01, 0.01), (0.8, 0.6, 0.0, 0.0)
 """A geom compiled at its body's own frame would ignore a position written later."""
@@ -50,10 +61,11 @@ WALLS = {
     "wall_right": ((0, -1, 0), (1, 0, 1)),
     "wall_back": ((-1, 0, 0), (0, 1, 1)),
 }
-"""Direction of each wall from the centre, and the axes along it. They keep targets in; only the first is drawn."""
-BACKDROP = "wall_front"
+"""Direction of each wall from the centre, and the axes along it. They keep targets in."""
+SHOWN_WALLS = ("wall_front", "wall_left", "wall_right")
+"""No camera looks backwards."""
 WALL_HALF_THICKNESS_M = 0.1
-SHOWN_GROUP, HIDDEN_GROUP = 0, 4
+SHOWN_GROUPS = (SHOWN_GROUP, SKIN_GROUP)
 SHININESS = 0.5
 """Of every material; MuJoCo's own for geoms without one, which shine half as much."""
 
@@ -79,7 +91,7 @@ def build_model(hand: Hand, extra_slots: Mapping[str, int]) -> mujoco.MjModel:
     _set_options(spec)
     _add_materials(spec)
     _add_surroundings(spec)
-    _add_distractors(spec)
+    _add_solids(spec)
     hand.add_to(spec)
     _set_hand_collisions(spec)
     _add_target(spec, extra_slots)
@@ -107,35 +119,36 @@ def _set_options(spec: mujoco.MjSpec) -> None:
 
 def _add_materials(spec: mujoco.MjSpec) -> None:
     for pattern in PATTERNS:
-        pixels = texture_pixels(pattern)
-        texture = spec.add_texture(
-            name=pattern,
-            type=mujoco.mjtTexture.mjTEXTURE_2D,
-            width=pixels.shape[1],
-            height=pixels.shape[0],
-            nchannel=3,
-        )
-        texture.data = pixels.tobytes()
-        for scale, repeat in (("fine", 1.0), ("coarse", 5.0)):
-            material = spec.add_material(
-                name=f"{pattern}_{scale}", texrepeat=(repeat, repeat), specular=1.0, shininess=SHININESS
+        for use, (contrast, _) in USES.items():
+            pixels = texture_pixels(pattern, contrast)
+            texture = spec.add_texture(
+                name=f"{pattern}_{use}",
+                type=mujoco.mjtTexture.mjTEXTURE_2D,
+                width=pixels.shape[1],
+                height=pixels.shape[0],
+                nchannel=3,
             )
-            material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = pattern
+            texture.data = pixels.tobytes()
+        for use, (_, repeat) in USES.items():
+            material = spec.add_material(
+                name=f"{pattern}_{use}", texrepeat=(repeat, repeat), specular=1.0, shininess=SHININESS
+            )
+            material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = f"{pattern}_{use}"
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     half = ARENA_HALF_M
     spec.worldbody.add_geom(
-        name="floor", type=plane, size=(half, half, 0.1), contype=0, conaffinity=ENVIRONMENT, material="plain_coarse",
+        name="floor", type=plane, size=(half, half, 0.1), contype=0, conaffinity=ENVIRONMENT, material="plain_floor",
         condim=6, friction=SURFACE_FRICTION,
     )  # fmt: skip
     for name, (side, aside) in WALLS.items():
         spec.worldbody.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=np.multiply(side, half + WALL_HALF_THICKNESS_M),
             size=np.add(np.multiply(np.abs(side), WALL_HALF_THICKNESS_M), np.multiply(aside, 2 * half)),
-            contype=0, conaffinity=ENVIRONMENT, material="plain_coarse",
-            group=SHOWN_GROUP if name == BACKDROP else HIDDEN_GROUP,
+            contype=0, conaffinity=ENVIRONMENT, material="plain_wall",
+            group=SHOWN_GROUP if name in SHOWN_WALLS else HIDDEN_GROUP,
         )  # fmt: skip
 
 
@@ -166,15 +179,18 @@ def _add_slots(body: mujoco.MjsBody, shape: str, numbers: range) -> None:
         body.add_geom(
             name=f"target_{shape}_{number}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, mass=0.0,
             contype=ENVIRONMENT | HAND_BIT, conaffinity=0, condim=6, friction=SURFACE_FRICTION, priority=1,
-            material="plain_fine", solimp=RIGID_IMPEDANCE, pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
+            material="plain_thing", solimp=RIGID_IMPEDANCE, pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
         )  # fmt: skip
 
 
-def _add_distractors(spec: mujoco.MjSpec) -> None:
-    for shape in DISTRACTORS:
+def _add_solids(spec: mujoco.MjSpec) -> None:
+    """Add what is only there to be seen: furniture and distractors."""
+    names = {f"furniture_{number}": "box" for number in range(FURNITURE_SLOTS)}
+    names |= {f"distractor_{shape}": shape for shape in DISTRACTORS}
+    for name, shape in names.items():
         spec.worldbody.add_geom(
-            name=f"distractor_{shape}", type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, contype=0, conaffinity=0,
-            material="plain_fine", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
+            name=name, type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, contype=0, conaffinity=0,
+            material="plain_thing", pos=OFF_FRAME_POS, quat=OFF_FRAME_QUAT,
         )  # fmt: skip
 
 
@@ -183,7 +199,7 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
         body = spec.worldbody.add_body(name=name, mocap=True, pos=HIDDEN_POS)
         body.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=LARGEST_BOX_M, contype=0, conaffinity=ENVIRONMENT,
-            material="plain_fine", condim=6, friction=SMOOTH_FRICTION, priority=1, solimp=RIGID_IMPEDANCE,
+            material="plain_thing", condim=6, friction=SMOOTH_FRICTION, priority=1, solimp=RIGID_IMPEDANCE,
         )  # fmt: skip
     home = spec.worldbody.add_body(name=SIDE_CAMERA, mocap=True)
     quat = camera_quat(SIDE_CAMERA_TARGET_M - SIDE_CAMERA_POS_M)

@@ -12,9 +12,16 @@ import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.hands import HANDS, Hand
-from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE
+from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE, SKIN_GEOM_PREFIX, SLEEVE_GEOM
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.scene.model import BACKDROP, DISTRACTORS, FIXTURE_BOXES, SIDE_CAMERA, build_model
+from dynahoi_lerobot.scene.model import (
+    DISTRACTORS,
+    FIXTURE_BOXES,
+    FURNITURE_SLOTS,
+    SHOWN_WALLS,
+    SIDE_CAMERA,
+    build_model,
+)
 from dynahoi_lerobot.scene.slots import TARGET_SLOTS, extra_slots
 
 
@@ -29,6 +36,7 @@ class Scene:
         target_body, target_qpos, target_dof: ids and first addresses of the free target.
         hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of the actuators.
         striker_body, striker_qpos, striker_dof: the striker's body and the addresses of its slide.
+        wall_geoms: geom ids of the walls that are drawn.
         distractor_geoms: geom ids of the things that are only there to be seen, by shape.
         box_geoms, box_mocap: geom ids and mocap indices of the fixture boxes.
         side_mocap: mocap index of the body that carries the side camera, at the hand's home.
@@ -36,7 +44,9 @@ class Scene:
         palm_site, tip_sites, palm_body: the hand's sites and body.
         camera: id of the ego camera.
         materials: material id of each pattern.
-        hand_geoms: ids of the hand's geoms; ``finger_geoms``: (5, K) the geoms of each finger.
+        furniture_geoms: geom ids of the boxes that furniture is made of.
+        skin_geoms, sleeve_geoms: ids of what is drawn of the hand and does not collide.
+        hand_geoms: ids of the hand's geoms that collide; ``finger_geoms``: (5, K) the geoms of each finger.
     """
 
     model: mujoco.MjModel
@@ -52,8 +62,11 @@ class Scene:
     striker_qpos: int
     striker_dof: int
     floor_geom: int
-    backdrop_geom: int
+    wall_geoms: tuple[int, ...]
     distractor_geoms: dict[str, int]
+    furniture_geoms: tuple[int, ...]
+    skin_geoms: np.ndarray
+    sleeve_geoms: np.ndarray
     box_geoms: tuple[int, ...]
     box_mocap: tuple[int, ...]
     side_mocap: int
@@ -129,8 +142,11 @@ def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
         striker_qpos=int(striker.qposadr[0]),
         striker_dof=int(striker.dofadr[0]),
         floor_geom=geoms["floor"],
-        backdrop_geom=geoms[BACKDROP],
+        wall_geoms=tuple(geoms[name] for name in SHOWN_WALLS),
         distractor_geoms={shape: geoms[f"distractor_{shape}"] for shape in DISTRACTORS},
+        furniture_geoms=tuple(geoms[f"furniture_{number}"] for number in range(FURNITURE_SLOTS)),
+        skin_geoms=_starting(geoms, SKIN_GEOM_PREFIX),
+        sleeve_geoms=_starting(geoms, SLEEVE_GEOM),
         box_geoms=tuple(geoms[n] for n in FIXTURE_BOXES),
         box_mocap=tuple(int(model.body(n).mocapid[0]) for n in FIXTURE_BOXES),
         side_mocap=int(model.body(SIDE_CAMERA).mocapid[0]),
@@ -142,9 +158,13 @@ def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
         tip_sites=np.array([model.site(f"{finger}_tip").id for finger in FINGERS]),
         camera=model.camera(EGO_CAMERA).id,
         materials={model.mat(i).name: i for i in range(model.nmat)},
-        hand_geoms=np.array([i for name, i in geoms.items() if name.startswith(HAND_GEOM_PREFIX)], dtype=int),
+        hand_geoms=_starting(geoms, HAND_GEOM_PREFIX),
         finger_geoms=np.array(fingers),
     )
+
+
+def _starting(geoms: Mapping[str, int], prefix: str) -> np.ndarray:
+    return np.array([i for name, i in geoms.items() if name.startswith(prefix)], dtype=int)
 
 
 def _listed(counts: Mapping[str, int]) -> str:

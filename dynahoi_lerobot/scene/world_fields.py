@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.appearance import Appearance, Distractor
+from dynahoi_lerobot.appearance import Appearance, Solid
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.motions.geometry import yaw_quat
 from dynahoi_lerobot.motions.launch import Box, Launch, Striker, Tether
@@ -96,30 +98,33 @@ class WorldFields:
         """Give row ``i`` its textures, colours and light."""
         scene, rgba, matid = self._scene, self.fields["geom_rgba"], self.fields["geom_matid"]
         painted = (
-            (scene.target_geoms, appearance.target_pattern + "_fine", appearance.target_rgb),
-            ([scene.floor_geom], appearance.floor_pattern + "_coarse", appearance.floor_rgb),
-            ([scene.backdrop_geom], appearance.wall_pattern + "_coarse", appearance.wall_rgb),
-            (scene.box_geoms, appearance.box_pattern + "_fine", appearance.box_rgb),
+            (scene.target_geoms, appearance.target_pattern + "_thing", appearance.target_rgb),
+            ([scene.floor_geom], appearance.floor_pattern + "_floor", appearance.floor_rgb),
+            (scene.wall_geoms, appearance.wall_pattern + "_wall", appearance.wall_rgb),
+            (scene.box_geoms, appearance.box_pattern + "_thing", appearance.box_rgb),
         )
         for geoms, material, rgb in painted:
             for geom in geoms:
                 matid[i, geom] = scene.materials[material]
                 rgba[i, geom, :3] = rgb
-        rgba[i, scene.hand_geoms, :3] = appearance.skin_rgb
+        rgba[i, np.concatenate([scene.hand_geoms, scene.skin_geoms]), :3] = appearance.skin_rgb
+        rgba[i, scene.sleeve_geoms, :3] = appearance.sleeve_rgb
         self.fields["light_dir"][i, 0] = np.asarray(appearance.light_dir) / np.linalg.norm(appearance.light_dir)
         self.fields["light_diffuse"][i, 0] = appearance.light_level * np.asarray(appearance.light_rgb)
         self.fields["light_specular"][i, 0] = appearance.gloss
         shown = scene.target_geoms[rgba[i, scene.target_geoms, 3] > 0]
         rgba[i, shown, 3] = appearance.target_alpha
-        self._write_distractors(i, appearance.distractors)
+        things = {thing.shape: thing for thing in appearance.distractors}
+        for shape, geom in scene.distractor_geoms.items():
+            self._write_solid(i, geom, things.get(shape))
+        for geom, solid in zip_longest(scene.furniture_geoms, appearance.furniture):
+            self._write_solid(i, geom, solid)
 
-    def _write_distractors(self, i: int, distractors: tuple[Distractor, ...]) -> None:
-        things = {thing.shape: thing for thing in distractors}
-        for shape, geom in self._scene.distractor_geoms.items():
-            thing = things.get(shape)
-            self.fields["geom_size"][i, geom] = HIDDEN_SIZE if thing is None else thing.half_size
-            self.fields["geom_pos"][i, geom] = HIDDEN_POS if thing is None else thing.pos_w
-            self.fields["geom_rgba"][i, geom] = (0.0,) * 4 if thing is None else (*thing.rgb, 1.0)
+    def _write_solid(self, i: int, geom: int, solid: Solid | None) -> None:
+        self.fields["geom_size"][i, geom] = HIDDEN_SIZE if solid is None else solid.half_size
+        self.fields["geom_pos"][i, geom] = HIDDEN_POS if solid is None else solid.pos_w
+        self.fields["geom_quat"][i, geom] = (1.0, 0.0, 0.0, 0.0)
+        self.fields["geom_rgba"][i, geom] = (0.0,) * 4 if solid is None else (*solid.rgb, 1.0)
 
     def free_target(self, i: int) -> None:
         """Cut the tether of world ``i``."""

@@ -24,11 +24,15 @@ TOLERANCE = 1e-5
 
 PICTURE_TOLERANCE = 12.0
 """Greatest mean difference of a picture [levels of 255]: video is lossy (seen: 6.4 at 32 px, 8.3 at 16 px)."""
-SWAP_SHARE = 0.85
-"""A stored picture shows another frame if its difference from that frame's rendering is at most this share of the
-difference from its own (seen: 0.99 at 32 px, 0.92 at 16 px)."""
+NEARER_SHARE = 0.85
+"""A stored picture shows another frame if its mean difference from that frame's rendering is at most this share of that
+from its own (seen in sound videos: 0.99 at 32 px, 0.92 at 16 px)."""
+WAY_SHARE, WAY_RATIO = 0.7, 3.0
+"""So it does if it lies beyond this share of the way from its own rendering to that frame's, and if those two are
+further apart, in sums of squares, than this many times its own distance from the latter: what changes in a few pixels
+shows here. Sound videos have one or the other; where renderings hardly differ, an encoder may keep what it has."""
 COMPARED_PX = 32
-"""Pictures are thinned to about this side before each is compared with all others."""
+"""Pictures are thinned to about this side before their mean differences from all frames are taken."""
 HISTOGRAM_TOLERANCE = 0.001
 """Share of pixels whose level another renderer may change in the stored histogram."""
 
@@ -94,7 +98,7 @@ def _arrays(made: Episode, stored: Episode) -> Iterator[str]:
 
 
 def _columns(episode: Episode) -> dict[str, np.ndarray]:
-    tables = {feature.key: np.asarray(getattr(episode, feature.name)) for feature in episode_features()}
+    tables = {feature.key: np.atleast_1d(getattr(episode, feature.name)) for feature in episode_features()}
     return content_arrays(episode) | tables
 
 
@@ -110,17 +114,47 @@ def _pictures(made: Episode, stored: Episode) -> Iterator[str]:
 
 def _frames(made: np.ndarray, stored: np.ndarray) -> Iterator[str]:
     """Yield the first stored picture that is not its frame's, (T, H, W, 3) each."""
-    step = max(1, made.shape[1] // COMPARED_PX)
-    made, stored = (pictures[:, ::step, ::step].astype(np.int16) for pictures in (made, stored))
-    levels = np.stack([np.abs(made - picture).mean(axis=(1, 2, 3)) for picture in stored])  # (T stored, T made)
+    levels, way = _mean_levels(made, stored), _way_to_others(_flat(made), _flat(stored))
     own = levels.diagonal()
-    swapped = levels.min(axis=1) < SWAP_SHARE * own
+    nearer = levels.min(axis=1) < NEARER_SHARE * own
+    swapped = nearer | (way.max(axis=1) > WAY_SHARE)
     wrong = swapped | (own > PICTURE_TOLERANCE)
     if not wrong.any():
         return
     frame = int(wrong.argmax())
-    shows = f", it looks like frame {int(levels[frame].argmin())}" if swapped[frame] else ""
+    looks_like = levels[frame].argmin() if nearer[frame] else way[frame].argmax()
+    shows = f", it looks like frame {int(looks_like)}" if swapped[frame] else ""
     yield f"at frame {frame}, {own[frame]:.1f} levels apart{shows}"
+
+
+def _mean_levels(made: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    """Return (T stored, T made) mean differences [levels of 255] of thinned pictures."""
+    step = max(1, made.shape[1] // COMPARED_PX)
+    made, stored = (pictures[:, ::step, ::step].astype(np.int16) for pictures in (made, stored))
+    return np.stack([np.abs(made - picture).mean(axis=(1, 2, 3)) for picture in stored])
+
+
+def _flat(pictures: np.ndarray) -> np.ndarray:
+    return pictures.reshape(len(pictures), -1).astype(np.float32)
+
+
+def _way_to_others(made: np.ndarray, stored: np.ndarray) -> np.ndarray:
+    """Return where each stored picture lies between its own rendering and those of all frames.
+
+    Args:
+        made, stored: (T, P) levels.
+
+    Returns:
+        (T, T): (s_t - m_t) . (m_u - m_t) / |m_u - m_t|^2 for stored pictures s and renderings m: 0 for a picture that
+        is its frame's, 1 for that of frame u; 0 where coding may explain the difference between the two.
+    """
+    products = made @ made.T  # (T, T)
+    size = products.diagonal()
+    apart = size[:, None] + size - 2 * products
+    moved = stored - made
+    towards = moved @ made.T - (moved * made).sum(axis=1)[:, None]
+    left = (moved**2).sum(axis=1)[:, None] - 2 * towards + apart  # |s_t - m_u|^2
+    return np.divide(towards, apart, out=np.zeros_like(apart), where=apart > WAY_RATIO * left)
 
 
 def _histograms(made: Episode, row: EpisodeRow) -> Iterator[str]:

@@ -28,6 +28,10 @@ MAX_LOGGED = 16_384
 """Characters of an answer that are written to the log file."""
 FORMAT_REFUSED = (400, 422)
 """HTTP status codes with which servers refuse structured output."""
+BUSY = 429
+"""HTTP status code with which servers ask for a pause."""
+BUSY_PAUSE_S = 1.0
+"""Pause [s] where the server does not say how long; it doubles with each retry."""
 
 
 @dataclass
@@ -38,6 +42,7 @@ class _Attempt:
     cause: Cause | None = None
     problem: str = ""
     status: int | None = None
+    retry_after_s: float | None = None
     text: str | None = None
     usage: Usage | None = None
     seconds: float = 0.0
@@ -106,8 +111,11 @@ class VlmClient:
             return {**asked, "structured_output": self._structured, **self.account.report()}
 
     def _attempts(self, request: list[dict[str, Any]], task: str) -> _Attempt:
-        """Ask until an answer is valid, no retry is left or the deadline has passed; return the last attempt."""
-        deadline, left = Deadline(self._timeout_s), 1 + self._retries
+        """Ask until an answer is valid, no retry is left or the deadline has passed; return the last attempt.
+
+        A server that is busy is given the pause it asks for, or no further request if that outlasts the deadline.
+        """
+        deadline, left, pause_s = Deadline(self._timeout_s), 1 + self._retries, BUSY_PAUSE_S
         while True:
             structured = self._structured
             attempt = self._ask(request, deadline, structured)
@@ -118,6 +126,11 @@ class VlmClient:
                 left -= 1
             if attempt.commands is not None or left == 0 or deadline.passed:
                 return attempt
+            if attempt.status == BUSY:
+                wait_s = pause_s if attempt.retry_after_s is None else attempt.retry_after_s
+                if not deadline.pause(wait_s):
+                    return attempt
+                pause_s *= 2
 
     def _ask(self, request: list[dict[str, Any]], deadline: Deadline, structured: bool) -> _Attempt:
         attempt, start = _Attempt(), time.monotonic()
@@ -128,6 +141,7 @@ class VlmClient:
             attempt.commands = parse_reply(attempt.text)
         except RequestFailure as failure:
             attempt.cause, attempt.problem, attempt.status = failure.cause, str(failure), failure.status
+            attempt.retry_after_s = failure.retry_after_s
         except Exception as error:  # whatever a server provokes must not end an evaluation of hours
             attempt.cause, attempt.problem = Cause.UNEXPECTED, f"{type(error).__name__}: {error}"
         attempt.seconds = time.monotonic() - start

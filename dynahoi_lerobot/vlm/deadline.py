@@ -19,6 +19,13 @@ class Deadline:
         """Whether no time is left."""
         return time.monotonic() >= self._end
 
+    def pause(self, seconds: float) -> bool:
+        """Sleep for ``seconds`` [s] if that leaves time, else not at all; return whether it did."""
+        if seconds >= self._end - time.monotonic():
+            return False
+        time.sleep(seconds)
+        return True
+
     def remaining(self) -> float:
         """Return the time left [s], always positive.
 

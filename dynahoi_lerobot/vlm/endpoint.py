@@ -12,19 +12,27 @@ KEY_VARIABLE = "OPENAI_API_KEY"
 URL_VARIABLE = "OPENAI_BASE_URL"
 NO_KEY = "none"
 """Sent where no key is set; local servers check none."""
+MIN_KEY_LENGTH = 4
+"""A shorter key cannot be told from other text, so that it could not be kept out of what is stored."""
 
 
 def api_key(base_url: str | None) -> str:
     """Return the API key from the environment, empty if none is set.
 
     Raises:
-        ValueError: if the endpoint is OpenAI's and there is no key, or the key cannot stand in an HTTP header.
+        ValueError: if the endpoint is OpenAI's and there is no key, if the key cannot stand in an HTTP header, or if it
+            is too short to be redacted.
     """
     key = os.environ.get(KEY_VARIABLE, "").strip()
     if base_url is None and not key:
         raise ValueError(f"without --base-url the endpoint is OpenAI's and {KEY_VARIABLE} must be set; it is not")
     if not all("!" <= character <= "~" for character in key):
         raise ValueError(f"{KEY_VARIABLE} contains a space or a character that is not printable ASCII")
+    if 0 < len(key) < MIN_KEY_LENGTH:
+        raise ValueError(
+            f"{KEY_VARIABLE} has {len(key)} characters; a key has {MIN_KEY_LENGTH} or more, and a server that checks "
+            "none needs none"
+        )
     return key
 
 

@@ -38,8 +38,11 @@ class RequestFailure(Exception):  # noqa: N818 - "Error" would suggest that it l
     Attributes:
         cause: its category.
         status: HTTP status code of the response, None if there was no complete one.
+        retry_after_s: how long the server asks to wait before the next request [s], None if it does not say.
     """
 
-    def __init__(self, cause: Cause, message: str, status: int | None = None) -> None:
+    def __init__(
+        self, cause: Cause, message: str, status: int | None = None, retry_after_s: float | None = None
+    ) -> None:
         super().__init__(message)
-        self.cause, self.status = cause, status
+        self.cause, self.status, self.retry_after_s = cause, status, retry_after_s

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 PLACEHOLDER = "[REDACTED]"
-MIN_SECRET_LENGTH = 4
-"""Shorter keys are placeholders for local servers; replacing every "x" would destroy the texts."""
 WIRE_LOGGERS = ("openai._base_client", "openai._legacy_response", "httpx2", "httpcore2.connection", "httpcore2.http11")
 """Loggers of the HTTP stack that print what a server sent."""
 
@@ -23,7 +21,7 @@ class Redactor:
     Python or HTML, and hexadecimal and base64 copies, alone or within a longer encoded text.
 
     Attributes:
-        secret: the API key; one shorter than `MIN_SECRET_LENGTH` characters is not redacted.
+        secret: the API key, empty for none.
     """
 
     secret: str = field(repr=False)
@@ -44,7 +42,7 @@ class Redactor:
 
     @cached_property
     def _pattern(self) -> re.Pattern[str] | None:
-        if len(self.secret) < MIN_SECRET_LENGTH:
+        if not self.secret:
             return None
         forms = ["".join(map(_any_escape, self.secret)), self.secret.encode().hex()]
         return re.compile("|".join([*forms, *_base64_forms(self.secret.encode())]), re.IGNORECASE)

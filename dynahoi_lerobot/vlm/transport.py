@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import ssl
 import zlib
 from collections.abc import Iterable, Iterator
@@ -23,6 +24,7 @@ MAX_BODY = 1 << 20
 MAX_SENT_BODY = 2 * MAX_BODY
 """Bytes received for a response body, its chunk headers included."""
 GZIP = 16 + zlib.MAX_WBITS
+RETRY_AFTER = re.compile(rb"[0-9]{1,6}")
 EXCERPT = 200
 """Characters of an error response that are kept."""
 
@@ -31,8 +33,9 @@ class BoundedTransport(httpx.BaseTransport):
     """Sends each request on a connection of its own, under one deadline.
 
     The timeout of a request, ``timeout["read"]`` [s] in its extensions, is the time for the whole exchange: name
-    resolution, connecting, TLS, sending, and receiving head and body. Of the response only the status and the body
-    are passed on, the body decompressed and without the API key; so headers, cookies and redirects have no effect.
+    resolution, connecting, TLS, sending, and receiving head and body. Of the response only the status, the
+    seconds of ``Retry-After`` and the body are passed on, the body decompressed and without the API key; so other
+    headers, cookies and redirects have no effect.
     """
 
     def __init__(self, redact: Redactor) -> None:
@@ -52,13 +55,13 @@ class BoundedTransport(httpx.BaseTransport):
         """
         request.headers["Accept-Encoding"] = "gzip"
         with self._translated_errors():
-            status, body = self._exchange(request)
+            status, wait_s, body = self._exchange(request)
         text = self._redact(body.decode("utf-8-sig", "replace"))
         if not 200 <= status < 300:
-            raise RequestFailure(Cause.of_status(status), f"HTTP {status}: {text.strip()[:EXCERPT]}", status)
+            raise RequestFailure(Cause.of_status(status), f"HTTP {status}: {text.strip()[:EXCERPT]}", status, wait_s)
         return httpx.Response(status, headers={"Content-Type": "application/json"}, content=text.encode())
 
-    def _exchange(self, request: httpx.Request) -> tuple[int, bytes]:
+    def _exchange(self, request: httpx.Request) -> tuple[int, float | None, bytes]:
         deadline = Deadline(request.extensions["timeout"]["read"])
         backend = BoundedBackend(deadline, MAX_HEAD)
         context = self._ssl_context if request.url.scheme == "https" else None
@@ -69,7 +72,7 @@ class BoundedTransport(httpx.BaseTransport):
             ) as response,
         ):
             backend.allow(MAX_SENT_BODY)
-            return response.status, _read_body(response, deadline)
+            return response.status, _retry_after_s(response), _read_body(response, deadline)
 
     @contextmanager
     def _translated_errors(self) -> Iterator[None]:
@@ -84,6 +87,12 @@ class BoundedTransport(httpx.BaseTransport):
 
     def _describe(self, error: Exception) -> str:
         return self._redact(f"{type(error).__name__}: {error}")[:EXCERPT]
+
+
+def _retry_after_s(response: httpcore.Response) -> float | None:
+    """Return the seconds of a ``Retry-After`` header; None for a date or anything else."""
+    values = [value for name, value in response.headers if name.lower() == b"retry-after"]
+    return float(values[0]) if len(values) == 1 and RETRY_AFTER.fullmatch(values[0]) else None
 
 
 def _read_body(response: httpcore.Response, deadline: Deadline) -> bytes:

@@ -52,6 +52,7 @@ class WorldBatch:
         frame: (N,) int, current frame of each world's episode.
         attempt: (N,) int, from 1.
         control: the control class, whose limits every command is held to.
+        palm_speed_m_s: the limit of the palm: the control class's, or that of the capture rule's gantry [m/s].
         servo: what holds them to it.
         commanded: (N, 18) the command last given, cut to what an undisturbed hand can meet when it takes effect.
         executed: (N, 18) what the servos were last told: the command that was due, cut to the speed limits, disturbed.
@@ -94,9 +95,10 @@ class WorldBatch:
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
         self.control = control_class_of(control_class)
-        gantry, joint_speed = self.rule.gantry_speed_m_s, self.control.joint_speed_rad_s
-        palm_speed = self.control.palm_speed_m_s if gantry is None else gantry
-        self.servo = Servo(self.scene.model, SpeedLimits(palm_speed, joint_speed, by_axis=gantry is not None))
+        gantry = self.rule.gantry_speed_m_s
+        self.palm_speed_m_s = self.control.palm_speed_m_s if gantry is None else gantry
+        limits = SpeedLimits(self.palm_speed_m_s, self.control.joint_speed_rad_s, by_axis=gantry is not None)
+        self.servo = Servo(self.scene.model, limits)
         self._latency = CommandLatency(size, self.control.latency_frames)
         self._targets = Targets(self.scene, self._fields, size)
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)

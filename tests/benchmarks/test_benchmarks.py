@@ -48,3 +48,13 @@ def test_it_runs_and_writes_its_numbers(script: Path, tmp_path: Path) -> None:
     assert numbers
     assert all(math.isfinite(number) for number in numbers)
     assert any(number > 0 for number in numbers)
+
+
+def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    command = [sys.executable, str(BENCHMARKS / "sampling_histograms.py"), "--tiny", "--json"]
+    for place, sentence in (("file/numbers.json", "file is a file"), (".", "is a folder; name a file in it")):
+        done = subprocess.run([*command, place], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert sentence in done.stderr.splitlines()[-1]
+        assert not done.stdout

@@ -12,6 +12,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.scene.contact_sensors import no_contacts
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 
@@ -104,8 +105,9 @@ def test_the_grasp_is_judged_at_the_first_localised_frame_by_nine_tenths_of_the_
     joints[3, 11] *= share  # one joint short, at the frame that counts; full everywhere else
     localized = np.arange(6) >= 3
     rule = CAPTURES["attach"]()
-    track = Track(joints, np.zeros(15), reference, localized, np.zeros((6, 7)), np.zeros(6), np.zeros((6, 3)))
+    track = Track(joints, np.zeros(15), reference, localized, no_contacts(6), np.zeros(6), np.zeros((6, 3)))
     assert rule.success(track) is verdict
+    np.testing.assert_array_equal(rule.succeeded(track), localized & verdict)
     np.testing.assert_array_equal(rule.captured(track), localized & verdict)
     assert rule.stage(track) == ("captured" if verdict else "localized")
     nothing = replace(track, localized=np.zeros(6, bool))

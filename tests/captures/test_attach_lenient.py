@@ -29,7 +29,7 @@ class Fist(Expert):
     def act(self, world: WorldState) -> np.ndarray:
         spec = world.specs[0]
         assert spec is not None
-        return np.concatenate([spec.home_pos_w, spec.reference_joints])[None]
+        return np.concatenate([np.zeros(3), spec.reference_joints])[None]
 
 
 def played(spec: EpisodeSpec, capture: str, miss_m: float) -> Episode:
@@ -49,7 +49,7 @@ def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
     assert caught["R_time"] == pytest.approx(1 - (first - lenient.meta.window_frames) / lenient.meta.length_frames)
     assert lenient.palm_distance[first] < LENIENT_RADIUS_M
     assert (lenient.stage, lenient.success, strict.stage) == ("captured", True, "missed")
-    offset = lenient.target_pose[first:, :3] - lenient.palm_pos_w[first:]
+    offset = lenient.target_pose[first:, :3] - lenient.palm_pos_h[first:]
     assert np.linalg.norm(offset - offset[0], axis=1).max() < 1e-3, "it is welded"
     assert lenient.meta.capture == "attach_lenient"
 

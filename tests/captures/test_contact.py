@@ -182,3 +182,10 @@ def test_stages(played: Track, stage: str):
     rule = CAPTURES["contact"]()
     assert rule.stage(played) == stage
     assert rule.success(played) == (stage == "held")
+    by_frame = [rule.success(played.first(frames)) for frames in range(1, 21)]
+    assert rule.succeeded(played).tolist() == by_frame
+    assert by_frame == sorted(by_frame), "a success stays one"
+
+
+def test_a_catch_succeeds_in_the_frame_that_completes_the_hold():
+    assert CAPTURES["contact"]().succeeded(track(thumb=20, index=20)).argmax() == HELD_FRAMES - 1

@@ -40,7 +40,8 @@ def test_list_knows_all_motions(capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["evaluate", "--policy", "expertt"], "there is no policy 'expertt'"),
         (["evaluate", "--policy", "hold", "--split", "exam"], "unknown split 'exam'; known: train, val, test"),
-        (["evaluate", "--policy", "hold", "--episodes", "0"], "--episodes must be at least 1, got 0"),
+        (["evaluate", "--policy", "hold", "--episodes", "0"], "must be 1 to 110, all of split test_small; got 0"),
+        (["evaluate", "--policy", "hold", "--episodes", "111"], "must be 1 to 110, all of split test_small; got 111"),
         (["evaluate", "--policy", "hold", "--capture", "glue"], "unknown capture rule 'glue'; known: attach"),
         (["evaluate", "--policy", "hold", "--set", "a=1"], "the config of a LeRobot policy, and 'hold' has none"),
         (["evaluate", "--policy", "hold", "--motions", "lop"], "unknown motion 'lop' (did you mean 'lob'?)"),

@@ -73,6 +73,28 @@ def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
     assert "marble" in names(dynahoi(tmp_path, "list", "objects", "--json"))
 
 
+def test_an_edit_in_any_module_of_a_plugins_package_changes_the_code_fingerprint(tmp_path: Path) -> None:
+    def fingerprint() -> str:
+        script = "from dynahoi_lerobot.sampling.fingerprint import code_fingerprint; print(code_fingerprint())"
+        return subprocess.run(
+            [sys.executable, "-c", script],
+            env=os.environ | {"PYTHONPATH": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+
+    without = fingerprint()
+    (tmp_path / "borrowed").mkdir()
+    (tmp_path / "borrowed/speeds.py").write_text("FAST = 1.0")
+    install(tmp_path, "sound", {"borrowed/__init__": MOTION.format(name="glide")})
+    entries = tmp_path / "sound-1.0.dist-info/entry_points.txt"
+    entries.write_text("[dynahoi_lerobot.plugins]\nglide = borrowed\n")
+    installed = fingerprint()
+    (tmp_path / "borrowed/speeds.py").write_text("FAST = 2.0")
+    assert len({without, installed, fingerprint()}) == 3
+
+
 @pytest.mark.slow
 def test_the_lerobot_plugin_plays_a_motion_of_a_plugin(tmp_path: Path) -> None:
     install(tmp_path, "sound", {"sound_motion": MOTION.format(name="glide")})

@@ -46,7 +46,7 @@ def test_shards_grow_with_the_dataset_up_to_a_size_that_is_cheap_to_redo(episode
 
 def test_slots_follow_the_seed(reference):
     assert Manifest.read(reference).seeds == list(range(10))
-    assert Manifest.read(reference).yields == {"tried": 10, "kept": 10, "missed": 0, "rejected": 0}
+    assert Manifest.read(reference).yields == {"tried": 10, "kept": 10, "failed": 0, "missed": 0, "rejected": 0}
     assert not workspace_path(reference).exists()
     assert plan(episodes=10, seed=5).slots(3) == range(14, 15)
 
@@ -110,12 +110,12 @@ def test_missed_slots_are_drawn_again(tmp_path):
     assert len(set(manifest.seeds)) == 10
     assert {seed % REDRAW_STRIDE for seed in manifest.seeds} == set(range(1, 11))
     assert sorted(manifest.seeds)[-2:] == [4 + REDRAW_STRIDE, 8 + REDRAW_STRIDE]
-    assert manifest.yields == {"tried": 12, "kept": 10, "missed": 2, "rejected": 0}
+    assert manifest.yields == {"tried": 12, "kept": 10, "failed": 0, "missed": 2, "rejected": 0}
 
 
 def test_corrupt_recordings_are_rejected_and_drawn_again(tmp_path):
     manifest = generate(plan(), tmp_path / "d", record=recorder.record_with_nan)
-    assert manifest.yields == {"tried": 11, "kept": 10, "missed": 0, "rejected": 1}
+    assert manifest.yields == {"tried": 11, "kept": 10, "failed": 0, "missed": 0, "rejected": 1}
     assert 3 not in manifest.seeds
     assert 3 + REDRAW_STRIDE in manifest.seeds
 

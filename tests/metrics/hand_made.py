@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.rollout.recorder import next_frames
 from tests.synthetic import synthetic_episode
 
 WINDOW = 8
@@ -49,6 +50,7 @@ def hand_made(
         fingertip_distance=np.full(frames, 0.5, np.float32),
         localized=localized,
         captured=localized,
+        succeeded=next_frames(localized),
         **changes,
     )
 

@@ -14,6 +14,7 @@ from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects import OBJECTS, Primitive, TargetObject
 from dynahoi_lerobot.objects.base import FRICTION_RANGE, MASS_RANGE_KG
+from dynahoi_lerobot.objects.primitives import as_table, extent, from_table
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
@@ -84,6 +85,16 @@ def test_too_many_primitives_are_refused_by_name():
 def test_stands_at_its_rest_height(name: str):
     for target in draws(name, 20):
         assert -_extent(target)[0, 2] == pytest.approx(target.rest_height_m, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_its_size_is_its_extent_and_its_solids_can_be_stored(name: str):
+    for target in draws(name, 5):
+        low, high = _extent(target)
+        np.testing.assert_allclose(extent(target.primitives), high - low, rtol=1e-9)
+        table = as_table(target.primitives)
+        assert table.shape == (len(target.primitives), 11)
+        np.testing.assert_array_equal(as_table(from_table(table)), table)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.renderers import DEFAULT_RENDERER, opengl
+from dynahoi_lerobot.renderers import opengl
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -54,8 +54,8 @@ def batch_of(renderer: str, specs: list[EpisodeSpec]) -> WorldBatch:
 
 @pytest.fixture(scope="module")
 def ray_casting(specs: list[EpisodeSpec]) -> WorldBatch:
-    """Plainly painted worlds under the default renderer."""
-    return batch_of(DEFAULT_RENDERER, [plain(spec) for spec in specs[:22]])
+    """Plainly painted worlds under the ray caster, with the light that OpenGL has."""
+    return batch_of("flat", [plain(spec) for spec in specs[:22]])
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.renderers import RENDERERS
-from dynahoi_lerobot.scene.model import SHOWN_GROUP
+from dynahoi_lerobot.scene.model import SHOWN_GROUPS
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 
@@ -41,13 +41,18 @@ def drawn(specs: list[EpisodeSpec]) -> tuple[np.ndarray, np.ndarray]:
     return play(specs[:22], "tiles")
 
 
-def test_it_draws_what_mujoco_warp_draws(drawn: tuple[np.ndarray, np.ndarray], specs: list[EpisodeSpec]) -> None:
+def test_without_soft_light_it_draws_what_mujoco_warp_draws(
+    drawn: tuple[np.ndarray, np.ndarray], specs: list[EpisodeSpec]
+) -> None:
+    """``flat`` is the same ray caster with shadows, soft light, filtering and smooth edges switched off."""
+    flat, flat_labels = play(specs[:22], "flat")
     pictures, labels = play(specs[:22], "warp")
-    difference = np.abs(pictures.astype(int) - drawn[0]).max(axis=-1)
+    difference = np.abs(pictures.astype(int) - flat).max(axis=-1)
     assert pictures.std(axis=(2, 3, 4)).min() > 5.0
     assert (difference > VISIBLE).mean() < MOST_DIFFERENT
-    assert (labels != drawn[1]).mean() < MOST_DIFFERENT
+    assert (labels != flat_labels).mean() < MOST_DIFFERENT
     assert len(np.unique(labels)) > 30, "many geoms were seen"
+    np.testing.assert_array_equal(drawn[1], flat_labels, "soft light changes no label")
 
 
 @pytest.mark.parametrize("threads", [2, 3])
@@ -64,7 +69,7 @@ def test_neighbours_do_not_change_a_byte(drawn: tuple[np.ndarray, np.ndarray], s
 
 def test_a_shape_it_cannot_draw_is_refused(specs: list[EpisodeSpec]) -> None:
     batch: WorldBatch = world(specs[:1])
-    geom = int(np.flatnonzero(batch.scene.model.geom_group == SHOWN_GROUP)[0])
+    geom = int(np.flatnonzero(np.isin(batch.scene.model.geom_group, SHOWN_GROUPS))[0])
     kind = batch.scene.model.geom_type[geom]
     batch.scene.model.geom_type[geom] = mujoco.mjtGeom.mjGEOM_MESH.value
     try:

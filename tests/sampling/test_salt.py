@@ -15,6 +15,7 @@ from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.report.entries import read_entries
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import seal, without_salt
@@ -90,11 +91,11 @@ def test_a_recipe_read_back_has_the_fingerprint_of_the_salted_one():
 def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: dict[str, Path]):
     assert len(read_entries([runs["salted"], runs["again"]])) == 2
     for name in ("public", "other"):
-        with pytest.raises(ValueError, match=rf"salted has seed stream '\w{{8}}', .*{name} has .*salts do not mix"):
+        with pytest.raises(MixedError, match=rf"salted has salt '\w{{8}}', .*{name} has salt .*; evaluate both"):
             read_entries([runs["salted"], runs[name]])
     rows = {name: read_results(folder).rows for name, folder in runs.items()}
     assert compare(rows["salted"], rows["again"], "S_loc").n == 3
-    with pytest.raises(ValueError, match=r"A has seed stream '\w{8}', B has seed stream 'public'; .* do not mix"):
+    with pytest.raises(MixedError, match=r"A has salt '\w{8}', B has salt 'none'; evaluate both with one salt"):
         compare(rows["salted"], rows["public"], "S_loc")
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.video import VideoWriter, decode
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.features import frame_features
@@ -166,3 +168,22 @@ def test_episode_rows_in_another_type_are_named(tmp_path):
     root = write(tmp_path / "d", range(2))
     table(ROWS, lambda old: with_column(old, "attempts", old["attempts"].cast(pa.int32())))(root)
     assert any("holds attempts as int32; it is int64" in str(finding) for finding in verify(root))
+
+
+def test_every_swap_of_pictures_in_which_a_small_thing_moves_is_found(tmp_path: Path):
+    """A square of 3 px, none of them among those that thinning keeps."""
+    slope = np.linspace(60, 160, 128).astype(np.uint8)
+    made = np.tile(slope[None, None, :, None], (12, 128, 1, 3))
+    for frame in range(12):
+        made[frame, 61:64, 10 * frame + 1 : 10 * frame + 4] = 240
+    video = VideoWriter(tmp_path / "video.mp4", 128, 20, Encoding())
+    video.write(made)
+    video.close()
+    stored = np.stack(list(decode(tmp_path / "video.mp4")))
+    assert not list(replay_check._frames(made, stored))
+    for place, shown in itertools.permutations(range(12), 2):
+        swapped = stored.copy()
+        swapped[place] = stored[shown]
+        (problem,) = replay_check._frames(made, swapped)
+        assert problem.startswith(f"at frame {place}, ")
+        assert problem.endswith(f"it looks like frame {shown}")

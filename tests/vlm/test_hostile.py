@@ -61,7 +61,7 @@ def test_a_hostile_server_costs_one_decision_at_most(
         assert commands is None
         assert (report["decisions"], report["failed"], report["failed_by"]) == (1, 1, {cause: 1})
         assert report["failed_requests_by"] == {cause: len(seen)}
-        assert len(seen) == (1 if name in SLOW else 2)
+        assert len(seen) == (1 if name in (*SLOW, "limits the rate") else 2)
         assert [json.loads(line)["cause"] for line in log.read_text().splitlines()] == [cause] * len(seen)
     assert not leaks(log.read_text() + json.dumps(report, allow_nan=False) + caplog.text + "".join(capfd.readouterr()))
 
@@ -125,6 +125,32 @@ def test_a_server_that_refuses_structured_output_gets_no_more_time():
         assert client.plan("", STATE, IMAGE) is None
         assert time.monotonic() - start < 0.4 + SLACK_S
     assert len(seen) == 2
+
+
+@pytest.mark.parametrize(
+    ("headers", "wait_s"), [([("Retry-After", "0.3")], 1.0), ([("Retry-After", "1")], 1.0), ([], 1.0)]
+)
+def test_a_busy_server_is_asked_again_after_the_pause_it_asks_for(headers: list, wait_s: float):
+    def handler(exchange: Exchange) -> None:
+        if exchange.number == 0:
+            exchange.raw(b"{}", 429, headers=headers)
+        else:
+            exchange.say(answer())
+
+    with serving(handler) as (url, seen):
+        client, start = VlmClient("tiny", url, timeout_s=10.0), time.monotonic()
+        assert client.plan("", STATE, IMAGE) is not None
+        assert wait_s <= time.monotonic() - start < wait_s + SLACK_S
+    assert len(seen) == 2
+
+
+def test_a_pause_beyond_the_deadline_ends_the_decision_at_once():
+    with serving(lambda exchange: exchange.raw(b"{}", 429, headers=[("Retry-After", "3600")])) as (url, seen):
+        client, start = VlmClient("tiny", url, timeout_s=5.0), time.monotonic()
+        assert client.plan("", STATE, IMAGE) is None
+        assert time.monotonic() - start < SLACK_S
+    assert len(seen) == 1
+    assert client.account.failed_by == {"http_4xx": 1}
 
 
 def test_an_exception_of_the_client_library_is_a_failed_decision(monkeypatch: pytest.MonkeyPatch):

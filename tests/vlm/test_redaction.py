@@ -42,9 +42,16 @@ def test_other_text_stays():
     assert redact(text) == text
 
 
-@pytest.mark.parametrize("key", ["", "x", "abc"])
-def test_a_placeholder_key_is_no_secret(key: str):
-    assert Redactor(key)("abc x") == "abc x"
+def test_without_a_key_nothing_is_replaced():
+    assert Redactor("")("abc x") == "abc x"
+
+
+@pytest.mark.parametrize("key", ["x", "a+c"])
+def test_a_key_too_short_to_be_told_from_other_text_is_refused_unseen(key: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("OPENAI_API_KEY", key)
+    with pytest.raises(ValueError, match=f"OPENAI_API_KEY has {len(key)} characters; a key has 4 or more") as error:
+        VlmClient("tiny", "http://127.0.0.1:9/v1")
+    assert "a+c" not in str(error.value)
 
 
 def test_the_representation_hides_the_key():

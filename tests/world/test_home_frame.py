@@ -12,7 +12,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.motions.constant import Constant
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.world.playing import wait, world
 
@@ -102,8 +102,8 @@ def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[Episod
     for spec in specs[2:20:6]:
         rng = np.random.default_rng(spec.seed)
         commands = rng.normal(0, [1.5] * PALM_DOF + [1.0] * (HAND_DOF - PALM_DOF), (40, HAND_DOF))
-        first = replay(recipe, spec.seed, np.repeat(commands, 2, axis=0)[:60], images=False)
-        again = replay(recipe, spec.seed, first.action, images=False)
+        (first,) = replay(recipe, [ActionLog(spec.seed, np.repeat(commands, 2, axis=0)[:60])], images=False)
+        (again,) = replay(recipe, [ActionLog(spec.seed, first.action)], images=False)
         for name in ("state", "action", "fingertips", "target_pose"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name), err_msg=name)
 

@@ -64,17 +64,17 @@ def enter_cylinder(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
     a, b = wp.max(d[0] * d[0] + d[1] * d[1], TINY), o[0] * d[0] + o[1] * d[1]
     inside = b * b - a * (o[0] * o[0] + o[1] * o[1] - size[0] * size[0])
     root = wp.sqrt(wp.max(inside, 0.0))
-    t = wp.max((-b - root) / a, _slab_exit(o[2], d[2], -size[1]))
-    end = wp.min((-b + root) / a, _slab_exit(o[2], d[2], size[1]))
+    t = wp.max((-b - root) / a, slab_exit(o[2], d[2], -size[1]))
+    end = wp.min((-b + root) / a, slab_exit(o[2], d[2], size[1]))
     return wp.where(inside < TINY or t > end, MISS, t)
 
 
 @wp.func
 def enter_box(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
     """Return t where a ray enters a box: inside all three slabs."""
-    x, y, z = _slab_exit(o[0], d[0], -size[0]), _slab_exit(o[1], d[1], -size[1]), _slab_exit(o[2], d[2], -size[2])
+    x, y, z = slab_exit(o[0], d[0], -size[0]), slab_exit(o[1], d[1], -size[1]), slab_exit(o[2], d[2], -size[2])
     t = wp.max(x, wp.max(y, z))
-    x, y, z = _slab_exit(o[0], d[0], size[0]), _slab_exit(o[1], d[1], size[1]), _slab_exit(o[2], d[2], size[2])
+    x, y, z = slab_exit(o[0], d[0], size[0]), slab_exit(o[1], d[1], size[1]), slab_exit(o[2], d[2], size[2])
     return wp.where(t > wp.min(x, wp.min(y, z)), MISS, t)
 
 
@@ -86,8 +86,8 @@ def _first_root(a: float, b: float, c: float) -> float:
 
 
 @wp.func
-def _slab_exit(o: float, d: float, half: float) -> float:
-    """t where a ray leaves the slab of this half thickness; where it enters, for a negative one."""
+def slab_exit(o: float, d: float, half: float) -> float:
+    """Return t where a ray leaves the slab of this half thickness; where it enters, for a negative one."""
     along = wp.where(wp.abs(d) < TINY, TINY, d)
     return half / wp.abs(along) - o / along
 

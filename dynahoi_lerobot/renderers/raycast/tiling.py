@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.shapes import BOX, ELLIPSOID, PLANE, SPHERE
+from dynahoi_lerobot.renderers.raycast.shapes import BOX, ELLIPSOID, PLANE, SPHERE, enter_box, enter_plane
 
 TILE = wp.constant(16)
 """Side of a tile [px]."""
@@ -39,8 +39,10 @@ class Shape:
         camera: position of the camera [m].
         from_camera: rotation from the camera's axes.
         to_light: unit vector towards the directional light.
+        up: unit vector upwards.
         texture: index, -1 for none.
         repeat: how often the texture repeats along u and v.
+        repeats_per_m: how often it repeats along a metre of the surface, where that is most.
         alpha: opacity, 0 to 1.
         specularity: share of the light's specular colour that it reflects.
     """
@@ -51,8 +53,10 @@ class Shape:
     camera: wp.vec3
     from_camera: wp.mat33
     to_light: wp.vec3
+    up: wp.vec3
     texture: int
     repeat: wp.vec2
+    repeats_per_m: float
     alpha: float
     specularity: float
 
@@ -90,6 +94,7 @@ def place_shapes(
     shape.camera = to_shape * (cam_xpos[w, intrinsics.camera] - geom_xpos[w, geom])
     shape.from_camera = to_shape * cam_xmat[w, intrinsics.camera]
     shape.to_light = -(to_shape * light_xdir[w, 0])
+    shape.up = to_shape * wp.vec3(0.0, 0.0, 1.0)
     shape.alpha = rgba[3]
     shape.specularity = PLAIN_SPECULARITY
     shape.texture = -1
@@ -97,10 +102,22 @@ def place_shapes(
         shape.specularity = 1.0
         shape.texture = texture_of[geom_matid[w, geom]]
         shape.repeat = repeat_of[geom_matid[w, geom]]
+        shape.repeats_per_m = 0.5 * wp.max(shape.repeat) / _textured_half_size(shape)
     shapes[w, s] = shape
     bounds[w, s] = wp.vec4(FAR, -FAR, FAR, -FAR)
     if rgba[3] > 0.0:
         bounds[w, s] = _bounds(intrinsics, shape)
+
+
+@wp.func
+def _textured_half_size(shape: Shape) -> float:
+    """Half of the length [m] over which the texture of a shape repeats once, along its shorter side."""
+    if shape.geom_type == PLANE:
+        return wp.min(shape.size[0], shape.size[1])
+    if shape.geom_type == BOX:
+        least = wp.min(shape.size)
+        return wp.min(shape.size[0] + shape.size[1] + shape.size[2] - wp.max(shape.size) - least, FAR)
+    return 1.5 * shape.size[0]
 
 
 @wp.func
@@ -157,14 +174,69 @@ def _bounds_of_both(a: wp.vec4, b: wp.vec4) -> wp.vec4:
 
 
 @wp.kernel
-def sort_into_tiles(tiles_across: int, bounds: wp.array2d[wp.vec4], lists: wp.array3d[int], counts: wp.array2d[int]):
-    """List the shapes whose bounds overlap a tile, in the order of the geoms. Launched over (worlds, tiles)."""
+def sort_into_tiles(
+    intrinsics: CameraIntrinsics,
+    tiles_across: int,
+    room: wp.array[int],
+    shapes: wp.array2d[Shape],
+    bounds: wp.array2d[wp.vec4],
+    lists: wp.array3d[int],
+    counts: wp.array2d[int],
+):
+    """List the shapes whose bounds overlap a tile, in the order of the geoms. Launched over (worlds, tiles).
+
+    Floor and walls, of the numbers in ``room``, extend beyond the image, but most tiles show only one of them.
+    """
     w, tile = wp.tid()
     left, top = float((tile % tiles_across) * TILE), float((tile // tiles_across) * TILE)
     count = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
     for s in range(bounds.shape[1]):
         o = bounds[w, s]
         if o[0] < left + float(TILE) and o[1] > left and o[2] < top + float(TILE) and o[3] > top:
-            lists[w, tile, count] = s
-            count += 1
+            hidden = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
+            for k in range(room.shape[0]):
+                if room[k] == s:
+                    hidden = _hidden_by_room(intrinsics, room, shapes, w, s, left, top)
+            if hidden == 0:
+                lists[w, tile, count] = s
+                count += 1
     counts[w, tile] = count
+
+
+@wp.func
+def _hidden_by_room(
+    intrinsics: CameraIntrinsics,
+    room: wp.array[int],
+    shapes: wp.array2d[Shape],
+    w: int,
+    s: int,
+    left: float,
+    top: float,
+) -> int:
+    """1 if at all corners of a tile one other side of the room is nearer than side ``s``.
+
+    The camera is inside the room, so where one plane hides another is a half-plane of the image: if it holds the
+    corners, it holds the tile.
+    """
+    own = _corner_depths(intrinsics, shapes[w, s], left, top)
+    for k in range(room.shape[0]):
+        if room[k] != s:
+            other = _corner_depths(intrinsics, shapes[w, room[k]], left, top)
+            if other[0] < own[0] and other[1] < own[1] and other[2] < own[2] and other[3] < own[3]:
+                return 1
+    return 0
+
+
+@wp.func
+def _corner_depths(intrinsics: CameraIntrinsics, shape: Shape, left: float, top: float) -> wp.vec4:
+    """Depths [m] of one side of the room at the corners of a tile, far where it is not seen."""
+    depths = wp.vec4()
+    for corner in range(4):
+        x = (left + float(TILE * (corner & 1)) - 0.5 * float(intrinsics.size)) / intrinsics.focal
+        y = (0.5 * float(intrinsics.size) - top - float(TILE * (corner >> 1))) / intrinsics.focal
+        ray = shape.from_camera * wp.vec3(x, y, -1.0)
+        depth = enter_plane(shape.size, shape.camera, ray)
+        if shape.geom_type == BOX:
+            depth = enter_box(shape.size, shape.camera, ray)
+        depths[corner] = wp.where(depth > 0.0, depth, FAR)
+    return depths

@@ -8,7 +8,11 @@ import numpy as np
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.features import PRIMITIVE_NAMES
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS, PALM_DOF
+from dynahoi_lerobot.foundation.rotations import quat_to_matrix
+from dynahoi_lerobot.objects.primitives import from_table
+from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 from dynahoi_lerobot.world.batch import TOUCH_M
 
@@ -19,15 +23,13 @@ ABOVE_M = 0.005
 step is simulated twice (0.002 m seen)."""
 BELOW_M = 0.006
 """How far a least distance lies below the straight line between two frames, beyond what changing velocities explain."""
-HOLLOW, HOLLOW_M = ("ring", "cup"), 0.05
-"""Objects whose centre is no part of them, and how far it is from their surface at most."""
-TIP_REACH_M = 0.25
-"""No point of a target's surface is further than this from its centre: fingertip distances differ by less."""
+TIP_TOLERANCE_M = 1e-5
+"""Of distances that are computed again from the object's solids and from poses in float32."""
 
 
 @CHECKS.register("distances")
 class Distances(Check):
-    """Bounds ``palm_distance`` and ``fingertip_distance`` by the poses; ``localized`` and contacts follow from them."""
+    """Bounds ``palm_distance`` by the poses, measures fingertips to solids; ``localized`` and contacts follow."""
 
     def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield distances that the poses do not have, and flags that the distances do not give."""
@@ -36,11 +38,12 @@ class Distances(Check):
         frames = len(columns["index"])
         if palm.shape != (frames,) or tips.shape != (frames,):
             return  # said by `episode_columns`
+        measured = tip_distances(row, columns)
         problems = (
             _palm(palm, columns),
             _localized(CAPTURES[row["capture"]].localization_radius_m, palm, columns),
-            _tips(row, tips, columns),
-            _contacts(row, tips, columns),
+            _tips(tips, measured),
+            _contacts(row, measured, columns),
         )
         yield from (f"episode {row['episode_index']}, frame {problem}" for problem in problems if problem)
 
@@ -89,19 +92,31 @@ def _localized(radius_m: float, palm: np.ndarray, columns: Columns) -> str | Non
     return f"{frame}: localized is {bool(columns['localized'][frame, 0])}; palm_distance says {bool(wanted[frame])}"
 
 
-def _tips(row: EpisodeRow, tips: np.ndarray, columns: Columns) -> str | None:
-    """Find a fingertip distance that no object between fingertips and target centre explains."""
-    pads = columns["observation.fingertips"].reshape(len(tips), len(FINGERS), 6)[..., :3]
-    centre = np.linalg.norm(pads - columns["target.pose"][:, None, :3], axis=-1).min(axis=1)
-    farther_m = START_TOLERANCE_M + (HOLLOW_M if row["object"] in HOLLOW else 0.0)
-    wrong = (tips < 0) | (tips > centre + farther_m) | (tips < centre - TIP_REACH_M)
-    if not wrong.any():
+def _tips(tips: np.ndarray, measured: np.ndarray) -> str | None:
+    """Find a fingertip distance (T,) that is not the least of the five ``measured`` (T, 5) ones, 0 inside."""
+    wanted = np.maximum(measured.min(axis=1), 0.0)
+    apart = np.abs(tips - wanted)
+    if apart.max() <= TIP_TOLERANCE_M:
         return None
-    frame = int(wrong.argmax())
-    return f"{frame}: fingertip_distance is {tips[frame]:.3f} m, the target's centre is {centre[frame]:.3f} m away"
+    frame = int(apart.argmax())
+    return f"{frame}: fingertip_distance is {tips[frame]:.4f} m; object and poses give {wanted[frame]:.4f} m"
 
 
-def _contacts(row: EpisodeRow, tips: np.ndarray, columns: Columns) -> str | None:
+def tip_distances(row: EpisodeRow, columns: Columns) -> np.ndarray:
+    """Return (T, 5), signed distance of each fingertip to the solids of the object [m], negative inside."""
+    pads = columns["observation.fingertips"].reshape(-1, len(FINGERS), 6)[..., :3].astype(float)
+    pose = columns["target.pose"].astype(float)
+    # a row vector times a rotation is turned back: from the world's frame into the object's, then into the solid's
+    local = (pads - pose[:, None, :3]) @ quat_to_matrix(pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1)[:, None])
+    solids = from_table(np.reshape(row["stats/object_primitives"], (-1, len(PRIMITIVE_NAMES))))
+    distances = [
+        signed_distance(s.shape, (local - s.pos) @ quat_to_matrix(np.array(s.quat)), np.array(s.half_size))
+        for s in solids
+    ]
+    return np.min(distances, axis=0)
+
+
+def _contacts(row: EpisodeRow, measured: np.ndarray, columns: Columns) -> str | None:
     """Find contacts that forces or distances contradict."""
     contacts = columns["target.contacts"]
     if not np.isin(contacts, (0, 1)).all():
@@ -109,9 +124,9 @@ def _contacts(row: EpisodeRow, tips: np.ndarray, columns: Columns) -> str | None
     if CAPTURES[row["capture"]].uses_contact_sensors:
         wrong = (contacts != (columns["observation.touch"] > 0)).any(axis=1)
     else:
-        near = np.abs(tips - TOUCH_M) > START_TOLERANCE_M  # not on the edge
-        wrong = near & (contacts.any(axis=1) != (tips <= TOUCH_M))
+        on_edge = np.abs(measured - TOUCH_M) <= TIP_TOLERANCE_M
+        wrong = (~on_edge & (contacts != (measured <= TOUCH_M))).any(axis=1)
     if not wrong.any():
         return None
     frame = int(wrong.argmax())
-    return f"{frame}: target.contacts is {contacts[frame].tolist()}, which touch and fingertip_distance contradict"
+    return f"{frame}: target.contacts is {contacts[frame].tolist()}, which touch or fingertips contradict"

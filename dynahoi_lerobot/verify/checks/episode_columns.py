@@ -32,11 +32,13 @@ class EpisodeColumns(Check):
             ("{} frames observe by window_frames and control_class, {} by observation.phase", observed(row), window),
             ("palm_distance has {} values for {} frames", len(row["stats/palm_distance"]), frames),
             ("fingertip_distance has {} values for {} frames", len(row["stats/fingertip_distance"]), frames),
-            ("success is {}, only successes are stored ({})", row["success"], True),
+            ("attempt_success is {}, success and attempts give {}", row["stats/attempt_success"], _attempts(row)),
         )
         problems = [sentence.format(said, found) for sentence, said, found in facts if said != found]
         if abs(row["intercept_frame"] * CONTROL_DT - intercept) > 1e-4:
             problems.append(f"intercept_frame is {row['intercept_frame']}, intercept.time is {intercept:.3f} s")
+        if not row["success"] and not (dataset.recipe is not None and dataset.recipe.keep_failures):
+            problems.append("success is False, only successes are stored")
         if row["attempts"] < 1:
             problems.append(f"attempts is {row['attempts']}, it is 1 or more")
         for key in ("intercept.position", "intercept.time"):
@@ -44,6 +46,11 @@ class EpisodeColumns(Check):
                 problems.append(f"{key} changes within the episode")
         problems += _parameters(row["parameters"])
         yield from (f"episode {row['episode_index']}: {problem}" for problem in problems)
+
+
+def _attempts(row: EpisodeRow) -> list[bool]:
+    """Whether each attempt succeeded: an episode ends with its first success, or with its last attempt."""
+    return [False] * (row["attempts"] - 1) + [row["success"]]
 
 
 def _parameters(text: str) -> list[str]:

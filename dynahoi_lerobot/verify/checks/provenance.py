@@ -9,6 +9,7 @@ from typing import Any
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import Features
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.features import CAMERA_KEY
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
@@ -47,7 +48,7 @@ class Provenance(Check):
             yield f"the manifest's recipe cannot be read: {plan['recipe']}"
         kept = manifest.provenance.get("kept", list(range(plan["episodes"])))
         yield from _seeds([row["seed"] for row in rows], plan, kept)
-        yield from _yields(manifest.yields, [row["seed"] for row in rows])
+        yield from _yields(manifest.yields, rows)
         yield from _storage(dataset, plan)
 
 
@@ -79,14 +80,16 @@ def _seeds(seeds: list[int], plan: dict[str, Any], kept: list[int]) -> Iterator[
         yield f"episode {number} has seed {seeds[number]} after seed {seeds[number - 1]}; the plan has another order"
 
 
-def _yields(yields: dict[str, int], seeds: list[int]) -> Iterator[str]:
+def _yields(yields: dict[str, int], rows: list[EpisodeRow]) -> Iterator[str]:
     if not yields:
         return  # as in a copy
-    counted = Counter(yields)
+    counted, seeds = Counter(yields), [row["seed"] for row in rows]
     if counted["kept"] != len(seeds) or counted["tried"] != counted["kept"] + counted["missed"] + counted["rejected"]:
         yield f"the manifest's yields {yields} do not give {len(seeds)} episodes"
     elif counted["tried"] != (drawn := sum(1 + seed // REDRAW_STRIDE for seed in seeds)):
         yield f"the manifest says {counted['tried']} seeds were tried; the episodes' seeds say {drawn}"
+    if counted["failed"] != (failed := sum(not row["success"] for row in rows)):
+        yield f"the manifest says {counted['failed']} episodes failed; the episode table has {failed}"
 
 
 def _storage(dataset: CheckedDataset, plan: dict[str, Any]) -> Iterator[str]:

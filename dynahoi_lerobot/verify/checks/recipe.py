@@ -46,7 +46,7 @@ def _allowed(recipe: Recipe, row: EpisodeRow, code: str | None) -> dict[str, lis
         "object": list(recipe.object_names),
         "task": [text.format(object=row["object"], phrase=phrase) for text in STYLES[recipe.instructions]],
         "agent": [expert.name],
-        "attempts": list(range(1, 2 + expert.retries)),
+        "attempts": list(range(1 if row["success"] else 1 + expert.retries, 2 + expert.retries)),
         "capture": [recipe.capture],
         "protocol": [recipe.protocol],
         "split": [recipe.split_label],

@@ -1,4 +1,4 @@
-"""Success, stage and captured frames are the capture rule's own verdict on the stored columns."""
+"""Success, stage, captured frames and ``next.*`` are the capture rule's own verdict on the stored columns."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.captures import CAPTURES, Track
+from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.rollout.recorder import next_frames
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
@@ -21,16 +22,28 @@ class Verdict(Check):
         """Yield verdicts that differ."""
         where = f"episode {row['episode_index']}"
         rule, track = CAPTURES[row["capture"]](), _track(row, columns)
-        captured = np.zeros(len(columns["index"]), bool)
-        captured[row["window_frames"] :] = rule.captured(track)
-        wrong = np.flatnonzero(columns["captured"][:, 0].astype(bool) != captured)
-        if wrong.size:
-            frame = int(wrong[0])
-            found = bool(columns["captured"][frame, 0])
-            yield f"{where}, frame {frame}: captured is {found}; rule {rule.name!r} says {bool(captured[frame])}"
+        for key, wanted in _by_frame(rule, track, row["window_frames"]).items():
+            wrong = np.flatnonzero(columns[key][:, 0] != wanted)
+            if wrong.size:
+                frame = int(wrong[0])
+                found, said = columns[key][frame, 0].item(), wanted[frame].item()
+                yield f"{where}, frame {frame}: {key} is {found}; rule {rule.name!r} says {said}"
         for name, wanted in (("success", rule.success(track)), ("stage", rule.stage(track))):
             if row[name] != wanted:
                 yield f"{where}: {name} is {row[name]!r}; rule {rule.name!r} says {wanted!r}"
+
+
+def _by_frame(rule: CaptureRule, track: Track, window: int) -> dict[str, np.ndarray]:
+    """Return by column what the rule says of each of T frames, (T,) each."""
+    before = np.zeros(window, bool)
+    captured = np.concatenate([before, rule.captured(track)])
+    succeeded = next_frames(np.concatenate([before, rule.succeeded(track)]))
+    return {
+        "captured": captured,
+        "next.success": succeeded,
+        "next.reward": np.diff(succeeded, prepend=False).astype(np.float32),
+        "next.done": np.arange(len(captured)) == len(captured) - 1,
+    }
 
 
 def _track(row: EpisodeRow, columns: Columns) -> Track:

@@ -52,7 +52,7 @@ AUDIT: Table = {
     "instruction replaced by a script": (row_is(task="<script>alert(1)</script>"), "default", "task is '<script>"),
     "another motion": (row_is(motion="lob"), "default", "parameters are not those of motion 'lob'"),
     "another category": (row_is(category="pendulum"), "default", "category is 'pendulum'"),
-    "another object": (row_is(object="ring", task="Catch the moving ring."), "replay", "to object"),
+    "another object": (row_is(object="ring", task="Catch the moving ring."), "default", "has the solids"),
     "another object, instruction kept": (row_is(object="ring"), "default", "seed and recipe allow 'Catch"),
     "parameters of a prescribed path": (forge(parameters(speed_m_s=0.3)), "default", "off the path"),
     "parameters of a throw": (forge(parameters(release_s=0.15), 1), "replay", "to parameters"),

@@ -44,7 +44,7 @@ EPISODES: Table = {
     "an action beyond the joints": (at("action", (12, 9), 1.9), "default", "commands are clipped to"),
     "fingertip distance": (entry_of("fingertip_distance", 3, lambda x: 9.0), "default", "fingertip_distance is"),
     "fingertip distance by 1 cm": (
-        entry_of("fingertip_distance", 0, lambda x: x - 0.01), "replay", "another stats/fingertip_distance"
+        entry_of("fingertip_distance", 0, lambda x: x - 0.01), "default", "object and poses give"
     ),
     "a shorter palm distance column": (
         forge(lambda row, columns: row["stats/palm_distance"].pop()), "default", "palm_distance has"

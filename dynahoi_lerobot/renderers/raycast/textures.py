@@ -1,0 +1,123 @@
+"""Textures at several sharpnesses, so that what is far away neither flickers nor shows moire (Williams, 1983).
+
+Levels shrink by the square root of two, so that the nearest one can be taken and no seam shows between them.
+"""
+
+# ruff: noqa: PLR0917 - warp functions take their arguments by position
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import warp as wp
+
+LEVELS_PER_OCTAVE = 2
+SMALLEST = 4
+"""Side of the least sharp level [texels]."""
+ROUNDING = 4096
+"""Brightness is rounded to such a part, as the order of a sum may differ between machines."""
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
+
+
+@wp.struct
+class Textures:
+    """Grey square textures of one size.
+
+    Attributes:
+        texels: (K * M,) brightness, 0 to 1: texture after texture, level after level, row by row.
+        texels_each: M.
+        starts: (L,) where each level of a texture begins.
+        sides: (L,) side of each level [texels].
+        limits: (L - 1,) texels of the sharpest level in a pixel from which on each next level is taken.
+        filtered: 1 to sample the level that fits a pixel, 0 for the sharpest always.
+    """
+
+    texels: wp.array[float]
+    texels_each: int
+    starts: wp.array[int]
+    sides: wp.array[int]
+    limits: wp.array[float]
+    filtered: int
+
+
+@wp.func
+def level_of(textures: Textures, repeats_per_pixel: float, facing: float) -> int:
+    """Return the level whose texels are about as large as a pixel.
+
+    A pixel that sees a surface aslant covers more of it in one direction; the level is that of the mean of both.
+
+    Args:
+        textures: of the scene.
+        repeats_per_pixel: how often the texture repeats across a pixel that faces it.
+        facing: cosine between the surface's normal and the ray.
+    """
+    if textures.filtered == 0:
+        return 0
+    texels = repeats_per_pixel * float(textures.sides[0]) / wp.sqrt(wp.max(facing, 0.02))
+    level = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
+    for k in range(textures.limits.shape[0]):
+        level += wp.where(texels > textures.limits[k], 1, 0)
+    return level
+
+
+@wp.func
+def texel(texels: wp.array[float], start: int, side: int, wrap: int, u: float, v: float) -> float:
+    """Return the bilinear interpolation between a texture's four nearest texels.
+
+    Args:
+        texels: of all textures.
+        start: where the level begins in them; ``side``: its side.
+        wrap: 1 if the last texel is followed by the first, 0 if by itself, as in mujoco_warp.
+        u, v: texture coordinates, 0 to 1.
+    """
+    x, y = u * float(side) - 0.5, v * float(side) - 0.5
+    x0, y0 = wp.floor(x), wp.floor(y)
+    left, up = int(x0), int(y0)
+    right, down = left + 1, up + 1
+    first, last = (1 - wrap) * (side - 1), wrap * (side - 1)
+    right, down = wp.where(right < side, right, first), wp.where(down < side, down, first)
+    left, up = wp.where(left < 0, last, left), wp.where(up < 0, last, up)
+    upper, lower = start + side * up, start + side * down
+    above = wp.lerp(texels[upper + left], texels[upper + right], x - x0)
+    below = wp.lerp(texels[lower + left], texels[lower + right], x - x0)
+    return wp.lerp(above, below, y - y0)
+
+
+def textures_of(model: mujoco.MjModel, *, filtered: bool) -> Any:
+    """Return the ``Textures`` of a model, whose textures must be square, grey and of one size, on warp's device."""
+    side = int(model.tex_width[0])
+    sharpest = model.tex_data.reshape(model.ntex, side, side, 3)[..., 0].astype(np.float32) / 255  # (K, S, S)
+    sides = level_sides(side)
+    levels = [shrink(sharpest, smaller).reshape(model.ntex, -1) for smaller in sides]
+    textures = Textures()
+    texels = np.concatenate(levels, axis=1)  # (K, M)
+    textures.texels, textures.texels_each = wp.array(texels.ravel(), dtype=float), texels.shape[1]
+    textures.starts = wp.array(np.cumsum([0, *[one.shape[1] for one in levels]])[:-1], dtype=int)
+    limits = 2 ** ((np.arange(1, len(sides)) - 0.5) / LEVELS_PER_OCTAVE)
+    textures.limits = wp.array(limits.astype(np.float32), dtype=float)
+    textures.sides, textures.filtered = wp.array(sides, dtype=int), int(filtered)
+    return textures
+
+
+def level_sides(side: int) -> list[int]:
+    """Return the side of each level [texels], sharpest first, of a texture of ``side`` texels."""
+    octaves = np.arange(0, np.log2(side / SMALLEST) + 1e-6, 1 / LEVELS_PER_OCTAVE)
+    return np.round(side / 2**octaves).astype(int).tolist()
+
+
+def shrink(textures: np.ndarray, side: int) -> np.ndarray:
+    """Return textures (K, S, S) averaged down to (K, side, side): each texel is the mean of the area it covers."""
+    mean = _area_means(textures.shape[1], side)
+    return (np.round((mean @ textures @ mean.T) * ROUNDING) / ROUNDING).astype(np.float32)
+
+
+def _area_means(many: int, few: int) -> np.ndarray:
+    """(few, many) share of each of ``many`` equal intervals in the mean over each of ``few``."""
+    edges = np.linspace(0.0, many, few + 1)
+    low, high = edges[:-1, None], edges[1:, None]
+    start = np.arange(many)[None]
+    overlap = np.clip(np.minimum(high, start + 1) - np.maximum(low, start), 0.0, None)
+    return overlap / overlap.sum(axis=1, keepdims=True)

@@ -1,0 +1,157 @@
+"""Furniture of an episode: cabinets, shelves, tables, rugs, pictures on the walls, where they hide nothing.
+
+A box around everything that matters - the target's path, the hand's home, the side camera, fixtures - stays empty.
+It is convex, so nothing outside it comes between a camera and a target inside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynahoi_lerobot.appearance import Solid, hsv
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.rotations import quat_to_matrix
+from dynahoi_lerobot.motions import PhysicalMotion
+from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS, SIDE_CAMERA_POS_M
+
+SEED_PREFIX = 0xF0A1
+"""Keeps these random numbers apart from those that episodes are sampled from."""
+CLEARANCE_M = 0.35
+"""Room around everything that matters."""
+ATTEMPTS = 24
+Color = tuple[float, float, float]
+Part = tuple[tuple[float, float, float], tuple[float, float, float], Color]
+"""Lower corner and extent of a box [m], from the middle of the piece's back on the floor; its colour."""
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Colours of the pieces of one episode."""
+
+    wood: Color
+    pale: Color
+    accent: Color
+
+
+def _cabinet(rng: np.random.Generator, colors: Palette) -> list[Part]:
+    width, depth, height = rng.uniform(0.5, 1.6), rng.uniform(0.35, 0.6), rng.uniform(0.4, 1.5)
+    body, front = (colors.wood, colors.pale) if rng.random() < 0.5 else (colors.accent, colors.wood)
+    door = (0.02, 0.46 * width, height - 0.14)
+    return [
+        ((0.0, -width / 2, 0.0), (depth, width, height), body),
+        ((depth, -0.48 * width, 0.07), door, front),
+        ((depth, 0.02 * width, 0.07), door, front),
+    ]
+
+
+def _shelf(rng: np.random.Generator, colors: Palette) -> list[Part]:
+    width, depth, height = rng.uniform(0.6, 1.3), rng.uniform(0.25, 0.4), rng.uniform(1.0, 1.9)
+    boards = [((0.0, -width / 2, z), (depth, width, 0.04), colors.wood) for z in np.linspace(0.05, height - 0.04, 3)]
+    books = ((0.05, -0.4 * width, boards[1][0][2] + 0.04), (0.6 * depth, 0.4 * width, 0.22), colors.accent)
+    sides = [((0.0, y, 0.0), (depth, 0.04, height), colors.wood) for y in (-width / 2, width / 2 - 0.04)]
+    return [*boards, *sides, books]
+
+
+def _table(rng: np.random.Generator, colors: Palette) -> list[Part]:
+    width, depth, height = rng.uniform(0.8, 1.6), rng.uniform(0.5, 0.9), rng.uniform(0.45, 0.8)
+    legs = [
+        ((x, y, 0.0), (0.06, 0.06, height), colors.pale)
+        for x in (0.03, depth - 0.09)
+        for y in (-width / 2 + 0.03, width / 2 - 0.09)
+    ]
+    return [*legs, ((0.0, -width / 2, height), (depth, width, 0.05), colors.wood)]
+
+
+def _crate(rng: np.random.Generator, colors: Palette) -> list[Part]:
+    size = rng.uniform(0.25, 0.6)
+    color = colors.accent if rng.random() < 0.6 else colors.pale
+    return [((0.0, -size / 2, 0.0), (rng.uniform(0.25, 0.6), size, rng.uniform(0.2, 0.6)), color)]
+
+
+def _picture(rng: np.random.Generator, colors: Palette) -> list[Part]:
+    width, height, low = rng.uniform(0.5, 1.5), rng.uniform(0.4, 1.0), rng.uniform(0.9, 1.5)
+    frame = ((0.0, -width / 2, low), (0.04, width, height), colors.wood)
+    return [frame, ((0.04, 0.06 - width / 2, low + 0.06), (0.01, width - 0.12, height - 0.12), colors.accent)]
+
+
+def _rug(rng: np.random.Generator, colors: Palette) -> list[Part]:
+    width, depth = rng.uniform(1.2, 2.6), rng.uniform(1.0, 2.0)
+    color = colors.accent if rng.random() < 0.5 else colors.pale
+    return [((0.0, -width / 2, 0.0), (depth, width, 0.012), color)]
+
+
+PIECES: tuple[Callable[[np.random.Generator, Palette], list[Part]], ...] = (
+    _cabinet,
+    _shelf,
+    _table,
+    _crate,
+    _picture,
+    _rug,
+)
+ON_THE_WALL = (_picture,)
+
+
+def furnish(spec: EpisodeSpec) -> EpisodeSpec:
+    """Return the episode with furniture and a sleeve, drawn from random numbers of its own."""
+    rng = np.random.default_rng([SEED_PREFIX, spec.seed])
+    colors = Palette(
+        wood=hsv(rng.uniform(0.04, 0.11), rng.uniform(0.3, 0.65), rng.uniform(0.25, 0.75)),
+        pale=hsv(rng.random(), rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.95)),
+        accent=hsv(rng.random(), rng.uniform(0.3, 0.9), rng.uniform(0.35, 0.9)),
+    )
+    sleeve_rgb = hsv(rng.random(), rng.uniform(0.0, 0.6), rng.uniform(0.15, 0.7))
+    furniture = _place_pieces(rng, colors, _kept_free(spec))
+    return replace(spec, appearance=replace(spec.appearance, furniture=furniture, sleeve_rgb=sleeve_rgb))
+
+
+def _place_pieces(rng: np.random.Generator, colors: Palette, free: list[np.ndarray]) -> tuple[Solid, ...]:
+    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other."""
+    placed: list[Solid] = []
+    taken = list(free)
+    for _ in range(ATTEMPTS):
+        piece = PIECES[rng.integers(len(PIECES))]
+        parts = _place(piece(rng, colors), rng, on_wall=piece in ON_THE_WALL)
+        low = np.min([one.pos_w - np.asarray(one.half_size) for one in parts], axis=0)
+        high = np.max([one.pos_w + np.asarray(one.half_size) for one in parts], axis=0)
+        inside = (np.abs([low[:2], high[:2]]) <= ARENA_HALF_M + 1e-6).all()
+        clear = all((low > other[1]).any() or (high < other[0]).any() for other in taken)
+        if inside and clear and len(placed) + len(parts) <= FURNITURE_SLOTS:
+            placed += parts
+            taken.append(np.array([low, high]))
+    return tuple(placed)
+
+
+def _place(parts: list[Part], rng: np.random.Generator, *, on_wall: bool) -> list[Solid]:
+    """Turn a piece's back to the front, left or right wall, at the wall or before it."""
+    wall = rng.choice(3, p=(0.6, 0.2, 0.2))
+    away = 0.0 if on_wall or rng.random() < 0.3 else rng.uniform(0.0, 4.0)
+    along = rng.uniform(-4.5, 4.5) if wall == 0 else rng.uniform(1.0, 5.5)
+    solids = []
+    for corner, extent, rgb in parts:
+        half = np.asarray(extent) / 2
+        x, y, z = np.asarray(corner) + half
+        if wall == 0:
+            pos, size = (ARENA_HALF_M - away - x, along + y, z), half
+        else:
+            side = 1.0 if wall == 1 else -1.0
+            pos, size = (along + y, side * (ARENA_HALF_M - away - x), z), half[[1, 0, 2]]
+        solids.append(
+            Solid("box", tuple(float(one) for one in size), (float(pos[0]), float(pos[1]), float(pos[2])), rgb)
+        )
+    return solids
+
+
+def _kept_free(spec: EpisodeSpec) -> list[np.ndarray]:
+    """Boxes (2, 3) [m], lower and upper corner: all that cameras and target do, and each fixture."""
+    home = spec.home_pos_w
+    points = np.vstack([spec.oracle_path, home, home + SIDE_CAMERA_POS_M])
+    boxes = [np.array([points.min(axis=0), points.max(axis=0)])]
+    if isinstance(spec.motion, PhysicalMotion):
+        for box in spec.motion.launch(spec.target).boxes:
+            reach = np.abs(quat_to_matrix(np.asarray(box.quat, float))) @ np.asarray(box.half_size)
+            boxes.append(np.array([box.pos - reach, box.pos + reach]))
+    margin = np.array([[-CLEARANCE_M], [CLEARANCE_M]])
+    return [box + margin for box in boxes]

@@ -1,0 +1,85 @@
+"""Whoever has the parquet files gets the package's seven metrics, with a script that knows nothing of the package."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from dynahoi_lerobot.dataset import write_episodes
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.generate.pipeline import generate
+from dynahoi_lerobot.generate.plan import GenerationPlan
+from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch, record
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from tests import recompute_metrics
+
+SEVEN = ("S_loc", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
+KINDS = len(BENCHMARK.splits["train"].motions)
+RECIPES = {
+    "attach": Recipe(expert="pursuit", keep_failures=True),
+    "attach_lenient": Recipe(capture="attach_lenient", expert="pursuit", keep_failures=True),
+    "late": Recipe(expert="constant_velocity", control_class="late", protocol="direct_act", keep_failures=True),
+    "contact": Recipe(capture="contact", disturbance_m=0.05, keep_failures=True),
+}
+POSITION_ERROR_M = 3e-6
+"""Of distances from poses in float32; ellipsoids divide by a gradient that vanishes towards their middle."""
+
+
+@pytest.fixture(scope="module", params=RECIPES)
+def recorded(request, tmp_path_factory) -> tuple[Path, list[Episode]]:
+    """A generated dataset with failures, and the same episodes as they were played."""
+    recipe, root = RECIPES[request.param], tmp_path_factory.mktemp(request.param) / "d"
+    kept: dict[int, Episode] = {}
+
+    def remember(recipe: Recipe, seeds):
+        for episode in record(recipe, seeds, images=False):
+            kept[episode.meta.seed] = episode
+            yield episode
+
+    manifest = generate(GenerationPlan(recipe, KINDS, camera=False), root, record=remember)
+    return root, [kept[seed] for seed in manifest.seeds]
+
+
+def assert_same(root: Path, episodes: list[Episode]) -> None:
+    values = [{name: measure(episode)[name] for name in SEVEN} for episode in episodes]
+    wanted = pd.DataFrame(values).astype(float)
+    np.testing.assert_allclose(recompute_metrics.metrics(root)[list(SEVEN)], wanted, rtol=0, atol=1e-6, equal_nan=True)
+
+
+def test_the_script_imports_nothing_of_the_package() -> None:
+    tree = ast.parse(Path(recompute_metrics.__file__).read_text())
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = {alias.name for node in imports if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module or "" for node in imports if isinstance(node, ast.ImportFrom)}
+    assert names == {"__future__", "sys", "pathlib", "numpy", "pandas", "pyarrow.parquet"}
+
+
+def test_a_dataset_with_failures_gives_the_same_metrics(recorded) -> None:
+    root, episodes = recorded
+    assert {episode.success for episode in episodes} == {True, False}
+    assert_same(root, episodes)
+
+
+def test_fingertip_distances_follow_from_poses_and_solids(recorded) -> None:
+    root, _ = recorded
+    store = Store(root)
+    for row in store.full_rows():
+        computed = recompute_metrics.fingertip_distance(pd.Series(row), store.frames(row).to_pandas())
+        np.testing.assert_allclose(computed, row["stats/fingertip_distance"], rtol=0, atol=POSITION_ERROR_M)
+
+
+@pytest.mark.parametrize("baseline", ["pursuit", "hold"])
+def test_evaluated_episodes_give_the_same_metrics(tmp_path, baseline) -> None:
+    specs = sample_specs(Recipe(split="test"), range(KINDS))
+    episodes = list(evaluate(make_batch(Recipe(split="test"), KINDS), EXPERTS[baseline](), specs))
+    write_episodes(tmp_path / "d", episodes)
+    assert_same(tmp_path / "d", episodes)

@@ -1,0 +1,130 @@
+"""Computes the paper's seven metrics from a dataset's parquet files, with nothing but pandas, numpy and pyarrow.
+
+It is written from the definitions of the paper (Section "Evaluation metrics" and Appendix "Evaluation Criteria") and
+imports nothing of the package, so it is also an example of how others can read the dataset::
+
+    python tests/recompute_metrics.py DATASET
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+
+UNIT_M = 0.1
+RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1, "contact": 0.03}
+"""Palm centre to object centre, below which the object is localised, by capture rule."""
+GRASP_SHARE = 0.9
+REST_M = 1e-6
+"""Steps of the palm up to this length are jitter of a servo that holds still."""
+STILL_M = 1e-3
+"""A palm that stays this close to where it begins stands still, though closing fingers shake it."""
+
+
+def metrics(root: Path) -> pd.DataFrame:
+    """Return S_loc, S_gra, E_loc, E_gra, Q_smooth, Q_line and R_time of each episode, indexed by ``episode_index``.
+
+    S_gra is NaN where the target was never localised. E_loc and E_gra are in u (0.1 m).
+    """
+    episodes = _table(root / "meta" / "episodes").set_index("episode_index")
+    frames = _table(root / "data").sort_values(["episode_index", "frame_index"]).groupby("episode_index")
+    rows = {index: _metrics(episodes.loc[index], frame) for index, frame in frames}
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def fingertip_distance(episode: pd.Series, frames: pd.DataFrame) -> np.ndarray:
+    """Return (T,) the least distance of a fingertip to the object's surface [m], 0 inside, from poses and solids."""
+    tips = np.stack(frames["observation.fingertips"]).reshape(len(frames), 5, 6)[..., :3].astype(float)
+    pose = np.stack(frames["target.pose"]).astype(float)
+    local = np.einsum("tij,tfi->tfj", _rotation(pose[:, 3:]), tips - pose[:, None, :3])  # object's frame
+    solids = np.reshape(episode["stats/object_primitives"], (-1, 11)).astype(float)
+    return np.maximum(np.min([_surface(local, solid) for solid in solids], axis=0).min(axis=1), 0.0)
+
+
+def _table(folder: Path) -> pd.DataFrame:
+    return pd.concat([pq.read_table(path).to_pandas() for path in sorted(folder.glob("*/*.parquet"))])
+
+
+def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
+    start = int(episode["window_frames"])
+    palm_distance = np.asarray(episode["stats/palm_distance"], float)  # least of the step that ends at the frame
+    inside = np.flatnonzero(
+        palm_distance[start + 1 :] < RADIUS_M[episode["capture"]]
+    )  # the hand moves from frame `start` on
+    first = start + 1 + int(inside[0]) if inside.size else None
+    state = np.stack(frames["observation.state"]).astype(float)
+    path = state[start : None if first is None else first + 1, :3]
+    return {
+        "S_loc": float(first is not None),
+        "S_gra": np.nan if first is None else float(_grasps(episode, state[first, 3:])),
+        "E_loc": palm_distance[start:].min() / UNIT_M,
+        "E_gra": np.asarray(episode["stats/fingertip_distance"], float)[start:].min() / UNIT_M,
+        "Q_smooth": _smoothness(path),
+        "Q_line": _linearity(path),
+        "R_time": 0.0 if first is None else float(np.clip(1 - (first - start) / episode["length_frames"], 0, 1)),
+    }
+
+
+def _grasps(episode: pd.Series, joints: np.ndarray) -> bool:
+    """Whether all 15 joints have made 0.9 of the reference rotation, in its direction."""
+    rest, reference = (np.asarray(episode[f"stats/{name}_joints"], float) for name in ("open", "reference"))
+    turned, wanted = joints - rest, reference - rest
+    return bool((turned * np.sign(wanted) >= GRASP_SHARE * np.abs(wanted) - 1e-6).all())
+
+
+def _steps(path: np.ndarray) -> np.ndarray:
+    if np.linalg.norm(path - path[0], axis=1).max() <= STILL_M:
+        return np.zeros((len(path) - 1, 3))
+    steps = np.diff(path, axis=0)
+    return np.where(np.linalg.norm(steps, axis=1, keepdims=True) > REST_M, steps, 0.0)
+
+
+def _smoothness(path: np.ndarray) -> float:
+    lengths = np.linalg.norm(_steps(path), axis=1)
+    return 1.0 if not lengths.any() else float(1 / (1 + lengths.std() / lengths.mean()))
+
+
+def _linearity(path: np.ndarray) -> float:
+    steps, way = _steps(path), path[-1] - path[0]
+    if not len(steps) or np.linalg.norm(way) <= REST_M:
+        return 0.0
+    lengths = np.linalg.norm(steps, axis=1)
+    moving = lengths > 0
+    cosines = steps[moving] @ way / (lengths[moving] * np.linalg.norm(way))
+    return float(cosines.sum() / len(steps))
+
+
+def _rotation(quat: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotation matrices of quaternions wxyz."""
+    w, x, y, z = np.moveaxis(quat / np.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def _surface(points: np.ndarray, solid: np.ndarray) -> np.ndarray:
+    """Signed distance (...) of points (..., 3) in the object's frame to a solid, by MuJoCo's geom type [m]."""
+    kind, size = int(solid[0]), solid[1:4]
+    p = (points - solid[4:7]) @ _rotation(solid[7:])
+    radial = np.hypot(p[..., 0], p[..., 1])
+    if kind == 2:  # sphere
+        return np.linalg.norm(p, axis=-1) - size[0]
+    if kind == 3:  # capsule
+        return np.hypot(radial, np.maximum(np.abs(p[..., 2]) - size[1], 0)) - size[0]
+    if kind == 4:  # ellipsoid, to first order
+        scaled, gradient = np.linalg.norm(p / size, axis=-1), np.linalg.norm(p / size**2, axis=-1)
+        return scaled * (scaled - 1) / gradient
+    beyond = np.stack([radial - size[0], np.abs(p[..., 2]) - size[1]], axis=-1) if kind == 5 else np.abs(p) - size
+    return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)  # cylinder, box
+
+
+if __name__ == "__main__":
+    computed = metrics(Path(sys.argv[1]))
+    print(pd.concat([computed, computed.mean().to_frame("mean").T]).to_string(float_format="%.4f"))
