@@ -66,6 +66,7 @@ def test_the_log_tells_scores_against_processor_minutes(finished: Path):
 def test_the_checkpoint_acts_as_any_lerobot_policy_does(finished: Path):
     checkpoint = finished / dagger.CHECKPOINT
     files = {"config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"}
+    files |= {"train_config.json"}
     assert files <= {path.name for path in checkpoint.iterdir()}
     policy = ObActPolicy.from_pretrained(checkpoint)
     stored = load_file(checkpoint / "model.safetensors")

@@ -45,7 +45,7 @@ def train_eye(recipe: EyeRecipe, stream: Iterator[Snapshots]) -> Iterator[str]:
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(recipe.learning_rate, step, n_updates, WARMUP_UPDATES)
             images = torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0
-            loss = sighting_loss(eye, eye.look(images), torch.from_numpy(shown.offset)).mean()
+            loss = sighting_loss(eye, images, torch.from_numpy(shown.offset)).mean()
             if not loss.isfinite():
                 raise FloatingPointError(f"the loss of update {step} is {loss.item()}; lower learning_rate")
             optimizer.zero_grad()

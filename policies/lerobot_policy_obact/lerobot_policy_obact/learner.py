@@ -14,6 +14,8 @@ import draccus
 import numpy as np
 import torch
 from lerobot.configs import PreTrainedConfig
+from lerobot.configs.default import DatasetConfig
+from lerobot.configs.train import TrainPipelineConfig
 from lerobot.envs.utils import preprocess_observation
 from torch import Tensor
 
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 __all__ = ["ObActLearner", "make_learner", "train_eye"]
 
 WARMUP_UPDATES = 50
+ON_POLICY = "on-policy"
+"""What stands for a dataset in the checkpoint's ``train_config.json``: there was none."""
 
 
 class ObActLearner:
@@ -153,7 +157,13 @@ class ObActLearner:
 
     def save_pretrained(self, folder: Path) -> None:
         """Write the policy, averaged weights alone, and its processors, as LeRobot opens them."""
-        self.policy.for_acting().save_pretrained(folder)
+        acting = self.policy.for_acting()
+        acting.save_pretrained(folder)
+        recipe = self.recipe
+        steps, dataset = recipe.rounds * recipe.updates, DatasetConfig(repo_id=ON_POLICY)
+        TrainPipelineConfig(
+            dataset, policy=acting.config, seed=recipe.seed, steps=steps, batch_size=recipe.batch_episodes
+        ).save_pretrained(folder)
         for pipeline in (self.preprocess, self.postprocess):
             pipeline.save_pretrained(folder)
 

@@ -54,7 +54,7 @@ def test_it_learns_where_a_square_is_and_says_how_sure_it_is():
     images, offset = dots(256, seed=0)
     for _ in range(150):
         optimizer.zero_grad()
-        loss = sighting_loss(eye, eye.look(images), offset).mean()
+        loss = sighting_loss(eye, images, offset).mean()
         loss.backward()
         optimizer.step()
     images, offset = dots(64, seed=1)

@@ -1,6 +1,6 @@
 """An eye that says where the target is: a coarse glance finds it, a fovea at full resolution measures it.
 
-    glance   4 x 4 patches -> convolutions -> heat map -> soft-argmax: where to look (u, v)
+    glance   4 x 4 patches -> convolutions -> heat map -> its peak, by a local soft-argmax: where to look (u, v)
     fovea    the pixels around (u, v), uncompressed -> convolutions: how far off (u, v) is, and how far away
     sighting (u, v, log depth) in the camera frame, each with the scale of its error; the offset from the palm follows
 
@@ -22,6 +22,9 @@ from .conv import StandardisedPatches, conv, saturation
 from .keypoints import pixel_grid
 
 TYPICAL_DEPTH_M = 0.4
+PEAK_CELLS = 2
+"""The soft-argmax takes in this many cells of the heat map on each side of its peak."""
+HEAT_WEIGHT = 0.3
 N_SCALES = 2
 """Logarithmic scales of the errors of a sighting: across the line of sight [tangent], and of the logarithmic depth."""
 N_SIGHTING = 3 + 3 + N_SCALES
@@ -112,13 +115,18 @@ class EyeBackbone(Backbone):
 
     def look(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
         """Return sightings and embeddings, ``(F, 3, H, W) -> (F, L)``, the sighting first: see `N_SIGHTING`."""
+        return self.look_with_heat(images)[0]
+
+    def look_with_heat(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what `look` does, and the logarithmic probabilities of the heat map, ``(F, h, w)``."""
         pixels = torch.cat([images, saturation(images)], dim=1).contiguous(memory_format=torch.channels_last)
-        centre, glance = self._glance(pixels)
+        heat, fine = self._glance(pixels)
+        centre, glance = self._peak(heat, fine)
         seen = self.foveal(self._crop(pixels, centre.detach()))
         read = self.read(torch.cat([seen, glance, centre], dim=-1))
         shift, log_depth, scales, embedding = read.split([2, 1, N_SCALES, self.embedding], dim=-1)
         camera = torch.cat([centre + self.fovea / images.shape[-1] * shift, log_depth], dim=-1)
-        return torch.cat([self.offset(camera), camera, scales, embedding], dim=-1)
+        return torch.cat([self.offset(camera), camera, scales, embedding], dim=-1), heat
 
     def offset(self, camera: Tensor) -> Tensor:
         """Map ``(u, v, log depth)`` in the camera frame to offsets from the palm [m], world axes, ``(..., 3)``."""
@@ -133,15 +141,24 @@ class EyeBackbone(Backbone):
         return torch.cat([local[..., :2] / (depth * self.half_view), (depth / TYPICAL_DEPTH_M).log()], dim=-1)
 
     def _glance(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where to look, ``(F, 2)``, and the features there, ``(F, C)``."""
+        """Return the logarithmic heat map ``(F, h, w)`` and the features under it, ``(F, C, h, w)``."""
         fine = self.refine(self.patches(pixels, self.pixel_mean, self.pixel_std))  # (F, C, H/4, W/4)
         fine = self.merge(fine + F.interpolate(self.lateral(self.deep(fine)), size=fine.shape[-2:]))
-        weights = self.heat(fine).flatten(1).softmax(-1)  # (F, h * w)
-        centre = weights @ pixel_grid(fine.shape[-2], fine.shape[-1], fine.device).to(
-            weights.dtype
-        )  # (F, 2), v downwards
-        features = (fine.flatten(2) @ weights[..., None])[..., 0]
-        return centre * centre.new_tensor([1.0, -1.0]), features
+        heat = self.heat(fine)[:, 0]
+        return heat.flatten(1).log_softmax(-1).view_as(heat), fine
+
+    def _peak(self, heat: Tensor, fine: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where the peak is, ``(F, 2)``, and the features there, ``(F, C)``.
+
+        A mean over the whole map would look between two things that may be the target; the peak is one of them.
+        """
+        grid = pixel_grid(heat.shape[-2], heat.shape[-1], heat.device)  # (h * w, 2), rows downwards
+        flat = heat.flatten(1)
+        reach = 2.0 * (PEAK_CELLS + 0.5) / heat.new_tensor([heat.shape[-1], heat.shape[-2]])
+        far = ((grid - grid[flat.argmax(-1)][:, None]).abs() > reach).any(-1)  # (F, h * w)
+        weights = flat.masked_fill(far, float("-inf")).softmax(-1)
+        centre = weights @ grid.to(weights.dtype)
+        return centre * centre.new_tensor([1.0, -1.0]), (fine.flatten(2) @ weights[..., None])[..., 0]
 
     def _crop(self, pixels: Tensor, centre: Tensor) -> Tensor:
         """Cut squares of ``fovea`` pixels around ``centre``, ``(F, 4, h, w)``, standardised."""
@@ -153,14 +170,15 @@ class EyeBackbone(Backbone):
         return (crop - self.pixel_mean) / self.pixel_std
 
 
-def sighting_loss(eye: EyeBackbone, looks: Tensor, offset: Tensor) -> Tensor:
-    """Return the loss of each look: Laplace likelihood of direction and depth, and the error in metres.
+def sighting_loss(eye: EyeBackbone, images: Tensor, offset: Tensor) -> Tensor:
+    """Return the loss of each picture: heat map, Laplace likelihood of direction and depth, and error in metres.
 
     Args:
-        eye: whose looks they are, for its camera.
-        looks: what `EyeBackbone.look` returned, shape ``(F, L)``.
+        eye: whose loss it is.
+        images: RGB in [0, 1], shape ``(F, 3, H, W)``.
         offset: true offsets of the target from the palm [m], world axes, shape ``(F, 3)``.
     """
+    looks, heat = eye.look_with_heat(images)
     seen, scales = looks[:, 3:6], looks[:, 6:8]
     true = eye.camera_coordinates(offset)
     across = (seen[:, :2] - true[:, :2]).square().sum(-1).add(1e-8).sqrt()
@@ -168,7 +186,15 @@ def sighting_loss(eye: EyeBackbone, looks: Tensor, offset: Tensor) -> Tensor:
     error = torch.stack([across, along], dim=-1)  # (F, 2)
     likelihood = (error * (-scales).exp() + scales * scales.new_tensor([2.0, 1.0])).sum(-1)
     metric = (looks[:, :3] - offset).norm(dim=-1) / (0.05 + 0.3 * offset.norm(dim=-1))
-    return 0.1 * likelihood + across + along + metric.clamp_max(4.0)
+    return HEAT_WEIGHT * _heat_loss(heat, true) + 0.1 * likelihood + across + along + metric.clamp_max(4.0)
+
+
+def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
+    """Return the cross-entropy of the cell that the target is in, 0 where it is out of view, shape ``(F,)``."""
+    size = true.new_tensor([heat.shape[-1], heat.shape[-2]])
+    place = ((true[:, :2] * true.new_tensor([1.0, -1.0]) + 1) / 2 * size).floor().long()
+    cell = torch.minimum(place.clamp_min(0), size.long() - 1)
+    return -heat[torch.arange(len(heat)), cell[:, 1], cell[:, 0]] * (place == cell).all(-1)
 
 
 def _camera_axes(pitch: float) -> Tensor:
