@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -23,6 +23,12 @@ LEAD_FRAMES = 24
 NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
 """Range of the target's position relative to the palm in the other pictures [m], world axes."""
 OPEN_SHARE = 0.5
+STILL_SHARE, FAST_SHARE = 0.35, 0.2
+"""Shares of the hands that stand still, as in the observation window, and of moving ones that may be fast."""
+SLOW_M_S, FAST_M_S = 0.5, 2.0
+"""Greatest speeds of hands: those of the control classes."""
+WANDER_M = 0.1
+"""Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
 LOWEST_PALM_M = 0.05
 
 
@@ -31,7 +37,7 @@ class Snapshots:
     """N pictures of as many worlds.
 
     Attributes:
-        images: (N, H, W, 3) uint8 RGB of the hand's camera.
+        images: (N, H, W, 6) uint8 RGB of the hand's camera, and RGB one frame before.
         offset: (N, 3) float32 target centre relative to the palm centre [m], world axes.
     """
 
@@ -53,13 +59,36 @@ def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.r
         chosen = [specs[i] for i in rng.choice(len(specs), size)]
         batch.reset(everyone, chosen)
         for _ in range(POSES):
-            paths = [spec.oracle_path - spec.home_pos_w for spec in chosen]
-            frames = [int(rng.integers(len(path))) for path in paths]
-            target = np.stack([path[frame] for path, frame in zip(paths, frames, strict=True)])
-            hand = np.stack([_hand(*world, rng) for world in zip(chosen, paths, frames, strict=True)])
-            batch.place(hand, np.concatenate([target, _turns(size, rng)], axis=1))
-            images = batch.observe(images=True).images[EGO_VIEW]
-            yield Snapshots(images, (target - hand[:, :PALM_DOF]).astype(np.float32))
+            poses = [_pose(spec, rng) for spec in chosen]
+            turns = _turns(size, rng)
+            images = []
+            for pose in ([pose.now for pose in poses], [pose.before for pose in poses]):
+                hand, target = (np.stack(part) for part in zip(*pose, strict=True))
+                batch.place(hand, np.concatenate([target, turns], axis=1))
+                images.append(batch.observe(images=True).images[EGO_VIEW])
+            offset = np.stack([pose.now[1] - pose.now[0][:PALM_DOF] for pose in poses])
+            yield Snapshots(np.concatenate(images, axis=-1), offset.astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """Hand (18,) and target (3,) [m, rad], home frame, at a frame and at the one before."""
+
+    now: tuple[np.ndarray, np.ndarray]
+    before: tuple[np.ndarray, np.ndarray]
+
+
+def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> _Pose:
+    """Draw a frame of an episode, and a hand that moves there."""
+    path = spec.oracle_path - spec.home_pos_w
+    frame = int(rng.integers(1, len(path)))
+    hand = _hand(spec, path, frame, rng)
+    step = np.zeros_like(hand)
+    if rng.random() > STILL_SHARE:
+        direction = path[frame] - hand[:PALM_DOF] + rng.normal(0.0, WANDER_M, PALM_DOF)
+        speed = rng.uniform(0.0, FAST_M_S if rng.random() < FAST_SHARE else SLOW_M_S)
+        step[:PALM_DOF] = speed * CONTROL_DT * direction / max(float(np.linalg.norm(direction)), 1e-6)
+    return _Pose((hand, path[frame]), (hand - step, path[frame - 1]))
 
 
 def _hand(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:

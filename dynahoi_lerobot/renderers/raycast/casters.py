@@ -17,6 +17,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 @wp.kernel
 def place_lights(
+    spread: float,
     camera: int,
     cam_xpos: wp.array2d[wp.vec3],
     cam_xmat: wp.array2d[wp.mat33],
@@ -27,6 +28,7 @@ def place_lights(
     w = wp.tid()
     rotation = _to_light_frame(light_xdir[w, 0])
     frame = LightFrame()
+    frame.spread = spread
     frame.camera = rotation * cam_xpos[w, camera]
     frame.from_camera = rotation * cam_xmat[w, camera]
     frames[w] = frame
@@ -119,7 +121,7 @@ def sort_casters(
             low, high = wp.min(low, point), wp.max(high, point)
         count = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
         for s in range(lows.shape[1]):
-            if may_shade(lows[w, s], highs[w, s], low, high):
+            if may_shade(lows[w, s], highs[w, s], low, high, frames[w].spread):
                 casters[w, tile, count] = s
                 count += 1
         counts[w, tile] = count

@@ -25,6 +25,9 @@ GROUND_LIGHT, SKY_LIGHT = 0.24, 0.15
 SUN_WRAP, SKY_WRAP = 0.12, 1.0
 """How far beyond a right angle soft light reaches around a shape, as a cosine."""
 
+SUN_RADIUS_RAD = 0.02
+"""Angular radius of the light."""
+
 
 class Pipeline:
     """Draws the packed worlds of a mirror; launches are recorded, as to repeat one is much cheaper than a new one.
@@ -128,7 +131,7 @@ class Pipeline:
     def _record_casters(self, casting: np.ndarray) -> list[tuple[Any, tuple[int, ...]]]:
         """Launches that place light frames and the bounds of shadow casters."""
         fields, worlds = self._fields, self._worlds
-        cameras = [self._intrinsics.camera, fields["cam_xpos"], fields["cam_xmat"]]
+        cameras = [SUN_RADIUS_RAD, self._intrinsics.camera, fields["cam_xpos"], fields["cam_xmat"]]
         lights = [*cameras, fields["light_xdir"], worlds.light_frames]
         casters = [self._geoms, wp.array(casting.astype(np.int32), dtype=int), self._worlds.shapes]
         casters += [fields[name] for name in ("geom_xpos", "geom_xmat", "light_xdir")]

@@ -1,8 +1,9 @@
 """Soft shadows: how much of the light a shape takes from a point.
 
-The light is directional and seen as a small disc, so a shadow's edge widens with the distance from what casts it. For
-round shapes the width follows from how closely the ray to the light passes by, for boxes and cylinders from how far it
-runs through the shape.
+The light is directional and seen as a small disc, so a shadow's edge widens with the distance from what casts it. The
+share follows from how far outside a shape's outline, as the light sees it, the ray to the light passes: on the outline
+half of the light is taken, and the penumbra is as wide on either side of it. ``spread`` is the light's angular radius
+[rad]: half of the penumbra's width, per distance from what casts the shadow.
 """
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -16,80 +17,89 @@ from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELL
 from dynahoi_lerobot.renderers.raycast.tiling import TILE, Shape
 from dynahoi_lerobot.renderers.raycast.tracing import LightFrame, Worlds
 
-SPREAD = wp.constant(0.02)
-"""Half of the penumbra's width, per distance from what casts the shadow: the light's angular radius [rad]."""
 TINY = wp.constant(1.0e-6)
+FLAT = wp.constant(1.0e-4)
+"""Least size [m] of an outline's round end, and least sine between a ray and the sides it may pass."""
+BESIDE_ALL = wp.constant(1.0e3)
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
 
 
 @wp.func
-def shadow_sphere(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
+def shadow_sphere(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
     """Return the share of the light, 0 to 1, that a sphere takes from point ``o``; ``d`` is the way to the light."""
     along = wp.max(-wp.dot(o, d), 0.0)
-    passing = o + along * d
-    return _covered(size[0], wp.dot(passing, passing), SPREAD * along)
+    return _covered(size[0], wp.length(o + along * d), spread * along)
 
 
 @wp.func
-def shadow_ellipsoid(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
+def shadow_ellipsoid(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
     """Return the share that an ellipsoid takes: in the space in which it is a sphere."""
     point, way = wp.cw_div(o, size), wp.cw_div(d, size)
     along = wp.max(-wp.dot(point, way) / wp.dot(way, way), 0.0)
-    passing = point + along * way
-    return _covered(1.0, wp.dot(passing, passing), 3.0 * SPREAD * along / (size[0] + size[1] + size[2]))
+    return _covered(1.0, wp.length(point + along * way), 3.0 * spread * along / (size[0] + size[1] + size[2]))
 
 
 @wp.func
-def shadow_capsule(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
+def shadow_capsule(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
     """Return the share that a capsule takes: from the nearest approach of ray and axis."""
     across = wp.max(d[0] * d[0] + d[1] * d[1], TINY)
     z = wp.clamp(o[2] - d[2] * (o[0] * d[0] + o[1] * d[1]) / across, -size[1], size[1])
     from_axis = wp.vec3(o[0], o[1], o[2] - z)
     along = wp.max(-wp.dot(from_axis, d), 0.0)
-    passing = from_axis + along * d
-    return _covered(size[0], wp.dot(passing, passing), SPREAD * along)
+    return _covered(size[0], wp.length(from_axis + along * d), spread * along)
 
 
 @wp.func
-def shadow_cylinder(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return the share that a cylinder takes: from the length of the ray inside one that the penumbra widens."""
-    wider = SPREAD * wp.max(-wp.dot(o, d), 0.0)
-    grown = wp.vec3(size[0] + wider, size[1] + wider, 0.0)
+def shadow_cylinder(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that a cylinder takes: its outline is a rectangle with an ellipse at either end."""
     a, b = wp.max(d[0] * d[0] + d[1] * d[1], TINY), o[0] * d[0] + o[1] * d[1]
-    inside = b * b - a * (o[0] * o[0] + o[1] * o[1] - grown[0] * grown[0])
-    root = wp.sqrt(wp.max(inside, 0.0))
-    begin = wp.max((-b - root) / a, slab_exit(o[2], d[2], -grown[1]))
-    end = wp.min((-b + root) / a, slab_exit(o[2], d[2], grown[1]))
-    return wp.where(inside <= 0.0, 0.0, _thickness(begin, end, wider))
+    inside = wp.max(b * b - a * (o[0] * o[0] + o[1] * o[1] - size[0] * size[0]), 0.0)
+    end = wp.min((wp.sqrt(inside) - b) / a, slab_exit(o[2], d[2], size[1]))
+    aslant, radius, flat = wp.sqrt(a), size[0], wp.max(size[0] * wp.abs(d[2]), FLAT)
+    across = wp.where(a > TINY, wp.vec3(d[1] / aslant, -d[0] / aslant, 0.0), wp.vec3(1.0, 0.0, 0.0))
+    x, y = wp.abs(wp.dot(o, across)), wp.abs(wp.dot(o, wp.cross(across, d)))
+    beyond = wp.max(y - size[1] * aslant, 0.0)
+    slope = wp.vec2(x / (radius * radius), beyond / (flat * flat))
+    scale = wp.sqrt(x * slope[0] + beyond * slope[1])
+    round = wp.where(beyond > 0.0, scale * (scale - 1.0) / wp.max(wp.length(slope), TINY), -radius)
+    outside = wp.max(wp.max(x - radius, y - size[1] * aslant - flat), round)
+    return _straight(outside, spread, end)
 
 
 @wp.func
-def shadow_box(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return the share that a box takes: from the length of the ray inside one that the penumbra widens."""
-    wider = SPREAD * wp.max(-wp.dot(o, d), 0.0)
-    x, y, z = size[0] + wider, size[1] + wider, size[2] + wider
-    begin = wp.max(slab_exit(o[0], d[0], -x), wp.max(slab_exit(o[1], d[1], -y), slab_exit(o[2], d[2], -z)))
-    end = wp.min(slab_exit(o[0], d[0], x), wp.min(slab_exit(o[1], d[1], y), slab_exit(o[2], d[2], z)))
-    return _thickness(begin, end, wider)
+def shadow_box(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that a box takes: its outline is a hexagon of three pairs of parallel sides."""
+    end = wp.min(slab_exit(o[0], d[0], size[0]), wp.min(slab_exit(o[1], d[1], size[1]), slab_exit(o[2], d[2], size[2])))
+    x = _beside(o[1] * d[2] - o[2] * d[1], size[1] * wp.abs(d[2]) + size[2] * wp.abs(d[1]), d[1], d[2])
+    y = _beside(o[2] * d[0] - o[0] * d[2], size[2] * wp.abs(d[0]) + size[0] * wp.abs(d[2]), d[2], d[0])
+    z = _beside(o[0] * d[1] - o[1] * d[0], size[0] * wp.abs(d[1]) + size[1] * wp.abs(d[0]), d[0], d[1])
+    return _straight(wp.max(x, wp.max(y, z)), spread, end)
 
 
 @wp.func
-def _covered(radius: float, passing_squared: float, wider: float) -> float:
+def _beside(along: float, half: float, d1: float, d2: float) -> float:
+    """Distance [m] at which a ray passes outside a pair of sides, if its direction has these parts across them."""
+    aslant = wp.sqrt(d1 * d1 + d2 * d2)
+    return wp.where(aslant < FLAT, -BESIDE_ALL, (wp.abs(along) - half) / wp.max(aslant, FLAT))
+
+
+@wp.func
+def _covered(radius: float, passing: float, wider: float) -> float:
     """Share of the light's disc behind a disc of this radius, which the ray passes at this distance from its centre."""
-    outer = radius + wider
-    share = wp.clamp((outer * outer - passing_squared) / (4.0 * radius * wider + TINY), 0.0, 1.0)
-    return _smooth(share) * wp.min(radius / (wider + TINY), 1.0)
+    return _half_shadow(passing - radius, wider) * wp.min(radius / (wider + TINY), 1.0)
 
 
 @wp.func
-def _thickness(begin: float, end: float, wider: float) -> float:
-    """Share of the light that a ray loses which is inside a shape, widened by the penumbra, from begin to end."""
-    return _smooth(wp.clamp((end - wp.max(begin, 0.0)) / (4.0 * wider + TINY), 0.0, 1.0))
+def _straight(outside: float, spread: float, end: float) -> float:
+    """Share of the light that a ray loses which passes this far outside an outline and leaves the shape at ``end``."""
+    return wp.where(end > 0.0, _half_shadow(outside, spread * end), 0.0)
 
 
 @wp.func
-def _smooth(share: float) -> float:
+def _half_shadow(outside: float, wider: float) -> float:
+    """Share of the light's disc behind an edge that a ray passes this far outside [m]; half of it on the edge."""
+    share = wp.clamp(0.5 - outside / (2.0 * wider + TINY), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
@@ -97,11 +107,11 @@ def _shading(shadow: wp.Function) -> wp.Function:
     """Return a function that computes what one type of shape takes from the points of a row."""
 
     @wp.func
-    def shaded(shape: Shape, depths: Row, xs: Row, ys: Row) -> Row:
+    def shaded(shape: Shape, spread: float, depths: Row, xs: Row, ys: Row) -> Row:
         row = Row()
         for i in range(TILE):
             point = shape.camera + depths[i] * ray_of(shape.from_camera, xs[i], ys[i])
-            row[i] = shadow(shape.size, point, shape.to_light)
+            row[i] = shadow(shape.size, spread, point, shape.to_light)
         return row
 
     return shaded
@@ -112,16 +122,16 @@ _shade_cylinder, _shade_ellipsoid = _shading(shadow_cylinder), _shading(shadow_e
 
 
 @wp.func
-def _shade(shape: Shape, depths: Row, xs: Row, ys: Row) -> Row:
+def _shade(shape: Shape, spread: float, depths: Row, xs: Row, ys: Row) -> Row:
     if shape.geom_type == CAPSULE:
-        return _shade_capsule(shape, depths, xs, ys)
+        return _shade_capsule(shape, spread, depths, xs, ys)
     if shape.geom_type == BOX:
-        return _shade_box(shape, depths, xs, ys)
+        return _shade_box(shape, spread, depths, xs, ys)
     if shape.geom_type == CYLINDER:
-        return _shade_cylinder(shape, depths, xs, ys)
+        return _shade_cylinder(shape, spread, depths, xs, ys)
     if shape.geom_type == ELLIPSOID:
-        return _shade_ellipsoid(shape, depths, xs, ys)
-    return _shade_sphere(shape, depths, xs, ys)
+        return _shade_ellipsoid(shape, spread, depths, xs, ys)
+    return _shade_sphere(shape, spread, depths, xs, ys)
 
 
 @wp.func
@@ -132,8 +142,8 @@ def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indice
     low, high = _row_bounds(frame, depths, visible, xs, ys)
     for k in range(worlds.caster_counts[w, tile]):
         s = worlds.casters[w, tile, k]
-        if may_shade(worlds.caster_lows[w, s], worlds.caster_highs[w, s], low, high):
-            taken = _shade(worlds.shapes[w, s], depths, xs, ys)
+        if may_shade(worlds.caster_lows[w, s], worlds.caster_highs[w, s], low, high, frame.spread):
+            taken = _shade(worlds.shapes[w, s], frame.spread, depths, xs, ys)
             alpha = worlds.shapes[w, s].alpha
             for i in range(TILE):
                 left = wp.where(visible[i] == s, 1.0, 1.0 - alpha * taken[i])
@@ -155,9 +165,9 @@ def _row_bounds(frame: LightFrame, depths: Row, visible: Indices, xs: Row, ys: R
 
 
 @wp.func
-def may_shade(caster_low: wp.vec3, caster_high: wp.vec3, low: wp.vec3, high: wp.vec3) -> bool:
+def may_shade(caster_low: wp.vec3, caster_high: wp.vec3, low: wp.vec3, high: wp.vec3, spread: float) -> bool:
     """Tell whether something in one box may shade something in another; corners [m], light frame."""
-    edge = SPREAD * wp.max(caster_high[2] - low[2], 0.0)
+    edge = spread * wp.max(caster_high[2] - low[2], 0.0)
     beside = caster_low[0] - edge > high[0] or caster_high[0] + edge < low[0]
     beside = beside or caster_low[1] - edge > high[1] or caster_high[1] + edge < low[1]
     return caster_high[2] > low[2] and not beside

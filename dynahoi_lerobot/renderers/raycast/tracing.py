@@ -17,10 +17,17 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 @wp.struct
 class LightFrame:
-    """The camera in a world's light frame, whose z axis points towards the light: position [m] and rotation."""
+    """A world's light frame, whose z axis points towards the light.
+
+    Attributes:
+        camera: position of the camera [m].
+        from_camera: rotation from the camera's axes.
+        spread: angular radius of the light [rad].
+    """
 
     camera: wp.vec3
     from_camera: wp.mat33
+    spread: float
 
 
 @wp.struct

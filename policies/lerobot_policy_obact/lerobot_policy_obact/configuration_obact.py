@@ -32,6 +32,7 @@ class ObActConfig(PreTrainedConfig):
         memory_module: what fuses the frames: spatiotemporal "attention", or a "gru" over all frames in turn.
         fps: frame rate of the data [Hz]; taken from the dataset when training starts.
         image_size: side to which every image is resized [px]; 0 keeps the size of the dataset.
+        motion: show the backbone each image together with the one before, for backbones that see what moves.
         horizon: actions in a predicted chunk, ``H``.
         n_action_steps: actions of a chunk that are executed before the policy replans.
         latency_frames: delay between an observation and the execution of the action predicted from it [frames]. That
@@ -76,6 +77,7 @@ class ObActConfig(PreTrainedConfig):
     memory_module: str = "attention"
     fps: float = 20.0
     image_size: int = 96
+    motion: bool = False
 
     horizon: int = 16
     n_action_steps: int = 8
@@ -163,7 +165,8 @@ class ObActConfig(PreTrainedConfig):
     @property
     def observation_delta_indices(self) -> list[int]:
         """Frames LeRobot loads for every ``observation.*`` key, relative to the sample [frames]."""
-        return self.windows.observation_offsets
+        offsets = self.windows.observation_offsets
+        return sorted({*offsets, *(offset - 1 for offset in offsets)}) if self.motion else offsets
 
     @property
     def action_delta_indices(self) -> list[int]:

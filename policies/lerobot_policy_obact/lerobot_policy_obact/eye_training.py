@@ -44,7 +44,7 @@ def train_eye(recipe: EyeRecipe, stream: Iterator[Snapshots]) -> Iterator[str]:
         for step, shown in enumerate(islice(stream, n_updates)):
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate(recipe.learning_rate, step, n_updates, WARMUP_UPDATES)
-            images = torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0
+            images = torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0  # (F, 6, H, W)
             loss = sighting_loss(eye, images, torch.from_numpy(shown.offset)).mean()
             if not loss.isfinite():
                 raise FloatingPointError(f"the loss of update {step} is {loss.item()}; lower learning_rate")

@@ -75,7 +75,7 @@ class ObActLearner:
     def act(self, observation: WorldObservation) -> np.ndarray:
         """Return (N, 18) commands as the policy alone would, and keep what was seen."""
         batch: Batch = self.preprocess(preprocess_observation(as_gym(observation)) | {"task": list(observation.tasks)})
-        frame = Observation.from_batch(batch, self.policy.config)
+        frame = self.policy.planner.observe(batch)
         looks = self.policy.model.look(frame)
         self._looks.append(looks)
         self._proprioception.append(frame.proprioception)

@@ -28,6 +28,8 @@ class ObActModel(nn.Module):
         super().__init__()
         width, n_heads = config.width, config.n_attention_heads
         self.backbone = backbones.build(config.backbone, width, options=config.backbone_options)
+        if config.motion and not self.backbone.sees_motion:
+            raise ValueError(f"motion is True, but backbone {config.backbone!r} takes one image at a time.")
         self.camera = nn.Parameter(0.02 * torch.randn(len(config.image_features), 1, width))
         self.proprioception = nn.Sequential(nn.Linear(config.state_dim, width), nn.SiLU(), nn.Linear(width, width))
         self.text = None if self.backbone.reads_text else ByteTextEncoder(width)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -23,7 +23,8 @@ class Observation:
     """``T`` frames of ``B`` samples, oldest first.
 
     Attributes:
-        images: RGB in [0, 1] of ``C`` cameras, shape ``(B, T, C, 3, H, W)``.
+        images: RGB in [0, 1] of ``C`` cameras, shape ``(B, T, C, 3, H, W)``; where ``config.motion`` is set, each with
+            the image before it in three further channels.
         proprioception: all vector observations concatenated, normalised, shape ``(B, T, S)``.
         position: ``observation.state``, normalised, the reference of relative actions, shape ``(B, T, P)``; P may be
             0.
@@ -48,7 +49,7 @@ class Observation:
         shape, device = images.shape[:2], images.device
         vectors = [_with_time(batch[key], 3).reshape(*shape, -1) for key in config.proprioceptive_keys]
         empty = torch.zeros(*shape, 0, device=device)
-        return cls(
+        observation = cls(
             images=images,
             proprioception=torch.cat(vectors, dim=-1) if vectors else empty,
             position=_with_time(batch[OBS_STATE], 3) if config.robot_state_feature else empty,
@@ -56,6 +57,17 @@ class Observation:
             watching=_watching(batch, config, shape, device),
             texts=_texts(batch, shape[0]),
         )
+        loaded = config.observation_delta_indices
+        if not config.motion or shape[1] != len(loaded) or shape[1] == 1:
+            return observation
+        places = {offset: place for place, offset in enumerate(loaded)}
+        shown = config.windows.observation_offsets
+        before = images[:, [places[offset - 1] for offset in shown]]
+        return observation.frames([places[offset] for offset in shown]).after(before)
+
+    def after(self, before: Tensor) -> Observation:
+        """Return the frames with the images ``(B, T, C, 3, H, W)`` before theirs."""
+        return replace(self, images=torch.cat([self.images, before], dim=3))
 
     def frames(self, index: list[int]) -> Observation:
         """Return the frames at ``index`` of every sample."""

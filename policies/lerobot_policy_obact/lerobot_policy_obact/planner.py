@@ -31,6 +31,7 @@ class ChunkPlanner:
     def __init__(self, config: ObActConfig, frame: ActionFrame) -> None:
         self.config, self.frame = config, frame
         self.history, self.queue = History(config.windows), ChunkQueue()
+        self._last_images: Tensor | None = None
         self._given: deque[Tensor] = deque(maxlen=config.latency_frames + 1)
 
     def reset(self) -> None:
@@ -38,6 +39,7 @@ class ChunkPlanner:
         self.history.clear()
         self.queue.clear()
         self._given.clear()
+        self._last_images = None
 
     def next_action(self, model: ObActModel, batch: Batch, noise: Tensor | None = None) -> Tensor:
         """Return the next action of every environment, normalised, shape ``(B, A)``.
@@ -47,7 +49,15 @@ class ChunkPlanner:
             batch: preprocessed observation of one control step; each call adds one frame to the history.
             noise: start of the chunks predicted in this step, shape ``(B, H, noise_dim)``; None draws it.
         """
-        return self.advance(model, Observation.from_batch(batch, self.config), batch, noise)
+        return self.advance(model, self.observe(batch), batch, noise)
+
+    def observe(self, batch: Batch) -> Observation:
+        """Read a preprocessed batch; single frames are put beside the ones before, if the config says so."""
+        observation = Observation.from_batch(batch, self.config)
+        if not self.config.motion or observation.images.shape[1] > 1:
+            return observation
+        before, self._last_images = self._last_images, observation.images
+        return observation.after(observation.images if before is None else before)
 
     def advance(
         self, model: ObActModel, frame: Observation | EncodedFrames, batch: Batch, noise: Tensor | None = None
@@ -80,7 +90,7 @@ class ChunkPlanner:
         Raises:
             ValueError: if the batch has another number of frames.
         """
-        observation, windows = Observation.from_batch(batch, self.config), self.config.windows
+        observation, windows = self.observe(batch), self.config.windows
         n_frames = observation.keep.shape[1]
         if n_frames == len(windows.lookback):
             return model.encode(observation)

@@ -26,7 +26,7 @@ def test_u_grows_to_the_right_and_v_upwards():
 
 def test_the_fovea_shows_the_pixels_around_the_point_it_looks_at():
     eye = EyeBackbone(16, fovea=4)
-    pixels = torch.arange(64.0 * 64).reshape(1, 1, 64, 64).expand(1, 4, -1, -1) / 4096
+    pixels = torch.arange(64.0 * 64).reshape(1, 1, 64, 64).expand(1, 7, -1, -1) / 4096
     column, row = 40, 24  # the fovea's middle lies between pixels 39 and 40, and between rows 23 and 24
     centre = torch.tensor([[2 * column / 64 - 1, 1 - 2 * row / 64]])
     crop = eye._crop(pixels, centre) * eye.pixel_std + eye.pixel_mean

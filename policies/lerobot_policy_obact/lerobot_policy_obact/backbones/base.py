@@ -29,6 +29,7 @@ class Backbone(nn.Module, ABC):
 
     reads_text: ClassVar[bool] = False
     locates: ClassVar[bool] = False
+    sees_motion: ClassVar[bool] = False
     pixel_mean: Tensor
     pixel_std: Tensor
 

@@ -4,8 +4,9 @@
     fovea    the pixels around (u, v), uncompressed -> convolutions: how far off (u, v) is, and how far away
     sighting (u, v, log depth) in the camera frame, each with the scale of its error; the offset from the palm follows
 
-Positions in the image are tangents in units of half the field of view: u rightwards and v upwards in [-1, 1]. Errors
-are taken as Laplace distributed; their logarithmic scales tell a memory how far to trust each sighting.
+The change since the image before shows what moves; an image without one counts as unchanged. Positions in the image are
+tangents in units of half the field of view: u rightwards and v upwards in [-1, 1]. Errors are taken as Laplace
+distributed; their logarithmic scales tell a memory how far to trust each sighting.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ from .conv import StandardisedPatches, conv, saturation
 from .keypoints import pixel_grid
 
 TYPICAL_DEPTH_M = 0.4
+N_CHANNELS = 7
+"""RGB, saturation, and the change of RGB since the image before."""
+CHANGE = 0.1
+"""Standard deviation of a change."""
 PEAK_CELLS = 2
 """The soft-argmax takes in this many cells of the heat map on each side of its peak."""
 HEAT_WEIGHT = 0.3
@@ -48,6 +53,7 @@ class EyeBackbone(Backbone):
     """
 
     locates = True
+    sees_motion = True
     camera_pos: Tensor
     camera_axes: Tensor
 
@@ -64,18 +70,18 @@ class EyeBackbone(Backbone):
         weights: str = "",
         frozen: bool = True,
     ) -> None:
-        super().__init__(width, (0.5, 0.5, 0.5, 0.25), (0.25,) * 4)
+        super().__init__(width, (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25,) * 4 + (CHANGE,) * 3)
         self.weights, self.frozen = weights, frozen
         self.fovea, self.half_view = fovea, math.tan(math.radians(camera_fovy_deg) / 2)
         self.register_buffer("camera_pos", torch.tensor(camera_pos_m), persistent=False)
         self.register_buffer("camera_axes", _camera_axes(camera_pitch_rad), persistent=False)
-        self.patches, self.refine = StandardisedPatches(4, channels), conv(channels, channels)
+        self.patches, self.refine = StandardisedPatches(N_CHANNELS, channels), conv(channels, channels)
         self.deep = nn.Sequential(conv(channels, 2 * channels, stride=2), conv(2 * channels, 2 * channels))
         self.lateral = nn.Conv2d(2 * channels, channels, kernel_size=1)
         self.merge = conv(channels, channels)
         self.heat = nn.Conv2d(channels, 1, kernel_size=1)
         self.foveal = nn.Sequential(
-            conv(4, 16), conv(16, 32, stride=2), conv(32, 64, stride=2), nn.Flatten(),
+            conv(N_CHANNELS, 16), conv(16, 32, stride=2), conv(32, 64, stride=2), nn.Flatten(),
             nn.Linear(64 * math.ceil(fovea / 4) ** 2, 128), nn.SiLU(),
         )  # fmt: skip
         self.read = nn.Sequential(
@@ -118,8 +124,13 @@ class EyeBackbone(Backbone):
         return self.look_with_heat(images)[0]
 
     def look_with_heat(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what `look` does, and the logarithmic probabilities of the heat map, ``(F, h, w)``."""
-        pixels = torch.cat([images, saturation(images)], dim=1).contiguous(memory_format=torch.channels_last)
+        """Return what `look` does, and the logarithmic probabilities of the heat map, ``(F, h, w)``.
+
+        Args:
+            images: RGB in [0, 1], shape ``(F, 3, H, W)``, or ``(F, 6, H, W)`` with the images before.
+        """
+        now, before = images[:, :3], images[:, -3:]
+        pixels = torch.cat([now, saturation(now), now - before], dim=1).contiguous(memory_format=torch.channels_last)
         heat, fine = self._glance(pixels)
         centre, glance = self._peak(heat, fine)
         seen = self.foveal(self._crop(pixels, centre.detach()))
@@ -161,7 +172,7 @@ class EyeBackbone(Backbone):
         return centre * centre.new_tensor([1.0, -1.0]), (fine.flatten(2) @ weights[..., None])[..., 0]
 
     def _crop(self, pixels: Tensor, centre: Tensor) -> Tensor:
-        """Cut squares of ``fovea`` pixels around ``centre``, ``(F, 4, h, w)``, standardised."""
+        """Cut squares of ``fovea`` pixels around ``centre``, ``(F, N_CHANNELS, h, w)``, standardised."""
         steps = torch.linspace(-1, 1, self.fovea, device=pixels.device) * (self.fovea - 1)
         height, width = pixels.shape[-2:]
         x, y = centre[:, :1] + steps / width, -centre[:, 1:] + steps / height  # (F, fovea) each, in image coordinates
@@ -175,7 +186,7 @@ def sighting_loss(eye: EyeBackbone, images: Tensor, offset: Tensor) -> Tensor:
 
     Args:
         eye: whose loss it is.
-        images: RGB in [0, 1], shape ``(F, 3, H, W)``.
+        images: see `EyeBackbone.look_with_heat`.
         offset: true offsets of the target from the palm [m], world axes, shape ``(F, 3)``.
     """
     looks, heat = eye.look_with_heat(images)
