@@ -35,8 +35,9 @@ def train_eye(recipe: EyeRecipe, stream: Iterator[Snapshots]) -> Iterator[str]:
         FloatingPointError: if the loss is not finite.
     """
     torch.manual_seed(recipe.seed)
-    options = {name: value for name, value in recipe.policy.get("backbone_options", {}).items() if name != "weights"}
+    options = recipe.policy.get("backbone_options", {}) | {"frozen": False}
     eye: EyeBackbone = backbones.build("eye", recipe.policy.get("width", 128), options=options)
+    eye.load_pretrained()
     optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)
     start, n_updates, recent = time.process_time(), recipe.pictures // recipe.batch_size, []
     recipe.out.mkdir(parents=True, exist_ok=True)

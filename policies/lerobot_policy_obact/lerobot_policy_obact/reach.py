@@ -16,6 +16,8 @@ CLOSING_FRAMES = 8
 """Fingers close over at most this many frames."""
 CONTACT_M = 0.03
 """The fingers must be closed when the target comes this close to the palm's centre."""
+CLOSED_EARLY_FRAMES = 1
+"""A hand that cannot close sooner arrives this much later: it may touch the target a little before it is there."""
 SUBFRAMES = 5
 """Points in each frame at which the distance of palm and target is looked at, so that a fast target is not missed."""
 
@@ -58,7 +60,7 @@ def earliest_meeting(path: Tensor, turn_rad: Tensor, reach: Reach) -> Meeting:
     """
     frames = torch.arange(1, path.shape[1], device=path.device)
     possible = path[:, 1:].norm(dim=-1) <= reach.palm_step_m * frames  # (B, F)
-    possible = possible & (reach.joint_step_rad * frames >= turn_rad[:, None])
+    possible = possible & (reach.joint_step_rad * (frames - CLOSED_EARLY_FRAMES) >= turn_rad[:, None])
     possible[:, -1] = True
     arrival = possible.int().argmax(1) + 1
     return Meeting(path[torch.arange(len(path)), arrival], arrival)

@@ -49,7 +49,7 @@ def dots(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 def test_it_learns_where_a_square_is_and_says_how_sure_it_is():
     torch.manual_seed(0)
-    eye = EyeBackbone(16, channels=8, fovea=12, embedding=4)
+    eye = EyeBackbone(16, channels=8, fovea=12, embedding=4, frozen=False)
     optimizer = torch.optim.AdamW(eye.parameters(), lr=3e-3)
     images, offset = dots(256, seed=0)
     for _ in range(150):

@@ -26,7 +26,7 @@ def test_a_target_that_waits_is_met_when_the_hand_can_be_there():
 
 
 def test_it_is_met_no_sooner_than_the_fingers_can_close():
-    assert earliest_meeting(still(0.1), torch.full((1,), 6.5), REACH).frames.item() == 7
+    assert earliest_meeting(still(0.1), torch.full((1,), 6.5), REACH).frames.item() == 8
 
 
 def test_what_is_out_of_reach_is_met_as_late_as_it_is_known():
@@ -35,7 +35,7 @@ def test_what_is_out_of_reach_is_met_as_late_as_it_is_known():
 
 def test_the_palm_goes_straight_at_its_limit_waits_and_then_stays_with_the_target():
     path = torch.cat([still(0.06, 9), still(0.5, 9)], dim=1)
-    meeting = earliest_meeting(path, torch.full((1,), 5.0), REACH)
+    meeting = earliest_meeting(path, torch.full((1,), 4.0), REACH)
     palm = palm_path(path, meeting, REACH)[0, :, 0]
     assert meeting.frames.item() == 5
     torch.testing.assert_close(palm[:6], torch.tensor([0.0, 0.025, 0.05, 0.06, 0.06, 0.06]))

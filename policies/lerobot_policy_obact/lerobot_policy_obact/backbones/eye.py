@@ -71,7 +71,7 @@ class EyeBackbone(Backbone):
         frozen: bool = True,
     ) -> None:
         super().__init__(width, (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25,) * 4 + (CHANGE,) * 3)
-        self.weights, self.frozen = weights, frozen
+        self.weights = weights
         self.fovea, self.half_view = fovea, math.tan(math.radians(camera_fovy_deg) / 2)
         self.register_buffer("camera_pos", torch.tensor(camera_pos_m), persistent=False)
         self.register_buffer("camera_axes", _camera_axes(camera_pitch_rad), persistent=False)
@@ -89,18 +89,18 @@ class EyeBackbone(Backbone):
         )
         self.token = nn.Linear(self.look_dim(embedding), width)
         self.embedding = embedding
+        if frozen:
+            self.requires_grad_(False)
+            self.token.requires_grad_(True)
 
     def load_pretrained(self) -> None:
-        """Load what the eye has learned, if ``weights`` names a file, and freeze it if asked to.
+        """Load what the eye has learned, if ``weights`` names a file.
 
         Raises:
             FileNotFoundError: if there is no such file.
         """
         if self.weights:
             self.load_state_dict(load_file(self.weights), strict=False)
-        if self.frozen:
-            self.requires_grad_(False)
-            self.token.requires_grad_(True)
 
     def learned_state(self) -> dict[str, Tensor]:
         """Return the weights of all but the token layer, which belongs to a policy."""
