@@ -47,7 +47,7 @@ class Demonstrated:
     """
 
     def __init__(self, meta: Any, key: str) -> None:
-        self.position = torch.from_numpy(read_column(meta, key, PALM_DIM))  # (F, 3)
+        self.position = torch.from_numpy(read_column(meta, key, PALM_DIM)[:, :PALM_DIM])
         episode = read_column(meta, "episode_index", 1)[:, 0].astype(np.int64)
         caught = read_column(meta, CAUGHT, 1)[:, 0] > 0.5
         joints = read_column(meta, ACTION, PALM_DIM + 1)[:, PALM_DIM:]

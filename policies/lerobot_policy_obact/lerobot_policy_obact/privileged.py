@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 from torch import Tensor, nn
@@ -111,4 +112,5 @@ class PositionProbe(nn.Module):
 
 def _as_array(column: Any) -> np.ndarray:
     values = column.combine_chunks()
-    return values.flatten().to_numpy(zero_copy_only=False).reshape(len(values), -1).astype(np.float32)
+    flat = values if pa.types.is_primitive(values.type) else values.flatten()
+    return flat.to_numpy(zero_copy_only=False).reshape(len(values), -1).astype(np.float32)
