@@ -24,7 +24,7 @@ from dynahoi_lerobot.env.spaces import as_gym
 from .configuration_obact import ObActConfig
 from .decisions import window_decisions
 from .eye_training import learning_rate, train_eye
-from .heads.intercept import Forecast
+from .heads.base import Forecast, ForecastHead
 from .lesson import Lesson
 from .modeling_obact import ObActPolicy
 from .observation import Batch, Observation
@@ -177,7 +177,7 @@ def make_learner(recipe: DaggerRecipe) -> ObActLearner:
     torch.manual_seed(recipe.seed)
     config = cast(ObActConfig, draccus.decode(PreTrainedConfig, recipe.policy))
     policy = ObActPolicy.from_pretrained(recipe.start, config=config) if recipe.start else ObActPolicy(config)
-    if not (policy.model.backbone.locates and policy.model.head.forecasts):
+    if not (policy.model.backbone.locates and isinstance(policy.model.head, ForecastHead)):
         raise ValueError(
             f"only backbones that locate the target and heads that forecast learn on-policy, such as eye and "
             f"intercept, got {config.backbone!r} and {config.head!r}"

@@ -22,7 +22,8 @@ from .decisions import Decisions, window_decisions
 from .demonstrated import Demonstrated
 from .finite import require_finite
 from .frames import EncodedFrames
-from .heads.intercept import PALM_DIM, Forecast
+from .heads.base import Forecast
+from .heads.intercept import PALM_DIM
 from .model import ObActModel
 from .observation import Batch, Observation
 from .replan import rise_threshold

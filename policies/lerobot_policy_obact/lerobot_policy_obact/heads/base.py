@@ -71,7 +71,7 @@ class Condition:
 
 
 class ActionHead(nn.Module, ABC):
-    """A conditional distribution over action chunks in the frame of `ActionFrame`.
+    """Says which chunk of actions to execute, in the frame of `ActionFrame`.
 
     A subclass takes an `ActionSpec` first and its own options as keywords.
 
@@ -80,7 +80,6 @@ class ActionHead(nn.Module, ABC):
     """
 
     accepts_guide: ClassVar[bool] = False
-    forecasts: ClassVar[bool] = False
 
     def __init__(self, spec: ActionSpec) -> None:
         super().__init__()
@@ -95,10 +94,6 @@ class ActionHead(nn.Module, ABC):
         """Load published weights, if there are any; called when training starts, not when a checkpoint is opened."""
 
     @abstractmethod
-    def loss(self, actions: Tensor, condition: Condition) -> Tensor:
-        """Return the training loss of each entry, ``(B, H, A) -> (B, H, A)``."""
-
-    @abstractmethod
     def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
         """Sample a chunk: map standard normal noise ``(B, H, noise_dim)`` to ``(B, H, A)``.
 
@@ -106,4 +101,40 @@ class ActionHead(nn.Module, ABC):
             condition: what the chunk is conditioned on.
             noise: start of the sampling, standard normal.
             guide: steers the flow, for heads with ``accepts_guide``.
+        """
+
+
+class ChunkHead(ActionHead):
+    """A conditional distribution over action chunks, learned from chunks."""
+
+    @abstractmethod
+    def loss(self, actions: Tensor, condition: Condition) -> Tensor:
+        """Return the training loss of each entry, ``(B, H, A) -> (B, H, A)``."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What is predicted for ``R`` decisions, and what it is compared with.
+
+    Attributes:
+        path: offsets of the target from the palm of the current frame, at ``K`` times ahead [m], shape ``(R, K, 3)``.
+        closed: joint angles that close the hand around the target [rad], shape ``(R, J)``.
+    """
+
+    path: Tensor
+    closed: Tensor
+
+
+class ForecastHead(ActionHead):
+    """Predicts where the target goes, learns from where it went, and derives the chunk from the prediction."""
+
+    @abstractmethod
+    def forecast_loss(self, label: Forecast, condition: Condition, arrival: Tensor, known: Tensor) -> Tensor:
+        """Return the loss of each decision, shape ``(R,)``.
+
+        Args:
+            label: the true path and grasp.
+            condition: what the forecast is conditioned on.
+            arrival: frames until a teacher meets the target, shape ``(R,)``.
+            known: False where the true path is not known, shape ``(R, K)``.
         """

@@ -7,15 +7,13 @@ a question for the network, and how fast is none.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 
 from ..attention import Attention
 from ..reach import Reach, close_in_time, earliest_meeting, first_contact, palm_path
 from ..track import N_SIGHTING, Track
-from .base import ActionHead, ActionSpec, Condition, Guide, heads
+from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, heads
 
 KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
 """Frames ahead at which the path is predicted; a spline leads from one to the next."""
@@ -24,21 +22,8 @@ CLOSED_QUANTILE = 0.7
 """Fingers that close too little lose the target, and fingers that close a little too much do not."""
 
 
-@dataclass(frozen=True)
-class Forecast:
-    """What is predicted for ``R`` decisions, and what it is compared with.
-
-    Attributes:
-        path: offsets of the target from the palm of the current frame at `KNOTS` [m], shape ``(R, K, 3)``.
-        closed: joint angles that close the hand around the target [rad], shape ``(R, J)``.
-    """
-
-    path: Tensor
-    closed: Tensor
-
-
 @heads.register("intercept")
-class InterceptHead(ActionHead):
+class InterceptHead(ForecastHead):
     """Forecast, meeting point, straight approach. Needs an eye, and states and actions in metres and radians.
 
     Args:
@@ -48,7 +33,6 @@ class InterceptHead(ActionHead):
         spare_frames: fingers are closed this long before the target is expected within reach of them.
     """
 
-    forecasts = True
     ahead_s: Tensor
     between: Tensor
 
@@ -95,14 +79,7 @@ class InterceptHead(ActionHead):
         return condition.position[:, PALM_DIM : self.spec.action_dim]
 
     def forecast_loss(self, label: Forecast, condition: Condition, arrival: Tensor, known: Tensor) -> Tensor:
-        """Return the loss of each decision, ``(R,)``: distance along the path, above all where they will meet.
-
-        Args:
-            label: the true path and grasp.
-            condition: what the forecast is conditioned on.
-            arrival: frames until the teacher meets the target, shape ``(R,)``.
-            known: False where the true path is not known, shape ``(R, K)``.
-        """
+        """See `ForecastHead.forecast_loss`: distances along the path, above all where they will meet, and the grasp."""
         forecast = self.forecast(condition)
         error = (forecast.path - label.path).square().sum(-1).add(1e-8).sqrt() * known  # (R, K)
         meeting = self.between[arrival.long().clamp(0, KNOTS[-1])]  # (R, K)
@@ -110,10 +87,6 @@ class InterceptHead(ActionHead):
         missing = label.closed - forecast.closed
         grasp = torch.maximum(CLOSED_QUANTILE * missing, (CLOSED_QUANTILE - 1) * missing)
         return distance + grasp.mean(-1)
-
-    def loss(self, actions: Tensor, condition: Condition) -> Tensor:
-        """Not defined: actions alone do not say where a target goes."""
-        raise NotImplementedError("head 'intercept' learns from the target's path: use forecast_loss.")
 
     def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
         """See `ActionHead.sample`; the noise is ignored, and palm targets are relative to the palm [m]."""
