@@ -39,7 +39,7 @@ def train_eye(recipe: EyeRecipe, stream: Iterator[Snapshots]) -> Iterator[str]:
     eye: EyeBackbone = backbones.build("eye", recipe.policy.get("width", 128), options=options)
     eye.load_pretrained()
     optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)
-    start, n_updates, recent = time.process_time(), recipe.pictures // recipe.batch_size, []
+    n_updates, recent = recipe.pictures // recipe.batch_size, []
     recipe.out.mkdir(parents=True, exist_ok=True)
     with (recipe.out / LOG).open("w") as log:
         for step, shown in enumerate(islice(stream, n_updates)):
@@ -55,7 +55,7 @@ def train_eye(recipe: EyeRecipe, stream: Iterator[Snapshots]) -> Iterator[str]:
             optimizer.step()
             recent.append(loss.item())
             if (step + 1) % LOG_EVERY == 0 or step + 1 == n_updates:
-                minutes = round((time.process_time() - start) / 60, 3)
+                minutes = round(time.process_time() / 60, 3)
                 line = {"pictures": (step + 1) * recipe.batch_size, "processor_minutes": minutes}
                 told = json.dumps({**line, "loss": round(sum(recent) / len(recent), 4)})
                 log.write(told + "\n")

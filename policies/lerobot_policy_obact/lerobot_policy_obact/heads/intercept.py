@@ -81,9 +81,10 @@ class InterceptHead(ForecastHead):
     def forecast_loss(self, label: Forecast, condition: Condition, arrival: Tensor, known: Tensor) -> Tensor:
         """See `ForecastHead.forecast_loss`: distances along the path, above all where they will meet, and the grasp."""
         forecast = self.forecast(condition)
-        error = (forecast.path - label.path).square().sum(-1).add(1e-8).sqrt() * known  # (R, K)
+        error = (forecast.path - label.path) * known[..., None]  # (R, K, 3)
         meeting = self.between[arrival.long().clamp(0, KNOTS[-1])]  # (R, K)
-        distance = (error / (0.05 + 0.3 * self.ahead_s)).mean(-1) + (error * meeting).sum(-1) / 0.1
+        along = (_length(error) / (0.05 + 0.3 * self.ahead_s)).mean(-1)
+        distance = along + _length((meeting[..., None] * error).sum(1)) / 0.1
         missing = label.closed - forecast.closed
         grasp = torch.maximum(CLOSED_QUANTILE * missing, (CLOSED_QUANTILE - 1) * missing)
         return distance + grasp.mean(-1)
@@ -117,6 +118,11 @@ def interpolation(knots: tuple[int, ...]) -> Tensor:
     a, square = 1 - b, gap[left][:, None].square() / 6
     curve = square * ((a**3 - a) * second[left] + (b**3 - b) * second[left + 1])
     return (a * identity[left] + b * identity[left + 1] + curve).float()
+
+
+def _length(x: Tensor) -> Tensor:
+    """Return the lengths of vectors ``(..., 3)``, differentiable at zero."""
+    return x.square().sum(-1).add(1e-8).sqrt()
 
 
 def _track_of(condition: Condition) -> Track:
