@@ -14,8 +14,10 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 
 POSES = 8
 """Configurations of a world before it shows another episode: to begin one costs as much as several pictures."""
-APPROACH_SHARE = 0.6
-"""Share of the pictures with the palm on its way to the target; in the others it is anywhere behind it."""
+HOME_SHARE = 0.3
+"""Share of the pictures from home, while the hand watches; that is where most of what stands about is in view."""
+APPROACH_SHARE = 0.7
+"""Share of the other pictures with the palm on its way to the target; in the rest it is anywhere behind it."""
 STRAY_M = 0.04
 """Standard deviation of the palm from the straight way to the target, along each axis [m]."""
 LEAD_FRAMES = 24
@@ -23,8 +25,8 @@ LEAD_FRAMES = 24
 NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
 """Range of the target's position relative to the palm in the other pictures [m], world axes."""
 OPEN_SHARE = 0.5
-STILL_SHARE, FAST_SHARE = 0.35, 0.2
-"""Shares of the hands that stand still, as in the observation window, and of moving ones that may be fast."""
+STILL_SHARE, FAST_SHARE = 0.15, 0.2
+"""Shares of the other hands that stand still, and of the moving ones that may be fast."""
 SLOW_M_S, FAST_M_S = 0.5, 2.0
 """Greatest speeds of hands: those of the control classes."""
 WANDER_M = 0.1
@@ -81,6 +83,10 @@ class _Pose:
 def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> _Pose:
     """Draw a frame of an episode, and a hand that moves there."""
     path = spec.oracle_path - spec.home_pos_w
+    if rng.random() < HOME_SHARE:
+        hand = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
+        frame = min(int(rng.integers(1, spec.window_frames + LEAD_FRAMES)), len(path) - 1)
+        return _Pose((hand, path[frame]), (hand, path[frame - 1]))
     frame = int(rng.integers(1, len(path)))
     hand = _hand(spec, path, frame, rng)
     step = np.zeros_like(hand)
