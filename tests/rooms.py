@@ -24,6 +24,7 @@ ROOMS = (
     "world",
     "sampling",
     "rollout",
+    "onpolicy",
     "env",
     "dataset",
     "verify",

@@ -16,6 +16,8 @@ COMMANDS = {
     "generate": ("dynahoi_lerobot.generate.command", "write a LeRobotDataset of expert episodes"),
     "verify": ("dynahoi_lerobot.verify.command", "check every promise about a dataset on disk"),
     "filter": ("dynahoi_lerobot.verify.filter_command", "copy a dataset without the paper's outliers"),
+    "pretrain": ("dynahoi_lerobot.onpolicy.pretrain_command", "train a policy's eye on pictures of random poses"),
+    "dagger": ("dynahoi_lerobot.onpolicy.command", "train a policy on its own episodes, with a teacher, in memory"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "run a policy or an expert on a split and compute every metric"),
     "certify": ("dynahoi_lerobot.evaluate.certify_command", "replay an evaluation and compare every metric"),
     "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),

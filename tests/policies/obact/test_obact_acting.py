@@ -24,7 +24,9 @@ def count_plans(policy: ObActPolicy) -> list[int]:
     """Return a list that grows by the number of rows of every plan."""
     plans: list[int] = []
     plan = policy.planner.plan
-    policy.planner.plan = lambda model, window, *args: plans.append(len(window.keep)) or plan(model, window, *args)
+    policy.planner.plan = lambda model, window, *args, **kwargs: (
+        plans.append(len(window.keep)) or plan(model, window, *args, **kwargs)
+    )
     return plans
 
 
