@@ -12,7 +12,7 @@ from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.benchmark import MOTIONS
 
-SHORT = ["--episodes", "4", "--steps", "1", "--evaluation-episodes", "1"]
+SHORT = ["--episodes", "4", "--rounds", "1", "--evaluation-episodes", "1"]
 
 
 @pytest.mark.slow
@@ -22,7 +22,7 @@ def test_it_leaves_a_dataset_a_checkpoint_results_and_a_report(
     out = tmp_path / "quickstart"
     assert main(["quickstart", "--out", str(out), *SHORT]) == 0, capsys.readouterr().err
     assert main(["verify", str(out / "dataset")]) == 0
-    config = json.loads((out / "training/checkpoints/last/pretrained_model/config.json").read_text())
+    config = json.loads((out / "training/pretrained_model/config.json").read_text())
     assert config["type"] == "obact"
     kinds = sorted(MOTIONS)
     for name in ("obact", *quickstart.BASELINES):

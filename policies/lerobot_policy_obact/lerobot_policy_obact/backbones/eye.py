@@ -12,6 +12,7 @@ distributed; their logarithmic scales tell a memory how far to trust each sighti
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import torch
 import torch.nn.functional as F
@@ -34,6 +35,8 @@ N_SCALES = 2
 """Logarithmic scales of the errors of a sighting: across the line of sight [tangent], and of the logarithmic depth."""
 N_SIGHTING = 3 + 3 + N_SCALES
 """Numbers of a sighting: offset from the palm [m], (u, v, log depth), scales."""
+SHIPPED = "shipped"
+"""Names the weights that come with the package."""
 
 
 @backbones.register("eye")
@@ -48,7 +51,8 @@ class EyeBackbone(Backbone):
         camera_pos_m: the camera's position in the palm's frame [m].
         camera_pitch_rad: how far it looks down from the palm's +x axis.
         camera_fovy_deg: its field of view.
-        weights: safetensors file that training starts from, as `dynahoi pretrain` writes it; empty for none.
+        weights: safetensors file that training starts from, as `dynahoi pretrain` writes it; "shipped" for the one
+            beside this file; empty for none.
         frozen: train only the layer that makes tokens of what the eye sees.
     """
 
@@ -100,7 +104,8 @@ class EyeBackbone(Backbone):
             FileNotFoundError: if there is no such file.
         """
         if self.weights:
-            self.load_state_dict(load_file(self.weights), strict=False)
+            file = Path(__file__).with_suffix(".safetensors") if self.weights == SHIPPED else self.weights
+            self.load_state_dict(load_file(file), strict=False)
 
     def learned_state(self) -> dict[str, Tensor]:
         """Return the weights of all but the token layer, which belongs to a policy."""
