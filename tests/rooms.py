@@ -31,6 +31,7 @@ ROOMS = (
     "generate",
     "vlm",
     "evaluate",
+    "hub",
     "adapters",
     "report",
     "cli",

@@ -21,6 +21,7 @@ COMMANDS = {
     "evaluate": ("dynahoi_lerobot.evaluate.command", "run a policy or an expert on a split and compute every metric"),
     "certify": ("dynahoi_lerobot.evaluate.certify_command", "replay an evaluation and compare every metric"),
     "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),
+    "push": ("dynahoi_lerobot.hub.command", "upload a dataset, checkpoint, results or environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "write an episode as GIF, MP4 or web page"),
     "list": ("dynahoi_lerobot.cli.listing", "list motions, objects, metrics and other registered names"),
 }

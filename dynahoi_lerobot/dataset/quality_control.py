@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import CONTROL_CLASSES, ControlClass, control_class_of
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
@@ -87,6 +86,8 @@ def limits_of(capture: str, control_class: str) -> TrajectoryLimits:
     Raises:
         ValueError: if one of the names is unknown.
     """
+    from dynahoi_lerobot.captures import CAPTURES  # imports MuJoCo, which reading a dataset does not need
+
     return TrajectoryLimits.of_class(control_class_of(control_class), CAPTURES[capture].gantry_speed_m_s)
 
 

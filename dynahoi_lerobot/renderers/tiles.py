@@ -86,8 +86,7 @@ class TileRenderer(Renderer):
     def rgb(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
         self._mirror.copy(ids)
-        self._pipeline.draw_images(len(ids))
-        return self._pipeline.images[: len(ids)].numpy().copy()
+        return self._pipeline.draw_images(len(ids))
 
     def segmentation(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W) int32 geom ids of worlds ``ids`` (n,), -1 for a miss."""

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.pixel_rows import Row, ray_of
+from dynahoi_lerobot.renderers.raycast.pixel_rows import ray_of
 from dynahoi_lerobot.renderers.raycast.shadows import may_shade
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Shape
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Row, Shape
 from dynahoi_lerobot.renderers.raycast.tracing import LightFrame
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})

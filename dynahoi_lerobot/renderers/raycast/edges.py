@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row
-from dynahoi_lerobot.renderers.raycast.render import slope, tile_of
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics
+from dynahoi_lerobot.renderers.raycast.render import slope, tile_of, write_row
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row
 from dynahoi_lerobot.renderers.raycast.tracing import Worlds, meet_shape
 
 SAMPLES = wp.constant(4)
@@ -29,71 +28,72 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 @wp.kernel
 def smooth_edges(
     first_row: int,
-    smooth: int,
     intrinsics: CameraIntrinsics,
     worlds: Worlds,
     visible: wp.array3d[Indices],
     depths: wp.array3d[Row],
     colors: wp.array3d[Indices],
-    images: wp.array3d[wp.vec3ub],
+    images: wp.array3d[wp.uint32],
 ):
-    """Write one pixel row of one tile of the images, with smooth edges if ``smooth`` is 1.
+    """Smooth the edges in one pixel row of one tile of the images.
 
-    Launched as ``trace`` is, after ``colors`` (0xBBGGRR) are written.
+    Launched as ``trace`` is, after ``colors`` (0xBBGGRR) and ``images`` are written.
     """
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
-    color = colors[w, y, column] + Indices(0)  # a sum is a copy; what is read of an array is read again at every use
-    if smooth == 1:
-        here = visible[w, y, column] + Indices(0)
-        above = visible[w, wp.max(y - 1, 0), column] + Indices(0)
-        below = visible[w, wp.min(y + 1, intrinsics.size - 1), column] + Indices(0)
-        edges = _edges(intrinsics, visible, depths, here, above, below, w, y, column)
-        if wp.max(edges) == 1:
-            color = _smooth_row(intrinsics, worlds, colors, edges, here, above, below, w, y, column)
-    for i in range(wp.min(TILE, intrinsics.size - column * TILE)):
-        images[w, y, column * TILE + i] = wp.vec3ub(
-            wp.uint8(color[i] & 255), wp.uint8((color[i] >> 8) & 255), wp.uint8(color[i] >> 16)
+    y_above, y_below = wp.max(y - 1, 0), wp.min(y + 1, intrinsics.size - 1)
+    before, behind = wp.max(column - 1, 0), wp.min(column + 1, visible.shape[2] - 1)
+    here = visible[w, y, column] + Indices(0)  # a sum is a copy; what is read of an array is read again at every use
+    above, below = visible[w, y_above, column] + Indices(0), visible[w, y_below, column] + Indices(0)
+    left, right = (
+        visible[w, y, before][wp.where(column > 0, TILE - 1, 0)],
+        visible[w, y, behind][wp.where(behind > column, 0, TILE - 1)],
+    )
+    if _all_alike(here, above, below, left, right) == 0:
+        near = _sides_row(
+            here, depths[w, y, column], left, depths[w, y, before][TILE - 1], right, depths[w, y, behind][0]
         )
+        near = _jumps_row(near, here, depths[w, y, column], above, depths[w, y_above, column])
+        edges = _jumps_row(near, here, depths[w, y, column], below, depths[w, y_below, column])
+        if wp.max(edges) == 1:
+            write_row(
+                images, w, y, column, _smooth_row(intrinsics, worlds, colors, edges, here, above, below, w, y, column)
+            )
 
 
 @wp.func
-def _edges(
-    intrinsics: CameraIntrinsics,
-    visible: wp.array3d[Indices],
-    depths: wp.array3d[Row],
-    here: Indices,
-    above: Indices,
-    below: Indices,
-    w: int,
-    y: int,
-    column: int,
-) -> Indices:
-    """1 for each pixel of a row next to which another shape is seen at a different depth."""
-    edges, left, right = Indices(0), Indices(), Indices()
-    depth = depths[w, y, column] * 1.0
-    depth_left, depth_right = Row(), Row()
-    depth_above = depths[w, wp.max(y - 1, 0), column] * 1.0
-    depth_below = depths[w, wp.min(y + 1, intrinsics.size - 1), column] * 1.0
-    for i in range(TILE - 1):
-        right[i] = here[i + 1]
-        left[i + 1] = here[i]
-        depth_right[i] = depth[i + 1]
-        depth_left[i + 1] = depth[i]
-    before, behind = wp.max(column - 1, 0), wp.min(column + 1, visible.shape[2] - 1)
-    left[0] = wp.where(column > 0, visible[w, y, before][TILE - 1], here[0])
-    right[TILE - 1] = wp.where(behind > column, visible[w, y, behind][0], here[TILE - 1])
-    depth_left[0] = depths[w, y, before][TILE - 1]
-    depth_right[TILE - 1] = depths[w, y, behind][0]
+def _all_alike(here: Indices, above: Indices, below: Indices, left: int, right: int) -> int:
+    """1 if all pixels of a row and all beside it show one shape."""
+    shape, different = here[0], Indices()
     for i in range(TILE):
-        vertical = wp.max(
-            _jump(here[i], depth[i], above[i], depth_above[i]), _jump(here[i], depth[i], below[i], depth_below[i])
+        different[i] = (here[i] ^ shape) | (above[i] ^ shape) | (below[i] ^ shape)
+    others = (left ^ shape) | (right ^ shape)
+    for i in range(TILE):
+        others |= different[i]
+    return wp.where(others == 0, 1, 0)
+
+
+@wp.func
+def _jumps_row(edges: Indices, here: Indices, depth: Row, other: Indices, other_depth: Row) -> Indices:
+    """Add the pixels that show another shape at another depth than those of another row."""
+    row = Indices()
+    for i in range(TILE):
+        row[i] = wp.max(edges[i], _jump(here[i], depth[i], other[i], other_depth[i]))
+    return row
+
+
+@wp.func
+def _sides_row(here: Indices, depth: Row, left: int, depth_left: float, right: int, depth_right: float) -> Indices:
+    """1 for each pixel of a row that shows another shape at another depth than the pixel to its left or right."""
+    row = Indices()
+    for i in range(TILE):
+        before, behind = wp.max(i - 1, 0), wp.min(i + 1, TILE - 1)
+        row[i] = wp.max(
+            _jump(here[i], depth[i], here[before], depth[before]), _jump(here[i], depth[i], here[behind], depth[behind])
         )
-        beside = wp.max(
-            _jump(here[i], depth[i], left[i], depth_left[i]), _jump(here[i], depth[i], right[i], depth_right[i])
-        )
-        edges[i] = wp.max(vertical, beside)
-    return edges
+    row[0] = wp.max(row[0], _jump(here[0], depth[0], left, depth_left))
+    row[TILE - 1] = wp.max(row[TILE - 1], _jump(here[TILE - 1], depth[TILE - 1], right, depth_right))
+    return row
 
 
 @wp.func
@@ -169,19 +169,5 @@ def _trace_seen(
         for i in range(TILE):
             seen = wp.max(seen, wp.where(here[i] == s or above[i] == s or below[i] == s, 1, 0))
         if seen == 1:
-            depths, nearest = meet_shape(worlds.shapes[w, s], s, depths, nearest, xs, ys)
+            depths, nearest = meet_shape(worlds.shapes, w, s, depths, nearest, xs, ys)
     return nearest
-
-
-@wp.func
-def _jump(shape: int, depth: float, other: int, other_depth: float) -> int:
-    """1 if two pixels show shapes at different depths."""
-    return wp.where(shape != other and wp.abs(depth - other_depth) > STEP * wp.min(depth, other_depth), 1, 0)
-
-
-@wp.func
-def _offset(sample: int) -> wp.vec2:
-    """Where a sample lies from a pixel's middle [px]: a grid of 2 x 2, turned so that no two share row or column."""
-    x = wp.where(sample < 2, 0.125, 0.375)
-    y = wp.where(sample < 2, 0.375, -0.125)
-    return wp.where(sample % 2 == 0, wp.vec2(x, y), wp.vec2(-x, -y))

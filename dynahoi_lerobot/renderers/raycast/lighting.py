@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row, light_row, ray_of, texture_row
+from dynahoi_lerobot.renderers.raycast.pixel_rows import highlight_row, light_row, ray_of, texture_row
 from dynahoi_lerobot.renderers.raycast.shadows import sunlight_row
 from dynahoi_lerobot.renderers.raycast.textures import Textures
-from dynahoi_lerobot.renderers.raycast.tiling import TILE
+from dynahoi_lerobot.renderers.raycast.tiling import TILE, Indices, Row
 from dynahoi_lerobot.renderers.raycast.tracing import Worlds, trace_row
 
 SOLID = wp.constant(1.0)
@@ -61,10 +61,12 @@ def color_row(
     red, green, blue = _surface_row(worlds, look, textures, w, tile, depths, visible, xs, ys)
     transparency = Row(0.0)
     most_transparent = float(0.0)  # noqa: UP018 - warp's way to say that it varies
-    for i in range(TILE):
-        if visible[i] >= 0:
-            transparency[i] = 1.0 - worlds.shapes[w, visible[i]].alpha
-        most_transparent = wp.max(most_transparent, transparency[i])
+    for k in range(worlds.counts[w, tile]):
+        s = worlds.lists[w, tile, k]
+        clear = 1.0 - worlds.shapes[w, s].alpha
+        if clear > 0.0:
+            transparency = _mix_row(visible, s, clear, transparency)
+            most_transparent = wp.max(transparency)
     if most_transparent > 0.0:
         behind, solid = trace_row(worlds, w, tile, xs, ys, SOLID)
         r, g, b = _surface_row(worlds, look, textures, w, tile, behind, solid, xs, ys)
@@ -73,6 +75,15 @@ def color_row(
             green[i] = wp.lerp(green[i], g[i], transparency[i])
             blue[i] = wp.lerp(blue[i], b[i], transparency[i])
     return red, green, blue
+
+
+@wp.func
+def _mix_row(visible: Indices, s: int, value: float, others: Row) -> Row:
+    """Return a value where shape ``s`` is visible, and that of the other row elsewhere."""
+    row = Row()
+    for i in range(TILE):
+        row[i] = wp.where(visible[i] == s, value, others[i])
+    return row
 
 
 @wp.func
@@ -101,13 +112,17 @@ def _surface_row(
         for i in range(TILE):
             middle = wp.max(middle, wp.where(visible[i] == s, i, -1))
         if middle >= 0:
-            shape = worlds.shapes[w, s]
-            fill = wp.where(look.soft == 1, shape.up, shape.from_camera * wp.vec3(0.0, 0.0, 1.0))
-            cosine, filled, highlight = light_row(shape, fill, depths, xs, ys, specular[0] > 0.0)
+            fill = worlds.shapes[w, s].up
+            if look.soft == 0:
+                fill = worlds.shapes[w, s].from_camera * wp.vec3(0.0, 0.0, 1.0)
+            cosine, filled = light_row(worlds.shapes, w, s, fill, depths, xs, ys)
+            highlight = Row(0.0)
+            if specular[0] > 0.0:
+                highlight = highlight_row(worlds.shapes, w, s, depths, xs, ys)
             brightness = Row(1.0)
-            if shape.texture >= 0:
-                brightness = texture_row(shape, textures, look.pixel_rad, middle, depths, xs, ys)
-            rgb, shine = shape.color_rgb, specular * shape.specularity
+            if worlds.shapes[w, s].texture >= 0:
+                brightness = texture_row(worlds.shapes, w, s, textures, look.pixel_rad, middle, depths, xs, ys)
+            rgb, shine = worlds.shapes[w, s].color_rgb, specular * worlds.shapes[w, s].specularity
             for i in range(TILE):
                 direct = wp.max(cosine[i] + sun_wrap, 0.0) / (1.0 + sun_wrap) * sun[i]
                 around = wp.max(filled[i] + sky_wrap, 0.0)

@@ -13,10 +13,17 @@ import warp as wp
 from dynahoi_lerobot.renderers.raycast.casters import place_casters, place_lights, sort_casters
 from dynahoi_lerobot.renderers.raycast.edges import smooth_edges
 from dynahoi_lerobot.renderers.raycast.lighting import Look
-from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row
 from dynahoi_lerobot.renderers.raycast.render import render_color, render_ids_and_depth, trace
 from dynahoi_lerobot.renderers.raycast.textures import textures_of
-from dynahoi_lerobot.renderers.raycast.tiling import TILE, CameraIntrinsics, Shape, place_shapes, sort_into_tiles
+from dynahoi_lerobot.renderers.raycast.tiling import (
+    TILE,
+    CameraIntrinsics,
+    Indices,
+    Row,
+    Shape,
+    place_shapes,
+    sort_into_tiles,
+)
 from dynahoi_lerobot.renderers.raycast.tracing import LightFrame, Worlds
 from dynahoi_lerobot.scene.model import ARENA_HALF_M
 
@@ -33,7 +40,7 @@ class Pipeline:
     """Draws the packed worlds of a mirror; launches are recorded, as to repeat one is much cheaper than a new one.
 
     Attributes:
-        images: (N, H, W) RGB, ``labels``: (N, H, W) geom ids, ``distances``: (N, H, W) depth [m]; what was drawn last.
+        labels: (N, H, W) geom ids; ``distances``: (N, H, W) depth [m]; what was drawn last.
     """
 
     def __init__(
@@ -66,7 +73,7 @@ class Pipeline:
         self._geoms, self._soft = wp.array(shown, dtype=int), soft
         self._intrinsics, self._fields = _intrinsics(model, camera, image_size), fields
         self._worlds = _worlds(fields, nsim, self._across**2, self._shapes)
-        self.images = wp.empty((nsim, image_size, image_size), dtype=wp.vec3ub)
+        self._packed = wp.empty((nsim, image_size, self._across * TILE * 3 // 4), dtype=wp.uint32)
         self.labels = wp.empty((nsim, image_size, image_size), dtype=int)
         self.distances = wp.empty((nsim, image_size, image_size), dtype=float)
         rows = (nsim, image_size, self._across)
@@ -77,8 +84,8 @@ class Pipeline:
         first = [0, self._intrinsics]
         tracing = [*first, self._worlds, *self._pixels]
         colors = wp.empty(rows, dtype=Indices)
-        coloring = [*first, look, textures, self._worlds, *self._pixels, colors]
-        smoothing = [0, int(soft), self._intrinsics, self._worlds, *self._pixels, colors, self.images]
+        coloring = [*first, look, textures, self._worlds, *self._pixels, colors, self._packed]
+        smoothing = [*tracing, colors, self._packed]
         self._tracing = [_recorded(trace, 2, tracing) for _ in range(threads)]
         self._coloring = [_recorded(render_color, 2, coloring) for _ in range(threads)]
         self._smoothing = [_recorded(smooth_edges, 2, smoothing) for _ in range(threads)]
@@ -86,14 +93,17 @@ class Pipeline:
         self._labelling = _recorded(render_ids_and_depth, 3, labelling)
         self._pool = ThreadPoolExecutor(threads)
 
-    def draw_images(self, n_worlds: int) -> None:
-        """Draw the first ``n_worlds`` rows into ``images``."""
+    def draw_images(self, n_worlds: int) -> np.ndarray:
+        """Return (n, H, W, 3) uint8 pictures of the first ``n_worlds`` rows."""
         self._place(n_worlds)
         self._in_bands(self._tracing, n_worlds)
         if self._soft:
             _launch(self._sorting_casters, n_worlds, self._across**2)
         self._in_bands(self._coloring, n_worlds)
-        self._in_bands(self._smoothing, n_worlds)
+        if self._soft:
+            self._in_bands(self._smoothing, n_worlds)
+        rows = self._packed[:n_worlds].numpy().view(np.uint8).reshape(n_worlds, self._size, -1, 3)
+        return rows[:, :, : self._size].copy()
 
     def draw_labels_and_distances(self, n_worlds: int) -> None:
         """Draw the first ``n_worlds`` rows into ``labels`` and ``distances``."""
@@ -175,6 +185,9 @@ def _intrinsics(model: mujoco.MjModel, camera: int, image_size: int) -> Any:
     intrinsics = CameraIntrinsics()
     intrinsics.camera, intrinsics.size = camera, image_size
     intrinsics.focal = 0.5 * image_size / np.tan(0.5 * np.radians(model.cam_fovy[camera]))
+    pixels = np.arange(-(-image_size // TILE) * TILE, dtype=np.float32)
+    slopes = (pixels + np.float32(0.5) - np.float32(0.5 * image_size)) / np.float32(intrinsics.focal)
+    intrinsics.slopes = wp.array(slopes.reshape(-1, TILE), dtype=Row)
     return intrinsics
 
 

@@ -1,7 +1,9 @@
 """One shape and sixteen rays from the camera: depth, lighting and texture at the points where they enter the shape.
 
 The loops over the rays hold no branches and stay loops, so that compilers turn them into vector instructions; that is
-most of the speed on a CPU. Ray i has the direction ``(xs[i], ys[i], -1)`` in the camera's frame.
+most of the speed on a CPU. Ray i has the direction ``(xs[i], ys[i], -1)`` in the camera's frame. Shapes are passed by
+number: to copy one for a call takes longer than the call, as the processor waits for what it has just stored in small
+parts and loads as a whole.
 """
 
 # ruff: noqa: PLR0917 - warp functions take their arguments by position
@@ -36,13 +38,11 @@ from dynahoi_lerobot.renderers.raycast.shapes import (
     uv_sphere,
 )
 from dynahoi_lerobot.renderers.raycast.textures import Textures, level_of, texel
-from dynahoi_lerobot.renderers.raycast.tiling import TILE, Shape
+from dynahoi_lerobot.renderers.raycast.tiling import TILE, Row, Shape
 from dynahoi_lerobot.scene.model import SHININESS
 
-Row = wp.types.vector(TILE, wp.float32)
 HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
 """Blinn exponent, computed as OpenGL does."""
-Indices = wp.types.vector(TILE, wp.int32)
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
 
@@ -74,32 +74,54 @@ def _lighting(normal: wp.Function) -> wp.Function:
     """Return a function that computes the lighting at the points of a row."""
 
     @wp.func
-    def lit(shape: Shape, fill: wp.vec3, depths: Row, xs: Row, ys: Row, shiny: bool) -> tuple[Row, Row, Row]:
+    def lit(
+        size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, fill: wp.vec3, depths: Row, xs: Row, ys: Row
+    ) -> tuple[Row, Row]:
         diffuse = Row()
         filled = Row()
-        highlight = Row(0.0)
         for i in range(TILE):
-            n = normal(shape.size, shape.camera + depths[i] * ray_of(shape.from_camera, xs[i], ys[i]))
-            diffuse[i] = wp.dot(n, shape.to_light)
+            n = normal(size, o + depths[i] * ray_of(from_camera, xs[i], ys[i]))
+            diffuse[i] = wp.dot(n, light)
             filled[i] = wp.dot(n, fill)
-        if shiny:
-            for i in range(TILE):
-                ray = ray_of(shape.from_camera, xs[i], ys[i])
-                n = normal(shape.size, shape.camera + depths[i] * ray)
-                halfway = wp.normalize(shape.to_light - wp.normalize(ray))
-                facing = wp.where(diffuse[i] > 0.0, wp.dot(n, halfway), 0.0)
-                highlight[i] = wp.pow(wp.max(facing, 0.0), HIGHLIGHT_EXPONENT)
-        return diffuse, filled, highlight
+        return diffuse, filled
 
     return lit
+
+
+def _shining(normal: wp.Function) -> wp.Function:
+    """Return a function that computes the highlights at the points of a row."""
+
+    @wp.func
+    def shining(size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, depths: Row, xs: Row, ys: Row) -> Row:
+        row = Row()
+        for i in range(TILE):
+            ray = ray_of(from_camera, xs[i], ys[i])
+            n = normal(size, o + depths[i] * ray)
+            halfway = wp.normalize(light - wp.normalize(ray))
+            facing = wp.where(wp.dot(n, light) > 0.0, wp.dot(n, halfway), 0.0)
+            row[i] = wp.pow(wp.max(facing, 0.0), HIGHLIGHT_EXPONENT)
+        return row
+
+    return shining
 
 
 def _texturing(uv: wp.Function, normal: wp.Function) -> wp.Function:
     """Return a function that samples the shape's texture at the points of a row."""
 
     @wp.func
-    def textured(shape: Shape, textures: Textures, pixel_rad: float, middle: int, depths: Row, xs: Row, ys: Row) -> Row:
+    def textured(
+        shapes: wp.array2d[Shape],
+        w: int,
+        s: int,
+        textures: Textures,
+        pixel_rad: float,
+        middle: int,
+        depths: Row,
+        xs: Row,
+        ys: Row,
+    ) -> Row:
         row = Row()
+        shape = shapes[w, s]
         ray = ray_of(shape.from_camera, xs[middle], ys[middle])
         n = normal(shape.size, shape.camera + depths[middle] * ray)
         facing = wp.abs(wp.dot(n, ray)) / wp.length(ray)
@@ -116,12 +138,24 @@ def _texturing(uv: wp.Function, normal: wp.Function) -> wp.Function:
     return textured
 
 
-_enter_plane, _light_plane = _entering(enter_plane), _lighting(normal_plane)
-_enter_sphere, _light_sphere = _entering(enter_sphere), _lighting(normal_sphere)
-_enter_capsule, _light_capsule = _entering(enter_capsule), _lighting(normal_capsule)
-_enter_cylinder, _light_cylinder = _entering(enter_cylinder), _lighting(normal_cylinder)
-_enter_ellipsoid, _light_ellipsoid = _entering(enter_ellipsoid), _lighting(normal_ellipsoid)
-_enter_box, _light_box = _entering(enter_box), _lighting(normal_box)
+_enter_plane, _light_plane, _shine_plane = _entering(enter_plane), _lighting(normal_plane), _shining(normal_plane)
+_enter_sphere, _light_sphere, _shine_sphere = _entering(enter_sphere), _lighting(normal_sphere), _shining(normal_sphere)
+_enter_capsule, _light_capsule, _shine_capsule = (
+    _entering(enter_capsule),
+    _lighting(normal_capsule),
+    _shining(normal_capsule),
+)
+_enter_cylinder, _light_cylinder, _shine_cylinder = (
+    _entering(enter_cylinder),
+    _lighting(normal_cylinder),
+    _shining(normal_cylinder),
+)
+_enter_ellipsoid, _light_ellipsoid, _shine_ellipsoid = (
+    _entering(enter_ellipsoid),
+    _lighting(normal_ellipsoid),
+    _shining(normal_ellipsoid),
+)
+_enter_box, _light_box, _shine_box = _entering(enter_box), _lighting(normal_box), _shining(normal_box)
 _texture_plane, _texture_sphere = _texturing(uv_plane, normal_plane), _texturing(uv_sphere, normal_sphere)
 _texture_capsule, _texture_box = _texturing(uv_capsule, normal_capsule), _texturing(uv_box, normal_box)
 _texture_cylinder = _texturing(uv_cylinder, normal_cylinder)
@@ -129,60 +163,86 @@ _texture_ellipsoid = _texturing(uv_ellipsoid, normal_ellipsoid)
 
 
 @wp.func
-def enter_row(geom_type: int, size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, xs: Row, ys: Row) -> Row:
-    """Return the depths [m] at which a row of rays from ``o`` enters a shape, negative where it does not."""
+def enter_row(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> Row:
+    """Return the depths [m] at which a row of rays from the camera enters a shape, negative where it does not."""
+    geom_type = shapes[w, s].geom_type
+    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
     if geom_type == PLANE:
-        return _enter_plane(size, o, from_camera, xs, ys)
+        return _enter_plane(size, camera, from_camera, xs, ys)
     if geom_type == CAPSULE:
-        return _enter_capsule(size, o, from_camera, xs, ys)
+        return _enter_capsule(size, camera, from_camera, xs, ys)
     if geom_type == BOX:
-        return _enter_box(size, o, from_camera, xs, ys)
+        return _enter_box(size, camera, from_camera, xs, ys)
     if geom_type == CYLINDER:
-        return _enter_cylinder(size, o, from_camera, xs, ys)
+        return _enter_cylinder(size, camera, from_camera, xs, ys)
     if geom_type == ELLIPSOID:
-        return _enter_ellipsoid(size, o, from_camera, xs, ys)
-    return _enter_sphere(size, o, from_camera, xs, ys)
+        return _enter_ellipsoid(size, camera, from_camera, xs, ys)
+    return _enter_sphere(size, camera, from_camera, xs, ys)
 
 
 @wp.func
-def light_row(shape: Shape, fill: wp.vec3, depths: Row, xs: Row, ys: Row, shiny: bool) -> tuple[Row, Row, Row]:
-    """Return the cosines between normal and light and between normal and ``fill``, and if ``shiny`` the highlight.
-
-    Highlights follow Blinn (1977).
-    """
-    if shape.geom_type == PLANE:
-        return _light_plane(shape, fill, depths, xs, ys, shiny)
-    if shape.geom_type == CAPSULE:
-        return _light_capsule(shape, fill, depths, xs, ys, shiny)
-    if shape.geom_type == BOX:
-        return _light_box(shape, fill, depths, xs, ys, shiny)
-    if shape.geom_type == CYLINDER:
-        return _light_cylinder(shape, fill, depths, xs, ys, shiny)
-    if shape.geom_type == ELLIPSOID:
-        return _light_ellipsoid(shape, fill, depths, xs, ys, shiny)
-    return _light_sphere(shape, fill, depths, xs, ys, shiny)
+def light_row(
+    shapes: wp.array2d[Shape], w: int, s: int, fill: wp.vec3, depths: Row, xs: Row, ys: Row
+) -> tuple[Row, Row]:
+    """Return the cosines between normal and light and between normal and ``fill``."""
+    geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
+    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+    if geom_type == PLANE:
+        return _light_plane(size, camera, from_camera, light, fill, depths, xs, ys)
+    if geom_type == CAPSULE:
+        return _light_capsule(size, camera, from_camera, light, fill, depths, xs, ys)
+    if geom_type == BOX:
+        return _light_box(size, camera, from_camera, light, fill, depths, xs, ys)
+    if geom_type == CYLINDER:
+        return _light_cylinder(size, camera, from_camera, light, fill, depths, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _light_ellipsoid(size, camera, from_camera, light, fill, depths, xs, ys)
+    return _light_sphere(size, camera, from_camera, light, fill, depths, xs, ys)
 
 
 @wp.func
-def texture_row(shape: Shape, textures: Textures, pixel_rad: float, middle: int, depths: Row, xs: Row, ys: Row) -> Row:
+def highlight_row(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, ys: Row) -> Row:
+    """Return the highlights at the points of a row (Blinn, 1977)."""
+    geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
+    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+    if geom_type == PLANE:
+        return _shine_plane(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == CAPSULE:
+        return _shine_capsule(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == BOX:
+        return _shine_box(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == CYLINDER:
+        return _shine_cylinder(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _shine_ellipsoid(size, camera, from_camera, light, depths, xs, ys)
+    return _shine_sphere(size, camera, from_camera, light, depths, xs, ys)
+
+
+@wp.func
+def texture_row(
+    shapes: wp.array2d[Shape],
+    w: int,
+    s: int,
+    textures: Textures,
+    pixel_rad: float,
+    middle: int,
+    depths: Row,
+    xs: Row,
+    ys: Row,
+) -> Row:
     """Return the brightness of the shape's texture, 0 to 1, as sharp as ray ``middle`` of those that show it allows.
 
-    Args:
-        shape: the shape.
-        textures: of the scene.
-        pixel_rad: angle between the rays of neighbouring pixels [rad].
-        middle: number of a ray that shows the shape.
-        depths: of the points [m].
-        xs, ys: slopes of the rays in the camera's frame.
+    ``pixel_rad`` is the angle between the rays of neighbouring pixels [rad], ``depths`` those of the points [m].
     """
-    if shape.geom_type == PLANE:
-        return _texture_plane(shape, textures, pixel_rad, middle, depths, xs, ys)
-    if shape.geom_type == CAPSULE:
-        return _texture_capsule(shape, textures, pixel_rad, middle, depths, xs, ys)
-    if shape.geom_type == BOX:
-        return _texture_box(shape, textures, pixel_rad, middle, depths, xs, ys)
-    if shape.geom_type == CYLINDER:
-        return _texture_cylinder(shape, textures, pixel_rad, middle, depths, xs, ys)
-    if shape.geom_type == ELLIPSOID:
-        return _texture_ellipsoid(shape, textures, pixel_rad, middle, depths, xs, ys)
-    return _texture_sphere(shape, textures, pixel_rad, middle, depths, xs, ys)
+    geom_type = shapes[w, s].geom_type
+    if geom_type == PLANE:
+        return _texture_plane(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    if geom_type == CAPSULE:
+        return _texture_capsule(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    if geom_type == BOX:
+        return _texture_box(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    if geom_type == CYLINDER:
+        return _texture_cylinder(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _texture_ellipsoid(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    return _texture_sphere(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)

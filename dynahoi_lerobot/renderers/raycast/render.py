@@ -7,9 +7,8 @@ from __future__ import annotations
 import warp as wp
 
 from dynahoi_lerobot.renderers.raycast.lighting import Look, color_row
-from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row
 from dynahoi_lerobot.renderers.raycast.textures import Textures
-from dynahoi_lerobot.renderers.raycast.tiling import TILE, CameraIntrinsics
+from dynahoi_lerobot.renderers.raycast.tiling import TILE, CameraIntrinsics, Indices, Row
 from dynahoi_lerobot.renderers.raycast.tracing import Worlds, trace_row
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
@@ -30,7 +29,7 @@ def trace(
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
     tile = tile_of(intrinsics, y, column)
-    distance, shape = trace_row(worlds, w, tile, xs_of(intrinsics, column), ys_of(intrinsics, y), 0.0)
+    distance, shape = trace_row(worlds, w, tile, intrinsics.slopes[column], ys_of(intrinsics, y), 0.0)
     visible[w, y, column] = shape
     depths[w, y, column] = distance
 
@@ -45,6 +44,7 @@ def render_color(
     visible: wp.array3d[Indices],
     depths: wp.array3d[Row],
     colors: wp.array3d[Indices],
+    images: wp.array3d[wp.uint32],
 ):
     """Write the colours of one pixel row of one tile, from the middle of each pixel, as 0xBBGGRR.
 
@@ -53,12 +53,13 @@ def render_color(
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
     tile = tile_of(intrinsics, y, column)
-    xs, ys = xs_of(intrinsics, column), ys_of(intrinsics, y)
+    xs, ys = intrinsics.slopes[column] * 1.0, ys_of(intrinsics, y)
     red, green, blue = color_row(worlds, look, textures, w, tile, depths[w, y, column], visible[w, y, column], xs, ys)
     packed = Indices()
     for i in range(TILE):
         packed[i] = _level(red[i]) + (_level(green[i]) << 8) + (_level(blue[i]) << 16)
     colors[w, y, column] = packed
+    write_row(images, w, y, column, packed)
 
 
 @wp.kernel
@@ -75,7 +76,7 @@ def render_ids_and_depth(
     """
     w, y, column = wp.tid()
     tile = tile_of(intrinsics, y, column)
-    depths, visible = trace_row(worlds, w, tile, xs_of(intrinsics, column), ys_of(intrinsics, y), 0.0)
+    depths, visible = trace_row(worlds, w, tile, intrinsics.slopes[column], ys_of(intrinsics, y), 0.0)
     for i in range(wp.min(TILE, intrinsics.size - column * TILE)):
         labels[w, y, column * TILE + i] = -1
         distances[w, y, column * TILE + i] = 0.0
@@ -85,12 +86,15 @@ def render_ids_and_depth(
 
 
 @wp.func
-def xs_of(intrinsics: CameraIntrinsics, column: int) -> Row:
-    """Return the slopes to the right of the rays through a row of pixels of a tile."""
-    row = Row()
-    for i in range(TILE):
-        row[i] = slope(intrinsics, column * TILE + i)
-    return row
+def write_row(images: wp.array3d[wp.uint32], w: int, y: int, column: int, colors: Indices):
+    """Write one pixel row of one tile of the images, whose bytes are taken four at a time."""
+    for group in range(TILE // 4):
+        a, b = wp.uint32(colors[4 * group]), wp.uint32(colors[4 * group + 1])
+        c, d = wp.uint32(colors[4 * group + 2]), wp.uint32(colors[4 * group + 3])
+        word = 3 * (TILE // 4 * column + group)
+        images[w, y, word] = a | (b << wp.uint32(24))
+        images[w, y, word + 1] = (b >> wp.uint32(8)) | (c << wp.uint32(16))
+        images[w, y, word + 2] = (c >> wp.uint32(16)) | (d << wp.uint32(8))
 
 
 @wp.func

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row, ray_of
+from dynahoi_lerobot.renderers.raycast.pixel_rows import ray_of
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, slab_exit
-from dynahoi_lerobot.renderers.raycast.tiling import TILE, Shape
+from dynahoi_lerobot.renderers.raycast.tiling import TILE, Indices, Row, Shape
 from dynahoi_lerobot.renderers.raycast.tracing import LightFrame, Worlds
 
 TINY = wp.constant(1.0e-6)
@@ -107,11 +107,13 @@ def _shading(shadow: wp.Function) -> wp.Function:
     """Return a function that computes what one type of shape takes from the points of a row."""
 
     @wp.func
-    def shaded(shape: Shape, spread: float, depths: Row, xs: Row, ys: Row) -> Row:
+    def shaded(
+        size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, spread: float, depths: Row, xs: Row, ys: Row
+    ) -> Row:
         row = Row()
         for i in range(TILE):
-            point = shape.camera + depths[i] * ray_of(shape.from_camera, xs[i], ys[i])
-            row[i] = shadow(shape.size, spread, point, shape.to_light)
+            point = o + depths[i] * ray_of(from_camera, xs[i], ys[i])
+            row[i] = shadow(size, spread, point, light)
         return row
 
     return shaded
@@ -122,28 +124,32 @@ _shade_cylinder, _shade_ellipsoid = _shading(shadow_cylinder), _shading(shadow_e
 
 
 @wp.func
-def _shade(shape: Shape, spread: float, depths: Row, xs: Row, ys: Row) -> Row:
-    if shape.geom_type == CAPSULE:
-        return _shade_capsule(shape, spread, depths, xs, ys)
-    if shape.geom_type == BOX:
-        return _shade_box(shape, spread, depths, xs, ys)
-    if shape.geom_type == CYLINDER:
-        return _shade_cylinder(shape, spread, depths, xs, ys)
-    if shape.geom_type == ELLIPSOID:
-        return _shade_ellipsoid(shape, spread, depths, xs, ys)
-    return _shade_sphere(shape, spread, depths, xs, ys)
+def _shade(shapes: wp.array2d[Shape], w: int, s: int, spread: float, depths: Row, xs: Row, ys: Row) -> Row:
+    geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
+    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+    if geom_type == CAPSULE:
+        return _shade_capsule(size, camera, from_camera, light, spread, depths, xs, ys)
+    if geom_type == BOX:
+        return _shade_box(size, camera, from_camera, light, spread, depths, xs, ys)
+    if geom_type == CYLINDER:
+        return _shade_cylinder(size, camera, from_camera, light, spread, depths, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _shade_ellipsoid(size, camera, from_camera, light, spread, depths, xs, ys)
+    return _shade_sphere(size, camera, from_camera, light, spread, depths, xs, ys)
 
 
 @wp.func
 def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row) -> Row:
     """Return the share of the light, 0 to 1, that reaches the points of a row; no shape shades itself."""
     row = Row(1.0)
+    if worlds.caster_counts[w, tile] == 0:
+        return row
     frame = worlds.light_frames[w]
     low, high = _row_bounds(frame, depths, visible, xs, ys)
     for k in range(worlds.caster_counts[w, tile]):
         s = worlds.casters[w, tile, k]
         if may_shade(worlds.caster_lows[w, s], worlds.caster_highs[w, s], low, high, frame.spread):
-            taken = _shade(worlds.shapes[w, s], frame.spread, depths, xs, ys)
+            taken = _shade(worlds.shapes, w, s, frame.spread, depths, xs, ys)
             alpha = worlds.shapes[w, s].alpha
             for i in range(TILE):
                 left = wp.where(visible[i] == s, 1.0, 1.0 - alpha * taken[i])
@@ -154,10 +160,11 @@ def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indice
 @wp.func
 def _row_bounds(frame: LightFrame, depths: Row, visible: Indices, xs: Row, ys: Row) -> tuple[wp.vec3, wp.vec3]:
     """Lower and upper corner [m], light frame, of a box around the points of a row, whose rays lie in a plane."""
-    farthest = Row()
+    least, most = Indices(), Indices()
     for i in range(TILE):
-        farthest[i] = wp.where(visible[i] >= 0, depths[i], 0.0)
-    near, far = wp.min(depths), wp.max(farthest)
+        least[i] = wp.cast(depths[i], wp.int32)  # bits of floats that are not negative are in the order of the floats
+        most[i] = wp.where(visible[i] >= 0, least[i], 0)
+    near, far = wp.cast(wp.min(least), wp.float32), wp.cast(wp.max(most), wp.float32)
     first, last = ray_of(frame.from_camera, xs[0], ys[0]), ray_of(frame.from_camera, xs[TILE - 1], ys[TILE - 1])
     low = wp.min(wp.min(near * first, far * first), wp.min(near * last, far * last))
     high = wp.max(wp.max(near * first, far * first), wp.max(near * last, far * last))

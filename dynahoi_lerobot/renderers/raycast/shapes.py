@@ -199,3 +199,13 @@ def _azimuth(p: wp.vec3) -> float:
     """Azimuth in full turns, 0 to 1."""
     turn = wp.atan2(p[1], p[0]) * (0.5 / wp.pi)
     return wp.where(turn < 0.0, turn + 1.0, turn)
+
+
+@wp.func
+def textured_half_size(geom_type: int, size: wp.vec3) -> float:
+    """Return half of the length [m] over which the texture of a shape repeats once, along its shorter side."""
+    if geom_type == PLANE:
+        return wp.min(size[0], size[1])
+    if geom_type == BOX:
+        return size[0] + size[1] + size[2] - wp.max(size) - wp.min(size)
+    return 1.5 * size[0]

@@ -6,7 +6,15 @@ from __future__ import annotations
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.shapes import BOX, ELLIPSOID, PLANE, SPHERE, enter_box, enter_plane
+from dynahoi_lerobot.renderers.raycast.shapes import (
+    BOX,
+    ELLIPSOID,
+    PLANE,
+    SPHERE,
+    enter_box,
+    enter_plane,
+    textured_half_size,
+)
 
 TILE = wp.constant(16)
 """Side of a tile [px]."""
@@ -19,13 +27,25 @@ NEAREST_DEPTH = wp.constant(0.01)
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
 
 
+Row = wp.types.vector(TILE, wp.float32)
+Indices = wp.types.vector(TILE, wp.int32)
+
+
 @wp.struct
 class CameraIntrinsics:
-    """Pinhole camera: id in the model, side of the square image [px], focal length [px]."""
+    """Pinhole camera.
+
+    Attributes:
+        camera: id in the model.
+        size: side of the square image [px].
+        focal: focal length [px].
+        slopes: (tiles across,) slopes to the right of the rays through the pixels of each tile.
+    """
 
     camera: int
     size: int
     focal: float
+    slopes: wp.array[Row]
 
 
 @wp.struct
@@ -102,22 +122,11 @@ def place_shapes(
         shape.specularity = 1.0
         shape.texture = texture_of[geom_matid[w, geom]]
         shape.repeat = repeat_of[geom_matid[w, geom]]
-        shape.repeats_per_m = 0.5 * wp.max(shape.repeat) / _textured_half_size(shape)
+        shape.repeats_per_m = 0.5 * wp.max(shape.repeat) / textured_half_size(shape.geom_type, shape.size)
     shapes[w, s] = shape
     bounds[w, s] = wp.vec4(FAR, -FAR, FAR, -FAR)
     if rgba[3] > 0.0:
         bounds[w, s] = _bounds(intrinsics, shape)
-
-
-@wp.func
-def _textured_half_size(shape: Shape) -> float:
-    """Half of the length [m] over which the texture of a shape repeats once, along its shorter side."""
-    if shape.geom_type == PLANE:
-        return wp.min(shape.size[0], shape.size[1])
-    if shape.geom_type == BOX:
-        least = wp.min(shape.size)
-        return wp.min(shape.size[0] + shape.size[1] + shape.size[2] - wp.max(shape.size) - least, FAR)
-    return 1.5 * shape.size[0]
 
 
 @wp.func

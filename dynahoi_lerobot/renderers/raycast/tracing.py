@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.pixel_rows import Indices, Row, enter_row
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, Shape
+from dynahoi_lerobot.renderers.raycast.pixel_rows import enter_row
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, Indices, Row, Shape
 
 TIE = wp.constant(1.0e-6)
 """Relative depth difference below which the later of two geoms is visible, as in MuJoCo."""
+MISSED = wp.constant(1.0e30)
+"""Depth of what is not met: beyond all others."""
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
 
@@ -63,16 +65,20 @@ def trace_row(worlds: Worlds, w: int, tile: int, xs: Row, ys: Row, least_alpha: 
     for k in range(worlds.counts[w, tile]):
         s = worlds.lists[w, tile, k]
         if worlds.shapes[w, s].alpha >= least_alpha:
-            depths, visible = meet_shape(worlds.shapes[w, s], s, depths, visible, xs, ys)
+            depths, visible = meet_shape(worlds.shapes, w, s, depths, visible, xs, ys)
     return depths, visible
 
 
 @wp.func
-def meet_shape(shape: Shape, s: int, depths: Row, visible: Indices, xs: Row, ys: Row) -> tuple[Row, Indices]:
+def meet_shape(
+    shapes: wp.array2d[Shape], w: int, s: int, depths: Row, visible: Indices, xs: Row, ys: Row
+) -> tuple[Row, Indices]:
     """Return depths and indices with those of shape ``s`` where it is nearer."""
-    row = enter_row(shape.geom_type, shape.size, shape.camera, shape.from_camera, xs, ys)
+    row = enter_row(shapes, w, s, xs, ys)
+    nearest, seen = Row(), Indices()
     for i in range(TILE):
-        shows = row[i] > 0.0 and row[i] <= depths[i] + TIE * wp.max(depths[i], 1.0)
-        depths[i] = wp.where(shows, row[i], depths[i])
-        visible[i] = wp.where(shows, s, visible[i])
-    return depths, visible
+        limit = depths[i] + TIE * wp.max(depths[i], 1.0)
+        ahead = wp.where(row[i] > 0.0, row[i], MISSED)
+        nearest[i] = wp.where(ahead <= limit, row[i], depths[i])
+        seen[i] = wp.where(ahead <= limit, s, visible[i])
+    return nearest, seen

@@ -149,6 +149,11 @@ class ObActPolicy(PreTrainedPolicy):
         return self.planner.advance(model, model.encode_looks(frame, looks), batch)
 
     @torch.no_grad()
+    def observe(self, batch: Batch) -> None:
+        """Add one frame per environment to the history without acting, for callers that ask for chunks now and then."""
+        self.planner.note(batch)
+
+    @torch.no_grad()
     def predict_action_chunk(
         self,
         batch: Batch,

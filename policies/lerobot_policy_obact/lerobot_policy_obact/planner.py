@@ -59,6 +59,10 @@ class ChunkPlanner:
         before, self._last_images = self._last_images, observation.images
         return observation.after(observation.images if before is None else before)
 
+    def note(self, batch: Batch) -> None:
+        """Add one frame per environment to the history."""
+        self.history.append(self.observe(batch))
+
     def advance(
         self, model: ObActModel, frame: Observation | EncodedFrames, batch: Batch, noise: Tensor | None = None
     ) -> Tensor:
