@@ -99,7 +99,12 @@ def pinned_seeds(split: str) -> range:
 def spec_digests(split: str, seeds: Sequence[int], *, threads: int = 0) -> dict[int, str]:
     """Return a digest of all that each spec holds but the fingerprint of the code, by seed."""
     specs = sample_specs(Recipe(split=split), seeds, threads=threads)
-    return {spec.seed: _digest(_content(spec))[:8] for spec in specs}
+    return {spec.seed: spec_digest(spec) for spec in specs}
+
+
+def spec_digest(spec: EpisodeSpec) -> str:
+    """Return a digest of all that a spec holds but the fingerprint of the code."""
+    return _digest(_content(spec))[:8]
 
 
 def picture_digests(
@@ -167,7 +172,7 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return _rounded(value.tolist())
     if isinstance(value, dict):
-        return {key: _rounded(entry) for key, entry in value.items()}
+        return {key: _rounded(entry) for key, entry in value.items() if entry is not None}  # parts that it lacks
     if isinstance(value, list | tuple):
         return [_rounded(entry) for entry in value]
     return _rounded(vars(value)) if hasattr(value, "__dict__") else value

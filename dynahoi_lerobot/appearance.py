@@ -49,6 +49,7 @@ class Appearance:
         distractors: further solids in view, each of another shape.
         furniture: boxes that stand about.
         sleeve_rgb: colour of the sleeve, 0 to 1.
+        screen: the panel that hides the target for a while, under a protocol that has one.
     """
 
     target_pattern: str
@@ -68,6 +69,7 @@ class Appearance:
     distractors: tuple[Solid, ...] = ()
     furniture: tuple[Solid, ...] = ()
     sleeve_rgb: tuple[float, float, float] = (0.3, 0.32, 0.38)
+    screen: Solid | None = None
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> Appearance:

@@ -21,7 +21,7 @@ from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout import recorder
 from dynahoi_lerobot.world.batch import WorldBatch
 
-README = Path(__file__).parents[1] / "README.md"
+PAGE = Path(__file__).parents[1] / "docs" / "dataset.md"
 WIND = Feature("wind", "observation.wind", (2,), ("x", "y"), "m/s", "wind", gym_key="wind", low=-3.0, high=3.0)
 HEAT = Feature("heat", "world.heat", (), ("heat",), "K", "temperature of the air")
 
@@ -101,4 +101,4 @@ def test_one_entry_is_enough_for_spaces_config_recording_dataset_and_reader(tmp_
 
 
 def test_the_readme_shows_the_table() -> None:
-    assert markdown_table(LISTS["features"]()) in README.read_text(), "paste what `dynahoi list features` prints"
+    assert markdown_table(LISTS["features"]()) in PAGE.read_text(), "paste what `dynahoi list features` prints"

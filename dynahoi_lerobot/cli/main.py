@@ -16,9 +16,12 @@ COMMANDS = {
     "generate": ("dynahoi_lerobot.generate.command", "write a LeRobotDataset of expert episodes"),
     "verify": ("dynahoi_lerobot.verify.command", "check every promise about a dataset on disk"),
     "filter": ("dynahoi_lerobot.verify.filter_command", "copy a dataset without the paper's outliers"),
+    "pretrain": ("dynahoi_lerobot.onpolicy.pretrain_command", "train a policy's eye on pictures of random poses"),
+    "dagger": ("dynahoi_lerobot.onpolicy.command", "train a policy on its own episodes, with a teacher, in memory"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "run a policy or an expert on a split and compute every metric"),
     "certify": ("dynahoi_lerobot.evaluate.certify_command", "replay an evaluation and compare every metric"),
     "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),
+    "push": ("dynahoi_lerobot.hub.command", "upload a dataset, checkpoint, results or environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "write an episode as GIF, MP4 or web page"),
     "list": ("dynahoi_lerobot.cli.listing", "list motions, objects, metrics and other registered names"),
 }

@@ -17,6 +17,7 @@ from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.replay import replay
@@ -48,6 +49,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--control-class", default=DEFAULT_CONTROL_CLASS, help="with --motion: unlimited, standard or late"
+    )
+    parser.add_argument(
+        "--protocol",
+        default=DEFAULT_PROTOCOL,
+        help=f"with --motion: {', '.join(PROTOCOLS)}; see dynahoi evaluate --help",
     )
     add_trust_argument(parser)
     parser.add_argument("--image-size", type=int, help="side of newly rendered images [px]")
@@ -84,6 +90,7 @@ def _played(args: argparse.Namespace) -> Clip:
         image_size=size,
         views=tuple(sorted(views)),
         capture=args.capture,
+        protocol=args.protocol,
         control_class=args.control_class,
     )
     if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it

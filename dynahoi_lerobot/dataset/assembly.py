@@ -9,6 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from dynahoi_lerobot.dataset.card.readme import finish_with_card
 from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns, without_place
 from dynahoi_lerobot.dataset.files import reading
@@ -65,7 +66,7 @@ class Assembly:
         self._seeds.append(row["seed"])
 
     def finish(self, provenance: dict[str, Any], yields: dict[str, int]) -> Manifest:
-        """Write the tables and the manifest."""
+        """Write the tables, the card and the manifest."""
         self._data.close()
         self._metadata.finish()
         metadata = self._metadata
@@ -73,8 +74,7 @@ class Assembly:
         manifest = Manifest(
             metadata.episodes, metadata.frames, hashes, self._seeds, provenance, yields, metadata.benchmark
         )
-        manifest.write(self.root)
-        return manifest
+        return finish_with_card(self.root, manifest)
 
 
 def stored_episodes(store: Store) -> Iterator[tuple[EpisodeRow, pa.Table]]:

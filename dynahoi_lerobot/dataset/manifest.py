@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.dataset.metadata import write_json
-from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
+from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
 
 FORMAT = 1
 BLOCK = 1 << 20
-CARD_FILES = ("README.md", "LICENSE", ".gitattributes")
+CARD_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
 CARD_FOLDERS = (".cache/", ".git/")
 """What the Hub and git put beside a dataset; everything else in its folder is in the manifest."""
 
@@ -85,7 +85,10 @@ _TYPES = {
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    """Yield every file that is missing or has changed; every byte is read."""
+    """Yield every file that is missing or has changed; every byte is read.
+
+    The card may differ: people edit theirs, and LeRobot's ``push_to_hub`` writes its own.
+    """
     if manifest.sha256 != manifest.digest:
         said, found = manifest.sha256[:12], manifest.digest[:12]
         yield f"{MANIFEST_PATH} has changed: the sha256 of its content is {found}..., it says {said or 'nothing'}..."
@@ -93,6 +96,8 @@ def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
         path = root / name
         if ".." in Path(name).parts or Path(name).is_absolute():
             yield f"the manifest names {name!r}, outside the dataset"
+        elif name == CARD_PATH:
+            continue
         elif not path.is_file():
             yield f"{name} is missing"
         elif (found := sha256(path)) != digest:

@@ -17,6 +17,9 @@ STATS_PATH = "meta/stats.json"
 MANIFEST_PATH = "meta/manifest.json"
 HISTOGRAMS_PATH = "meta/histograms.json"
 """These two are ours; LeRobot ignores them."""
+CARD_PATH = "README.md"
+PICTURE_PATH = "assets/{key}.svg"
+"""The dataset card, which the Hub shows, and its pictures."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES, ControlClass
+from dynahoi_lerobot.control_class import CONTROL_CLASSES, ControlClass, control_class_of
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 
@@ -78,6 +78,17 @@ class TrajectoryLimits:
         """Return the limits in the frame whose origin is at (3,) [m], world."""
         moved = np.array(self.palm_range_m) - np.asarray(home_pos_w, float)[:, None]  # (3, 2)
         return replace(self, palm_range_m=tuple((float(low), float(high)) for low, high in moved))
+
+
+def limits_of(capture: str, control_class: str) -> TrajectoryLimits:
+    """Return the limits of a hand that was played under a capture rule and a control class.
+
+    Raises:
+        ValueError: if one of the names is unknown.
+    """
+    from dynahoi_lerobot.captures import CAPTURES  # imports MuJoCo, which reading a dataset does not need
+
+    return TrajectoryLimits.of_class(control_class_of(control_class), CAPTURES[capture].gantry_speed_m_s)
 
 
 def trajectory_problems(columns: Columns, home_pos_w: np.ndarray, limits: TrajectoryLimits | None = None) -> list[str]:

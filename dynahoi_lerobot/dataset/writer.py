@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dynahoi_lerobot.dataset.card.readme import finish_with_card
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, frame_table, image_keys, info_features
 from dynahoi_lerobot.dataset.episode_arrays import check_fits, content_arrays, image_arrays
@@ -93,7 +94,7 @@ class DatasetWriter:
         self._seeds.append(episode.meta.seed)
 
     def finish(self, provenance: dict[str, Any] | None = None, yields: dict[str, int] | None = None) -> Manifest:
-        """Close every file, write the tables under ``meta/`` and return the manifest, also written there.
+        """Close every file, write the tables under ``meta/`` and the card, and return the manifest, also written.
 
         Raises:
             ValueError: if no episode was added.
@@ -112,8 +113,7 @@ class DatasetWriter:
             yields or {},
             self._catalog.benchmark,
         )
-        manifest.write(self.root)
-        return manifest
+        return finish_with_card(self.root, manifest)
 
     def abandon(self) -> None:
         """Let go of all files; the folder stays as it is, unfinished."""

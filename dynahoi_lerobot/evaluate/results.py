@@ -79,6 +79,11 @@ class Results:
         """The control class of its episodes."""
         return ", ".join(sorted({row["control_class"] for row in self.rows}))
 
+    @property
+    def protocol(self) -> str:
+        """The protocol of its episodes."""
+        return ", ".join(sorted({row["protocol"] for row in self.rows}))
+
     def summary(self) -> Summary:
         """Return every metric with its interval over all episodes."""
         return summarise_rows(self.rows)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,10 +57,16 @@ class SingleWorldExpert(Expert):
     def act(self, world: WorldState) -> np.ndarray:
         """Return (N, 18) commands, home frame; worlds without an episode get zeros."""
         commands = np.zeros((len(world.specs), HAND_DOF))
-        for i, spec in enumerate(world.specs):
-            if spec is not None:
-                commands[i] = self.command(_view(world, i, spec)) - _origin(spec)
+        for i, view in views(world):
+            commands[i] = self.command(view) - _origin(view.spec)
         return commands
+
+
+def views(world: WorldState) -> Iterator[tuple[int, WorldView]]:
+    """Yield each world that plays an episode, with its number."""
+    for i, spec in enumerate(world.specs):
+        if spec is not None:
+            yield i, _view(world, i, spec)
 
 
 def _view(world: WorldState, i: int, spec: EpisodeSpec) -> WorldView:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Meeting
+from dynahoi_lerobot.agent import Meeting, WorldState
 from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.approach import approach, earliest_arrival
-from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView, views
 
 SPEED_M_S = 1.0
 """Faster than this it does not go, where it may."""
@@ -28,6 +28,15 @@ class Intercept(SingleWorldExpert):
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
         return approach(world, _path_from(world.spec, world.due_frame), _speed(world.control))
+
+    def arrivals(self, state: WorldState) -> np.ndarray:
+        """Return (N,) int, in how many frames from now it means to meet each target; 0 without an episode."""
+        frames = np.zeros(len(state.specs), int)
+        for i, world in views(state):
+            path_w, closed = _path_from(world.spec, world.due_frame), world.spec.reference_joints
+            arrival = earliest_arrival(world.state, closed, path_w, _speed(world.control), world.control)
+            frames[i] = world.due_frame - world.frame + arrival
+        return frames
 
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
         """Return the meeting of its first plan, from the open hand at home."""

@@ -6,6 +6,7 @@ import difflib
 import importlib
 import pkgutil
 from collections.abc import Callable, Iterator
+from typing import cast
 
 from dynahoi_lerobot.foundation.plugins import load_plugins
 
@@ -29,18 +30,18 @@ class Registry[T]:
         self._entries: dict[str, T] = {}
         self._discovered = False
 
-    def register(self, name: str) -> Callable[[T], T]:
+    def register[E](self, name: str) -> Callable[[E], E]:
         """Return a decorator that files the decorated object under ``name``.
 
         Raises:
             ValueError: if another object already has the name.
         """
 
-        def decorate(entry: T) -> T:
+        def decorate(entry: E) -> E:
             taken = self._entries.get(name)
             if taken is not None and getattr(taken, "__qualname__", taken) != getattr(entry, "__qualname__", entry):
                 raise ValueError(f"the {self.noun} name {name!r} is taken by {taken!r}; choose another for {entry!r}")
-            self._entries[name] = entry
+            self._entries[name] = cast(T, entry)
             return entry
 
         return decorate

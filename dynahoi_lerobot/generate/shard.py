@@ -16,11 +16,10 @@ from dynahoi_lerobot.dataset.episode_arrays import content_arrays
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems, stray_files
 from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.dataset.quality_control import trajectory_problems
+from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
 from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
-from dynahoi_lerobot.verify.checks.plausibility import limits_of
 
 logger = logging.getLogger(__name__)
 

@@ -132,7 +132,7 @@ class Benchmark:
 
 
 BENCHMARK = Benchmark(
-    version="v1-draft",
+    version="v1",
     rules=Rules(),
     look=1,
     splits={

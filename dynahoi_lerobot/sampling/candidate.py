@@ -15,11 +15,13 @@ from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PhysicalMotion
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.sampling.furniture import furnish
 from dynahoi_lerobot.sampling.instructions import draw_instruction
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import salt_words
+from dynahoi_lerobot.sampling.screen import with_screen
 from dynahoi_lerobot.sampling.timing import Timing, draw_timing
 
 MIN_OBSERVED_S = 0.25
@@ -105,8 +107,8 @@ class Candidate:
         name = str(self.rng.choice(allowed))
         return OBJECTS[name].sample(name, self.rng)
 
-    def accept(self, path_w: np.ndarray, home_pos_w: np.ndarray) -> EpisodeSpec:
-        """Draw what does not decide whether the episode is possible, and return the episode.
+    def accept(self, path_w: np.ndarray, home_pos_w: np.ndarray) -> EpisodeSpec | None:
+        """Draw the rest and return the episode, or None if the protocol asks for a screen and none can be placed.
 
         Args:
             path_w: (F, 3) path of the untouched target [m], world.
@@ -131,4 +133,5 @@ class Candidate:
             oracle_path=path_w,
             fingerprint=self.recipe.fingerprint(),
         )
-        return randomize_appearance(furnish(spec), self.recipe.appearance)
+        spec = randomize_appearance(furnish(spec), self.recipe.appearance)
+        return with_screen(spec) if protocol_of(self.recipe.protocol).has_screen else spec

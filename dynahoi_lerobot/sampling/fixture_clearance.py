@@ -44,7 +44,7 @@ def keeps_clear(homes: np.ndarray, intercept_w: np.ndarray, fixtures: Sequence[B
     clear = np.ones(len(homes), bool)
     share = np.linspace(0.0, 1.0, WAY_POINTS)[:, None]
     for box in fixtures:
-        hand_m = box_distance(homes[:, None] + _hand_points(), box).min(axis=1)
+        hand_m = box_distance(homes[:, None] + hand_points(), box).min(axis=1)
         way_m = box_distance(homes[:, None] + share * (intercept_w - homes)[:, None], box)  # (K, P)
         allowed_m = np.minimum(WAY_CLEARANCE_M, way_m[:, -1])
         clear &= (hand_m > POINT_CLEARANCE_M) & (way_m.min(axis=1) >= allowed_m)
@@ -58,7 +58,7 @@ def box_distance(points: np.ndarray, box: Box) -> np.ndarray:
 
 
 @functools.cache
-def _hand_points() -> np.ndarray:
+def hand_points() -> np.ndarray:
     """(P, 3) points all over the open reference hand [m], from the palm centre: grids in its geoms' bounding boxes."""
     scene, data = open_reference_hand()
     points = []

@@ -59,9 +59,11 @@ def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dic
     reached = {i: c for i, c in drawn.items() if len(homes[i])}
     paths = _roll_ahead(recipe, reached, {i: c.timing.path_frames for i, c in reached.items()}, threads)
     return {
-        i: candidate.accept(paths[i], home)
+        i: spec
         for i, candidate in reached.items()
-        if in_arena(paths[i]) and (home := choose_home(paths[i], candidate.timing, homes[i])) is not None
+        if in_arena(paths[i])
+        and (home := choose_home(paths[i], candidate.timing, homes[i])) is not None
+        and (spec := candidate.accept(paths[i], home)) is not None
     }
 
 

@@ -86,9 +86,14 @@ def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
 
 
 def _draw_travel(motion: type[Motion], travel_bin: int, rng: np.random.Generator) -> float:
-    """Travel [m], uniform in its bin up to what the hand can cover before the motion's latest intercept."""
+    """Travel [m] in its bin, up to what the hand can cover before the motion's latest intercept.
+
+    Homes are spread evenly over the volume of the bin's shell: spread evenly over distance they would crowd around the
+    intercept, where a hand that sees nothing meets most targets.
+    """
     low, high = BENCHMARK.travels.edges[travel_bin : travel_bin + 2]
-    return float(rng.uniform(low, min(high, motion.max_approach_frames * HAND_SPEED_M_S * CONTROL_DT)))
+    high = min(high, motion.max_approach_frames * HAND_SPEED_M_S * CONTROL_DT)
+    return float(np.cbrt(rng.uniform(low**3, high**3)))
 
 
 def _draw_length(motion: type[Motion], duration_bin: int, approach: int, rng: np.random.Generator) -> int:

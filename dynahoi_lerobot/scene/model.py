@@ -47,6 +47,8 @@ DISTRACTORS = ("box", "capsule", "cylinder", "sphere")
 """Shapes of the things that are only there to be seen, one of each."""
 FURNITURE_SLOTS = 16
 """Boxes that furniture is made of; they are only there to be seen."""
+SCREEN = "screen"
+"""Name of the panel that hides the target under a protocol that has one."""
 USES = {"thing": (0.4, 1.0), "floor": (0.22, 8.0), "wall": (0.16, 12.0)}
 """Contrast of a pattern, the share that its dark parts lack, and how often it repeats, by what it is used for."""
 LARGEST_BOX_M = (1.5, 1.0, 0.3)
@@ -184,9 +186,9 @@ def _add_slots(body: mujoco.MjsBody, shape: str, numbers: range) -> None:
 
 
 def _add_solids(spec: mujoco.MjSpec) -> None:
-    """Add what is only there to be seen: furniture and distractors."""
+    """Add what is only there to be seen: furniture, distractors and the screen."""
     names = {f"furniture_{number}": "box" for number in range(FURNITURE_SLOTS)}
-    names |= {f"distractor_{shape}": shape for shape in DISTRACTORS}
+    names |= {f"distractor_{shape}": shape for shape in DISTRACTORS} | {SCREEN: "box"}
     for name, shape in names.items():
         spec.worldbody.add_geom(
             name=name, type=SHAPES[shape], size=(LARGEST_SLOT_M,) * 3, contype=0, conaffinity=0,

@@ -18,6 +18,7 @@ from dynahoi_lerobot.scene.model import (
     DISTRACTORS,
     FIXTURE_BOXES,
     FURNITURE_SLOTS,
+    SCREEN,
     SHOWN_WALLS,
     SIDE_CAMERA,
     build_model,
@@ -44,7 +45,7 @@ class Scene:
         palm_site, tip_sites, palm_body: the hand's sites and body.
         camera: id of the ego camera.
         materials: material id of each pattern.
-        furniture_geoms: geom ids of the boxes that furniture is made of.
+        furniture_geoms: geom ids of the boxes that furniture is made of; ``screen_geom``: of the screen.
         skin_geoms, sleeve_geoms: ids of what is drawn of the hand and does not collide.
         hand_geoms: ids of the hand's geoms that collide; ``finger_geoms``: (5, K) the geoms of each finger.
     """
@@ -65,6 +66,7 @@ class Scene:
     wall_geoms: tuple[int, ...]
     distractor_geoms: dict[str, int]
     furniture_geoms: tuple[int, ...]
+    screen_geom: int
     skin_geoms: np.ndarray
     sleeve_geoms: np.ndarray
     box_geoms: tuple[int, ...]
@@ -145,6 +147,7 @@ def _index(model: mujoco.MjModel, hand: Hand) -> Scene:
         wall_geoms=tuple(geoms[name] for name in SHOWN_WALLS),
         distractor_geoms={shape: geoms[f"distractor_{shape}"] for shape in DISTRACTORS},
         furniture_geoms=tuple(geoms[f"furniture_{number}"] for number in range(FURNITURE_SLOTS)),
+        screen_geom=geoms[SCREEN],
         skin_geoms=_starting(geoms, SKIN_GEOM_PREFIX),
         sleeve_geoms=_starting(geoms, SLEEVE_GEOM),
         box_geoms=tuple(geoms[n] for n in FIXTURE_BOXES),

@@ -119,6 +119,7 @@ class WorldFields:
             self._write_solid(i, geom, things.get(shape))
         for geom, solid in zip_longest(scene.furniture_geoms, appearance.furniture):
             self._write_solid(i, geom, solid)
+        self._write_solid(i, scene.screen_geom, appearance.screen)
 
     def _write_solid(self, i: int, geom: int, solid: Solid | None) -> None:
         self.fields["geom_size"][i, geom] = HIDDEN_SIZE if solid is None else solid.half_size

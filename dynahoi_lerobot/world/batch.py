@@ -131,6 +131,19 @@ class WorldBatch:
         distance = np.linalg.norm(self.target_pose[:, :3] - self.state[:, :PALM_DOF], axis=1)
         self._physics.reset(chosen, distance[chosen])
 
+    def place(self, state: np.ndarray, target_pose: np.ndarray) -> None:
+        """Pose hands and targets of all worlds without physics, to look at them; what was going on there is lost.
+
+        Args:
+            state: (N, 18) palm centre position [m], home frame, and joint angles [rad].
+            target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
+        """
+        first = self.scene.target_qpos
+        self._fields.qpos[:, self.scene.hand_qpos] = state + self._origin
+        self._fields.qpos[:, first : first + 7] = target_pose
+        self._fields.qpos[:, first : first + PALM_DOF] += self.home_pos_w
+        self._update_kinematics()
+
     def step(self, commands: np.ndarray, ids: np.ndarray | None = None) -> None:
         """Advance worlds ``ids`` (default: all) by one control step of 0.05 s.
 

@@ -13,7 +13,10 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 
 BAD_VALUES = [
     ({"split": "trian"}, "unknown split 'trian'; known: train, val, test"),
-    ({"protocol": "look"}, "unknown protocol 'look'; known: observe_before_act, direct_act, observe_then_blind"),
+    (
+        {"protocol": "look"},
+        "unknown protocol 'look'; known: observe_before_act, direct_act, observe_then_blind, occluded",
+    ),
     ({"instructions": "loud"}, "unknown instructions 'loud'; known: reveal, neutral, mixed"),
     ({"motions": ("lateral", "latteral")}, r"unknown motion 'latteral' \(did you mean 'lateral'\?\); known: acc"),
     ({"objects": ("bal",)}, r"unknown object 'bal' \(did you mean 'ball'\?\); known: ball, block"),

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.dataset.episode_arrays import content_arrays
-from dynahoi_lerobot.dataset.quality_control import trajectory_problems
+from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import MAX_DISTURBANCE_M, Recipe
-from dynahoi_lerobot.verify.checks.plausibility import limits_of
 from tests.synthetic import synthetic_episode
 
 KINDS = len(BENCHMARK.splits["train"].motions)

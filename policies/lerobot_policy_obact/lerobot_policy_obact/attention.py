@@ -104,7 +104,7 @@ class TemporalAttention(Attention):
         scores = scores.masked_fill(~decisions.keep[:, None, None], float("-inf"))  # (B, 1, 1, K, W)
         weights = F.dropout(scores.softmax(-1), self.dropout, self.training).to(v.dtype)
         context = (
-            torch.zeros_like(frame_scores).scatter(-1, index, weights) @ v + weights @ age_v
+            torch.zeros_like(frame_scores).scatter_add(-1, index, weights) @ v + weights @ age_v
         )  # (B, N, heads, K, d)
         return self.o_proj(decisions.pick(context.permute(0, 3, 1, 2, 4)).flatten(2))  # (R, N, heads, d) -> (R, N, D)
 

@@ -12,6 +12,8 @@ from lerobot.policies.rtc import RTCConfig
 from .windows import DecisionWindows
 
 ACTION_FRAMES = ("auto", "absolute", "relative")
+MEMORIES = ("recent", "window", "both")
+MEMORY_MODULES = ("attention", "gru")
 
 
 @PreTrainedConfig.register_subclass("obact")
@@ -23,8 +25,14 @@ class ObActConfig(PreTrainedConfig):
         n_obs_frames: observed frames before the current one, the paper's ``s``; 0 is the single-frame
             control.
         obs_stride: distance between observed frames [frames].
+        memory: which frames a decision sees: "recent" those, "window" frames of the observation window, which stay
+            for the whole episode, or "both".
+        n_window_frames: offsets at which frames of the observation window are looked for, spaced geometrically.
+        window_reach: the largest of those offsets [frames].
+        memory_module: what fuses the frames: spatiotemporal "attention", or a "gru" over all frames in turn.
         fps: frame rate of the data [Hz]; taken from the dataset when training starts.
         image_size: side to which every image is resized [px]; 0 keeps the size of the dataset.
+        motion: show the backbone each image together with the one before, for backbones that see what moves.
         horizon: actions in a predicted chunk, ``H``.
         n_action_steps: actions of a chunk that are executed before the policy replans.
         latency_frames: delay between an observation and the execution of the action predicted from it [frames]. That
@@ -63,8 +71,13 @@ class ObActConfig(PreTrainedConfig):
 
     n_obs_frames: int = 5
     obs_stride: int = 2
+    memory: str = "recent"
+    n_window_frames: int = 10
+    window_reach: int = 128
+    memory_module: str = "attention"
     fps: float = 20.0
     image_size: int = 96
+    motion: bool = False
 
     horizon: int = 16
     n_action_steps: int = 8
@@ -122,6 +135,8 @@ class ObActConfig(PreTrainedConfig):
         self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
         most = self.horizon - self.n_action_steps
         self._require(0 <= self.latency_frames <= most, "latency_frames", f"0 to {most} (horizon - n_action_steps)")
+        self._require(self.memory in MEMORIES, "memory", f"one of {', '.join(MEMORIES)}")
+        self._require(self.memory_module in MEMORY_MODULES, "memory_module", f"one of {', '.join(MEMORY_MODULES)}")
         self._require(self.action_frame in ACTION_FRAMES, "action_frame", f"one of {', '.join(ACTION_FRAMES)}")
         self._require(self.relative_weight > 0, "relative_weight", "above 0")
         self._require(self.privileged_weight >= 0, "privileged_weight", "0 or more")
@@ -138,12 +153,20 @@ class ObActConfig(PreTrainedConfig):
     @property
     def windows(self) -> DecisionWindows:
         """The frame offsets of a training sample."""
-        return DecisionWindows(self.n_obs_frames, self.obs_stride, self.horizon, self.n_decisions, self.decision_stride)
+        n_recent = 0 if self.memory == "window" else self.n_obs_frames
+        offsets = () if self.memory == "recent" else self._window_offsets(n_recent * self.obs_stride + 1)
+        return DecisionWindows(n_recent, self.obs_stride, self.horizon, self.n_decisions, self.decision_stride, offsets)
+
+    def _window_offsets(self, nearest: int) -> tuple[int, ...]:
+        """Spread `n_window_frames` offsets geometrically from the nearest to `window_reach`, without repeats."""
+        ratio = (self.window_reach / nearest) ** (1 / max(self.n_window_frames - 1, 1))
+        return tuple(sorted({round(nearest * ratio**i) for i in range(self.n_window_frames)}))
 
     @property
     def observation_delta_indices(self) -> list[int]:
         """Frames LeRobot loads for every ``observation.*`` key, relative to the sample [frames]."""
-        return self.windows.observation_offsets
+        offsets = self.windows.observation_offsets
+        return sorted({*offsets, *(offset - 1 for offset in offsets)}) if self.motion else offsets
 
     @property
     def action_delta_indices(self) -> list[int]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+TENSORS = ("tokens", "proprioception", "position", "keep", "watching", "sightings")
+
 
 @dataclass(frozen=True)
 class EncodedFrames:
@@ -17,6 +19,8 @@ class EncodedFrames:
         proprioception: all vector observations concatenated, normalised, shape ``(B, T, S)``.
         position: ``observation.state``, normalised, the reference of relative actions, shape ``(B, T, P)``; P may be 0.
         keep: False where a frame is padding, shape ``(B, T)``.
+        watching: True where a frame is part of the observation window, shape ``(B, T)``.
+        sightings: where the target was seen, see `sighting.py`, shape ``(B, T, S')``; S' is 0 without an eye.
         texts: one instruction per sample.
     """
 
@@ -24,23 +28,20 @@ class EncodedFrames:
     proprioception: Tensor
     position: Tensor
     keep: Tensor
+    watching: Tensor
+    sightings: Tensor
     texts: list[str]
 
     @classmethod
     def concatenate(cls, frames: list[EncodedFrames]) -> EncodedFrames:
         """Concatenate frames of the same samples along time; the instructions are those of the newest."""
-        joined = {
-            name: torch.cat([getattr(frame, name) for frame in frames], dim=1)
-            for name in ("tokens", "proprioception", "position", "keep")
-        }
+        joined = {name: torch.cat([getattr(frame, name) for frame in frames], dim=1) for name in TENSORS}
         return cls(**joined, texts=frames[-1].texts)
 
     def rows(self, index: list[int]) -> EncodedFrames:
         """Return the samples at ``index``."""
-        texts = [self.texts[i] for i in index]
-        return EncodedFrames(
-            self.tokens[index], self.proprioception[index], self.position[index], self.keep[index], texts
-        )
+        chosen = {name: getattr(self, name)[index] for name in TENSORS}
+        return EncodedFrames(**chosen, texts=[self.texts[i] for i in index])
 
     def padding(self) -> EncodedFrames:
         """Return a fully masked copy."""

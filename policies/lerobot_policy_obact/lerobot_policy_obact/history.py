@@ -26,7 +26,7 @@ class History:
         self.lookback = windows.lookback
         self._frames: deque[Observation | EncodedFrames] = deque(maxlen=1 - self.lookback[0])
 
-    def append(self, frame: Observation) -> None:
+    def append(self, frame: Observation | EncodedFrames) -> None:
         """Add the newest frame.
 
         Raises:

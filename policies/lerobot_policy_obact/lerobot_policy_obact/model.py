@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
-from .attention import SpatioTemporalAttention
 from .backbones import backbones
 from .configuration_obact import ObActConfig
 from .decisions import Decisions
 from .frames import EncodedFrames
 from .heads import ActionSpec, Condition, heads
+from .memory import build_memory
 from .observation import Observation
 from .privileged import PositionProbe
 from .text import ByteTextEncoder
+from .track import N_SIGHTING, MotionEncoder, Track
 
 
 class ObActModel(nn.Module):
@@ -27,13 +28,21 @@ class ObActModel(nn.Module):
         super().__init__()
         width, n_heads = config.width, config.n_attention_heads
         self.backbone = backbones.build(config.backbone, width, options=config.backbone_options)
+        if config.motion and not self.backbone.sees_motion:
+            raise ValueError(f"motion is True, but backbone {config.backbone!r} takes one image at a time.")
         self.camera = nn.Parameter(0.02 * torch.randn(len(config.image_features), 1, width))
         self.proprioception = nn.Sequential(nn.Linear(config.state_dim, width), nn.SiLU(), nn.Linear(width, width))
         self.text = None if self.backbone.reads_text else ByteTextEncoder(width)
-        self.attention = SpatioTemporalAttention(width, config.n_attention_layers, n_heads, config.dropout)
-        spec = ActionSpec(config.horizon, config.action_dim, config.state_dim, width, n_heads, config.dropout)
+        self.memory = build_memory(config)
+        self.motion = MotionEncoder(width) if self.backbone.locates else None
+        spec = ActionSpec(
+            config.horizon, config.action_dim, config.state_dim, width, n_heads, config.dropout,
+            config.fps, config.latency_frames,
+        )  # fmt: skip
         self.head = heads.build(config.head, spec, options=config.head_options)
-        self.probe = PositionProbe(width, config.relative_dims) if config.privileged_key else None
+        self.probe = (
+            PositionProbe(width, config.relative_dims) if config.privileged_key and config.privileged_weight else None
+        )
 
     def load_pretrained(self) -> None:
         """Start from the published weights of backbone and head, where their options name any."""
@@ -46,26 +55,46 @@ class ObActModel(nn.Module):
         Args:
             backend: name of a ``torch.compile`` backend.
         """
-        for part in (self.backbone, self.attention, *self.head.children()):
+        for part in (self.backbone, self.memory, *self.head.children()):
             part.compile(backend=backend)
 
     def conditions(self, frames: EncodedFrames, decisions: Decisions) -> Condition:
         """Fuse the window of each wanted decision into the condition of its chunk, ``R`` rows ordered by sample."""
-        fused = self.attention(frames.tokens, decisions)  # (R, N, D)
+        fused = self.memory(frames.tokens, decisions)  # (R, N, D)
         if self.text is not None:
             text_tokens = decisions.of_sample(self.text(frames.texts))  # (B, 1, D) -> (R, 1, D)
             fused = torch.cat([fused, text_tokens.to(fused.dtype)], dim=1)
-        return Condition(fused, decisions.current(frames.proprioception))
+        position = decisions.current(frames.position)
+        track = Track.of(frames, decisions, position) if self.motion is not None else None
+        return Condition(fused, decisions.current(frames.proprioception), position, track)
 
     def encode(self, observation: Observation) -> EncodedFrames:
         """Encode each frame independently into the tokens of its images and one token of proprioception."""
-        images = observation.images
-        n_batch, n_frames, n_cameras = images.shape[:3]
-        texts = [text for text in observation.texts for _ in range(n_frames * n_cameras)] if self.text is None else None
-        image_tokens = self.backbone(images.flatten(0, 2), texts)  # (B*T*C, n, D)
-        image_tokens = image_tokens.unflatten(0, (n_batch, n_frames, n_cameras)) + self.camera  # (B, T, C, n, D)
+        return self.encode_looks(observation, self.look(observation))
+
+    def look(self, observation: Observation) -> Tensor:
+        """Return the backbone's looks at the images, ``(B, T, C, ...)``."""
+        shape, images = observation.images.shape[:3], observation.images
+        n_images = shape[1] * shape[2]
+        texts = [text for text in observation.texts for _ in range(n_images)] if self.text is None else None
+        return self.backbone.look(images.flatten(0, 2), texts).unflatten(0, shape)
+
+    def encode_looks(self, observation: Observation, looks: Tensor) -> EncodedFrames:
+        """Encode frames whose images have been looked at; the images themselves are not used.
+
+        Args:
+            observation: the frames.
+            looks: what `look` returned, shape ``(B, T, C, ...)``.
+        """
+        image_tokens = self.backbone.tokens(looks.flatten(0, 2)).unflatten(0, looks.shape[:3])  # (B, T, C, n, D)
+        image_tokens = image_tokens + self.camera
+        sightings = looks[:, :, 0, :0]
+        if self.motion is not None:
+            sightings = looks[:, :, 0, :N_SIGHTING]
+            image_tokens = image_tokens + self.motion(sightings, observation.position)[:, :, None, None]
         proprio_tokens = self.proprioception(observation.proprioception)[:, :, None]  # (B, T, 1, D)
         tokens = torch.cat([image_tokens.flatten(2, 3), proprio_tokens.to(image_tokens.dtype)], dim=2)  # N = C*n + 1
         return EncodedFrames(
-            tokens, observation.proprioception, observation.position, observation.keep, observation.texts
-        )
+            tokens, observation.proprioception, observation.position, observation.keep, observation.watching,
+            sightings, observation.texts,
+        )  # fmt: skip

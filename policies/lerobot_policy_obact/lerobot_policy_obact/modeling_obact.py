@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any, ClassVar, Self, cast
 
@@ -15,6 +16,7 @@ from .action_frame import ActionFrame, resolve_action_frame
 from .augment import augmented
 from .averaging import averaged_copy, match_averages
 from .configuration_obact import ObActConfig
+from .demonstrated import demonstrated
 from .frames import EncodedFrames
 from .heads.base import Guide
 from .model import ObActModel
@@ -63,7 +65,8 @@ class ObActPolicy(PreTrainedPolicy):
             self.model.load_pretrained()
         self.ema = averaged_copy(self.model, config.ema_decay) if config.ema_decay else None
         self.register_load_state_dict_pre_hook(match_averages)
-        self.objective = ImitationObjective(config, self.frame, privileged_labels(config, dataset_meta))
+        labels, forecasts = privileged_labels(config, dataset_meta), demonstrated(config, dataset_meta)
+        self.objective = ImitationObjective(config, self.frame, labels, forecasts)
         self.planner = ChunkPlanner(config, self.frame)
         self.set_dataset_stats(dataset_stats)
         self.init_rtc_processor()
@@ -134,6 +137,22 @@ class ObActPolicy(PreTrainedPolicy):
         self.eval()
         return self.planner.next_action(self._active_model, batch, noise)
 
+    def select_action_after(self, frame: Observation, looks: Tensor, batch: Batch) -> Tensor:
+        """Return the next action as `select_action` does, of a frame whose images have been looked at.
+
+        Args:
+            frame: the observation of one control step.
+            looks: what the model's `look` returned for it.
+            batch: what it was read from.
+        """
+        model = self._active_model
+        return self.planner.advance(model, model.encode_looks(frame, looks), batch)
+
+    @torch.no_grad()
+    def observe(self, batch: Batch) -> None:
+        """Add one frame per environment to the history without acting, for callers that ask for chunks now and then."""
+        self.planner.note(batch)
+
     @torch.no_grad()
     def predict_action_chunk(
         self,
@@ -189,6 +208,14 @@ class ObActPolicy(PreTrainedPolicy):
         policy = super().from_pretrained(pretrained_name_or_path, load_pretrained=False, **kwargs)
         policy.set_dataset_stats(kwargs.get("dataset_stats"))
         return policy
+
+    def for_acting(self) -> Self:
+        """Return a copy without the average, whose weights are the average: half the size, the same actions."""
+        config = copy.deepcopy(self.config)
+        config.ema_decay, config.pretrained_path = 0.0, None
+        acting = type(self)(config, load_pretrained=False)
+        acting.load_state_dict(self.state_dict())
+        return acting
 
     def set_dataset_stats(self, stats: dict[str, dict[str, Any]] | None) -> None:
         """Adopt the LeRobot statistics ``{key: {"mean": (D,), ...}}`` that batches are normalised with, if given."""

@@ -19,8 +19,11 @@ from torch import Tensor
 from .action_frame import ActionFrame
 from .configuration_obact import ObActConfig
 from .decisions import Decisions, window_decisions
+from .demonstrated import Demonstrated
 from .finite import require_finite
 from .frames import EncodedFrames
+from .heads.base import Forecast
+from .heads.intercept import PALM_DIM
 from .model import ObActModel
 from .observation import Batch, Observation
 from .replan import rise_threshold
@@ -60,12 +63,17 @@ class ImitationObjective:
         frame: the frame in which actions are predicted.
         labels: returns positions ``(B, T, P)`` in the unit of the state, given dataset indices ``(B,)`` and frame
             offsets; None trains on actions alone.
+        forecasts: returns the labels of forecasts likewise, for heads that forecast.
     """
 
     def __init__(
-        self, config: ObActConfig, frame: ActionFrame, labels: Callable[[Tensor, list[int]], Tensor] | None
+        self,
+        config: ObActConfig,
+        frame: ActionFrame,
+        labels: Callable[[Tensor, list[int]], Tensor] | None,
+        forecasts: Demonstrated | None = None,
     ) -> None:
-        self.config, self.frame, self.labels = config, frame, labels
+        self.config, self.frame, self.labels, self.forecasts = config, frame, labels, forecasts
         self.set_dataset_stats(None)
 
     def set_dataset_stats(self, stats: dict[str, dict[str, Any]] | None) -> None:
@@ -93,12 +101,24 @@ class ImitationObjective:
         decisions = window_decisions(frames, windows.frame_index, self.config, wanted)
 
         chunks, kept = decisions.pick(actions[:, chunk_index]), decisions.pick(keep)  # (R, H, A), (R, H)
-        if training:
-            self.frame.observe(chunks, decisions.current(frames.position), kept)
-        error = self._chunk_error(model, chunks, frames, decisions) * kept  # (R, H)
+        if self.forecasts is not None:
+            error = self._forecast_error(model, batch, frames, decisions)[:, None] * kept
+        else:
+            if training:
+                self.frame.observe(chunks, decisions.current(frames.position), kept)
+            error = self._chunk_error(model, chunks, frames, decisions) * kept  # (R, H)
         privileged = self.config.privileged_weight * self._privileged_error(model, batch, frames)  # (B,)
         require_finite({"action": error, "privileged": privileged}, batch)
         return ImitationLoss(error, keep, decisions, privileged)
+
+    def _forecast_error(self, model: ObActModel, batch: Batch, frames: EncodedFrames, decisions: Decisions) -> Tensor:
+        """Return the loss of the forecast at each wanted decision, shape ``(R,)``."""
+        assert self.forecasts is not None
+        labels = self.forecasts(batch["index"], self.config.windows.decision_moments)
+        condition = model.conditions(frames, decisions)
+        palm = condition.position[:, None, :PALM_DIM]
+        label = Forecast(decisions.pick(labels.path) - palm, decisions.pick(labels.closed))
+        return model.head.forecast_loss(label, condition, decisions.pick(labels.arrival), decisions.pick(labels.known))
 
     def _chunk_error(self, model: ObActModel, chunks: Tensor, frames: EncodedFrames, decisions: Decisions) -> Tensor:
         """Return the head's loss of every action of the wanted chunks, ``(R, H, A) -> (R, H)``."""

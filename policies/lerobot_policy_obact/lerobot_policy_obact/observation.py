@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -12,6 +12,7 @@ from lerobot.utils.constants import OBS_STATE
 from torch import Tensor
 
 from .configuration_obact import ObActConfig
+from .replan import rise_threshold
 
 Batch = Mapping[str, Any]
 """A preprocessed LeRobot batch: tensors by key, and the instruction(s) under "task"."""
@@ -22,11 +23,13 @@ class Observation:
     """``T`` frames of ``B`` samples, oldest first.
 
     Attributes:
-        images: RGB in [0, 1] of ``C`` cameras, shape ``(B, T, C, 3, H, W)``.
+        images: RGB in [0, 1] of ``C`` cameras, shape ``(B, T, C, 3, H, W)``; where ``config.motion`` is set, each with
+            the image before it in three further channels.
         proprioception: all vector observations concatenated, normalised, shape ``(B, T, S)``.
         position: ``observation.state``, normalised, the reference of relative actions, shape ``(B, T, P)``; P may be
             0.
         keep: False where a frame is padding, shape ``(B, T)``.
+        watching: True where a frame is part of the observation window, shape ``(B, T)``.
         texts: one instruction per sample.
     """
 
@@ -34,6 +37,7 @@ class Observation:
     proprioception: Tensor
     position: Tensor
     keep: Tensor
+    watching: Tensor
     texts: list[str]
 
     @classmethod
@@ -45,13 +49,25 @@ class Observation:
         shape, device = images.shape[:2], images.device
         vectors = [_with_time(batch[key], 3).reshape(*shape, -1) for key in config.proprioceptive_keys]
         empty = torch.zeros(*shape, 0, device=device)
-        return cls(
+        observation = cls(
             images=images,
             proprioception=torch.cat(vectors, dim=-1) if vectors else empty,
             position=_with_time(batch[OBS_STATE], 3) if config.robot_state_feature else empty,
             keep=_frame_mask(batch, shape, device),
+            watching=_watching(batch, config, shape, device),
             texts=_texts(batch, shape[0]),
         )
+        loaded = config.observation_delta_indices
+        if not config.motion or shape[1] != len(loaded) or shape[1] == 1:
+            return observation
+        places = {offset: place for place, offset in enumerate(loaded)}
+        shown = config.windows.observation_offsets
+        before = images[:, [places[offset - 1] for offset in shown]]
+        return observation.frames([places[offset] for offset in shown]).after(before)
+
+    def after(self, before: Tensor) -> Observation:
+        """Return the frames with the images ``(B, T, C, 3, H, W)`` before theirs."""
+        return replace(self, images=torch.cat([self.images, before], dim=3))
 
     def frames(self, index: list[int]) -> Observation:
         """Return the frames at ``index`` of every sample."""
@@ -60,6 +76,7 @@ class Observation:
             self.proprioception[:, index],
             self.position[:, index],
             self.keep[:, index],
+            self.watching[:, index],
             self.texts,
         )
 
@@ -80,6 +97,14 @@ def _resize(images: Tensor, size: int) -> Tensor:
 def _frame_mask(batch: Batch, shape: torch.Size, device: torch.device) -> Tensor:
     pads = [value for key, value in batch.items() if key.startswith("observation.") and key.endswith("_is_pad")]
     return ~_with_time(pads[0].bool(), 2) if pads else torch.ones(*shape, dtype=torch.bool, device=device)
+
+
+def _watching(batch: Batch, config: ObActConfig, shape: torch.Size, device: torch.device) -> Tensor:
+    """Return which frames precede the rise of ``replan_key``; without that key any frame may be remembered."""
+    value = batch.get(config.replan_key)
+    if value is None:
+        return torch.ones(*shape, dtype=torch.bool, device=device)
+    return value.reshape(*shape, -1)[..., -1] < rise_threshold(config, None)
 
 
 def _texts(batch: Batch, n: int) -> list[str]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -28,11 +31,15 @@ class ChunkPlanner:
     def __init__(self, config: ObActConfig, frame: ActionFrame) -> None:
         self.config, self.frame = config, frame
         self.history, self.queue = History(config.windows), ChunkQueue()
+        self._last_images: Tensor | None = None
+        self._given: deque[Tensor] = deque(maxlen=config.latency_frames + 1)
 
     def reset(self) -> None:
         """Forget the last episode."""
         self.history.clear()
         self.queue.clear()
+        self._given.clear()
+        self._last_images = None
 
     def next_action(self, model: ObActModel, batch: Batch, noise: Tensor | None = None) -> Tensor:
         """Return the next action of every environment, normalised, shape ``(B, A)``.
@@ -42,14 +49,40 @@ class ChunkPlanner:
             batch: preprocessed observation of one control step; each call adds one frame to the history.
             noise: start of the chunks predicted in this step, shape ``(B, H, noise_dim)``; None draws it.
         """
+        return self.advance(model, self.observe(batch), batch, noise)
+
+    def observe(self, batch: Batch) -> Observation:
+        """Read a preprocessed batch; single frames are put beside the ones before, if the config says so."""
         observation = Observation.from_batch(batch, self.config)
-        self.history.append(observation)
-        rows = self.queue.rows_to_plan(self._trigger(batch), n_rows=len(observation.keep))
+        if not self.config.motion or observation.images.shape[1] > 1:
+            return observation
+        before, self._last_images = self._last_images, observation.images
+        return observation.after(observation.images if before is None else before)
+
+    def note(self, batch: Batch) -> None:
+        """Add one frame per environment to the history."""
+        self.history.append(self.observe(batch))
+
+    def advance(
+        self, model: ObActModel, frame: Observation | EncodedFrames, batch: Batch, noise: Tensor | None = None
+    ) -> Tensor:
+        """Return the next action after a frame, which may have been encoded already; see `next_action`.
+
+        Args:
+            model: the network.
+            frame: one frame per environment, which joins the history.
+            batch: what it was read from, for its ``config.replan_key``.
+            noise: see `next_action`.
+        """
+        self.history.append(frame)
+        rows = self.queue.rows_to_plan(self._trigger(batch), n_rows=len(frame.keep))
         if rows:
             start = self.noise(model, [self.queue.n_planned[row] for row in rows]) if noise is None else noise[rows]
-            chunks = self.plan(model, self.history.window(model.encode).rows(rows), start)
+            chunks = self.plan(model, self.history.window(model.encode).rows(rows), start, pending=self._pending(rows))
             self.queue.put(rows, chunks[:, self.config.latency_frames :][:, : self.config.n_action_steps])
-        return self.queue.pop()
+        action = self.queue.pop()
+        self._remember(action, frame)
+        return action
 
     def window(self, model: ObActModel, batch: Batch) -> EncodedFrames:
         """Return the encoded frames that a decision sees, shape ``(B, s + 1)``.
@@ -61,7 +94,7 @@ class ChunkPlanner:
         Raises:
             ValueError: if the batch has another number of frames.
         """
-        observation, windows = Observation.from_batch(batch, self.config), self.config.windows
+        observation, windows = self.observe(batch), self.config.windows
         n_frames = observation.keep.shape[1]
         if n_frames == len(windows.lookback):
             return model.encode(observation)
@@ -75,7 +108,14 @@ class ChunkPlanner:
             f"{len(windows.observation_offsets)}: those at {windows.observation_offsets}."
         )
 
-    def plan(self, model: ObActModel, window: EncodedFrames, noise: Tensor, guide: Guide | None = None) -> Tensor:
+    def plan(
+        self,
+        model: ObActModel,
+        window: EncodedFrames,
+        noise: Tensor,
+        guide: Guide | None = None,
+        pending: Tensor | None = None,
+    ) -> Tensor:
         """Return one normalised chunk per row of the window, shape ``(B, H, A)``.
 
         Args:
@@ -83,9 +123,11 @@ class ChunkPlanner:
             window: encoded frames, oldest first.
             noise: start of the sampling, shape ``(B, H, noise_dim)``.
             guide: steers the sampling, for heads with ``accepts_guide``.
+            pending: see `Condition`.
         """
         whole_window = [list(range(window.keep.shape[1]))]
-        condition = model.conditions(window, window_decisions(window, whole_window, self.config))
+        decisions = window_decisions(window, whole_window, self.config)
+        condition = replace(model.conditions(window, decisions), pending=pending)
         return self.frame.to_actions(model.head.sample(condition, noise, guide), window.position[:, -1])
 
     def noise(self, model: ObActModel, chunk_numbers: list[int]) -> Tensor:
@@ -101,6 +143,18 @@ class ChunkPlanner:
         seeds = [self.config.noise_seed + 1_000_003 * number for number in chunk_numbers]
         draws = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
         return torch.stack(draws).to(device) * self.config.noise_scale
+
+    def _pending(self, rows: list[int]) -> Tensor | None:
+        """Return by how much the commands that have not taken effect will change the state, ``(R, A)``."""
+        if not self.config.latency_frames or not self._given:
+            return None
+        return (self._given[-1] - self._given[0])[rows]
+
+    def _remember(self, action: Tensor, frame: Observation | EncodedFrames) -> None:
+        """Keep a command; one that is given in the observation window is void, so the hand stays where it is."""
+        if self.config.latency_frames:
+            here = frame.position[:, -1, : action.shape[-1]].cpu()
+            self._given.append(torch.where(frame.watching[:, -1:].cpu(), here, action.cpu()))
 
     def _trigger(self, batch: Batch) -> Tensor | None:
         value = batch.get(self.config.replan_key)

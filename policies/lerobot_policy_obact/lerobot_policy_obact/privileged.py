@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 from torch import Tensor, nn
@@ -33,17 +34,7 @@ class FrameColumn:
     """
 
     def __init__(self, meta: Any, key: str, n_dims: int) -> None:
-        feature = meta.features.get(key)
-        if feature is None or len(feature["shape"]) != 1 or feature["shape"][0] < n_dims:
-            raise ValueError(
-                f"privileged_key is {key!r}, but must name a vector column of {n_dims} or more entries; the dataset "
-                f"has {', '.join(meta.features)}."
-            )
-        files = sorted(Path(meta.root).glob("data/*/*.parquet"))
-        tables = [pq.read_table(file, columns=["index", key]) for file in files]
-        index = np.concatenate([table["index"].to_numpy() for table in tables])
-        values = np.concatenate([_as_array(table[key])[:, :n_dims] for table in tables])
-        self.values = torch.from_numpy(values[np.argsort(index)])  # (F, n_dims), in the unit of the column
+        self.values = torch.from_numpy(read_column(meta, key, n_dims)[:, :n_dims])  # in the unit of the column
 
     def __call__(self, index: Tensor, offsets: list[int]) -> Tensor:
         """Return the column at ``index + offsets``, shape ``(B, T, n_dims)``, in the unit of the column.
@@ -56,6 +47,30 @@ class FrameColumn:
         return self.values[frames.clamp(0, len(self.values) - 1)].to(index.device)
 
 
+def read_column(meta: Any, key: str, n_dims: int) -> np.ndarray:
+    """Return a column of a LeRobot dataset in the order of its frames, float32, shape ``(F, D)``.
+
+    Args:
+        meta: the dataset's LeRobot metadata.
+        key: name of the column.
+        n_dims: entries it must have at least.
+
+    Raises:
+        ValueError: if the dataset has no such column of at least that many entries.
+    """
+    feature = meta.features.get(key)
+    if feature is None or len(feature["shape"]) != 1 or feature["shape"][0] < n_dims:
+        raise ValueError(
+            f"training needs {key!r}, a vector column of {n_dims} or more entries; the dataset has "
+            f"{', '.join(meta.features)}."
+        )
+    files = sorted(Path(meta.root).glob("data/*/*.parquet"))
+    tables = [pq.read_table(file, columns=list({"index", key})) for file in files]
+    index = np.concatenate([table["index"].to_numpy() for table in tables])
+    values = np.concatenate([_as_array(table[key]) for table in tables])
+    return values[np.argsort(index)]
+
+
 def privileged_labels(config: ObActConfig, meta: Any | None) -> FrameColumn | None:
     """Open the privileged column that the config names, if there is a dataset to train on.
 
@@ -66,7 +81,7 @@ def privileged_labels(config: ObActConfig, meta: Any | None) -> FrameColumn | No
     Raises:
         ValueError: if actions are not relative: the coordinates of ``observation.state`` are then unknown.
     """
-    if not config.privileged_key or meta is None:
+    if not config.privileged_key or not config.privileged_weight or meta is None:
         return None
     if config.action_frame != "relative":
         raise ValueError(
@@ -97,4 +112,5 @@ class PositionProbe(nn.Module):
 
 def _as_array(column: Any) -> np.ndarray:
     values = column.combine_chunks()
-    return values.flatten().to_numpy(zero_copy_only=False).reshape(len(values), -1).astype(np.float32)
+    flat = values if pa.types.is_primitive(values.type) else values.flatten()
+    return flat.to_numpy(zero_copy_only=False).reshape(len(values), -1).astype(np.float32)

@@ -7,7 +7,7 @@ import inspect
 import pkgutil
 from collections.abc import Callable
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 
 class Registry[T: type]:
@@ -21,17 +21,17 @@ class Registry[T: type]:
         self.kind = kind
         self._classes: dict[str, T] = {}
 
-    def register(self, name: str) -> Callable[[T], T]:
+    def register[C: type](self, name: str) -> Callable[[C], C]:
         """Return a class decorator that registers the class as ``name``.
 
         Raises:
             ValueError: if another class already has the name.
         """
 
-        def decorate(cls: T) -> T:
+        def decorate(cls: C) -> C:
             if name in self._classes:
                 raise ValueError(f"{self.kind} '{name}' is registered twice: {self._classes[name]} and {cls}.")
-            self._classes[name] = cls
+            self._classes[name] = cast(T, cls)
             return cls
 
         return decorate

@@ -33,6 +33,7 @@ class DecisionWindows:
         horizon: actions in a chunk.
         n_decisions: decisions in a sample.
         decision_stride: distance between those decisions.
+        window_offsets: how far back a decision looks for frames of the observation window, besides.
     """
 
     n_obs_frames: int
@@ -40,6 +41,7 @@ class DecisionWindows:
     horizon: int
     n_decisions: int = 1
     decision_stride: int = 1
+    window_offsets: tuple[int, ...] = ()
 
     @property
     def decision_moments(self) -> list[int]:
@@ -48,8 +50,14 @@ class DecisionWindows:
 
     @property
     def lookback(self) -> list[int]:
-        """Offsets a decision sees, oldest first and 0 last, shape ``(s + 1,)`` [frames]."""
-        return [-j * self.obs_stride for j in range(self.n_obs_frames, -1, -1)]
+        """Offsets a decision sees, oldest first and 0 last, shape ``(W,)`` [frames]."""
+        recent = {-j * self.obs_stride for j in range(self.n_obs_frames + 1)}
+        return sorted(recent | {-offset for offset in self.window_offsets})
+
+    @property
+    def is_recent(self) -> list[bool]:
+        """Whether each frame of `lookback` is seen even if it is not part of the observation window."""
+        return [-back in range(0, self.n_obs_frames * self.obs_stride + 1, self.obs_stride) for back in self.lookback]
 
     @property
     def observation_offsets(self) -> list[int]:

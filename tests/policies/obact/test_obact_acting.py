@@ -24,7 +24,9 @@ def count_plans(policy: ObActPolicy) -> list[int]:
     """Return a list that grows by the number of rows of every plan."""
     plans: list[int] = []
     plan = policy.planner.plan
-    policy.planner.plan = lambda model, window, *args: plans.append(len(window.keep)) or plan(model, window, *args)
+    policy.planner.plan = lambda model, window, *args, **kwargs: (
+        plans.append(len(window.keep)) or plan(model, window, *args, **kwargs)
+    )
     return plans
 
 
@@ -218,3 +220,15 @@ def test_guidance_works_with_a_head_that_pads_actions() -> None:
 
 def test_the_diffusion_head_declines_guidance() -> None:
     assert not make_policy(head="diffusion").supports_rtc()
+
+
+def test_frames_that_are_noted_count_like_frames_that_are_acted_on() -> None:
+    policy = acting_policy()
+    steps = [make_step(policy, seed=seed) for seed in range(5)]
+    noise = torch.randn(3, 8, 18, generator=torch.Generator().manual_seed(3))
+    policy.reset()
+    for step in steps[:-1]:
+        policy.observe(step)
+    noted = policy.predict_action_chunk(steps[-1], noise=noise)
+    window = {key: torch.stack([steps[i][key] for i in (0, 2, 4)], 1) for key in policy.config.input_features}
+    torch.testing.assert_close(noted, policy.predict_action_chunk(window | {"task": steps[0]["task"]}, noise=noise))

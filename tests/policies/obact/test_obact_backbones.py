@@ -70,6 +70,7 @@ def models_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 CASES = {
+    "eye": ("eye", {"channels": 8, "fovea": 8, "embedding": 4}),
     "conv": ("conv", {"n_keypoints": 4, "channels": 8}),
     "resnet18": ("resnet18", {"weights": "", "n_keypoints": 4}),
     "dinov2": ("transformers_vision", {"name": "dinov2", "grid": 2}),

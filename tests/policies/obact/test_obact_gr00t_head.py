@@ -95,7 +95,8 @@ def checkpoint(reference: Reference, tmp_path: Path) -> Path:
 
 def condition(seed: int = 1) -> Condition:
     generator = torch.Generator().manual_seed(seed)
-    return Condition(torch.randn(2, 6, 16, generator=generator), torch.randn(2, 8, generator=generator))
+    tokens, state = torch.randn(2, 6, 16, generator=generator), torch.randn(2, 8, generator=generator)
+    return Condition(tokens, state, state)
 
 
 @pytest.mark.parametrize("n_embodiments", [1, N_EMBODIMENTS])

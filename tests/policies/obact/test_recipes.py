@@ -11,19 +11,24 @@ from typing import Any
 import draccus
 import pytest
 import yaml
+from lerobot.configs import PreTrainedConfig
 from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets.factory import make_dataset
 from lerobot.policies.factory import get_policy_class, make_policy, make_pre_post_processors
 from lerobot.utils.import_utils import register_third_party_plugins
 from torch.utils.data import default_collate
 
+from dynahoi_lerobot.control_class import control_class_of
+from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
 from dynahoi_lerobot.sampling.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[3] / "recipes"
 STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in yaml.safe_load(path.read_text()))
+ON_POLICY = {RECIPES / "train" / f"{name}.yaml" for name in ("standard", "late", "unlimited")}
+EYE = RECIPES / "train" / "eye.yaml"
 TRAINING = sorted(
     [
-        *RECIPES.glob("train/*.yaml"),
+        *(path for path in RECIPES.glob("train/*.yaml") if path not in {EYE, *ON_POLICY}),
         *RECIPES.glob("zoo/*.yaml"),
         *(path for path in RECIPES.glob("study/*.yaml") if path not in STUDIES),
     ]
@@ -53,6 +58,19 @@ def test_a_training_recipe_is_read(path: Path) -> None:
     assert config.policy is not None
     assert config.policy.push_to_hub is False
     assert get_policy_class(config.policy.type).name == config.policy.type
+
+
+@pytest.mark.parametrize("path", sorted(ON_POLICY), ids=str)
+def test_a_recipe_in_memory_is_read_and_its_policy_keeps_to_the_control_class(path: Path) -> None:
+    recipe = read_recipe(DaggerRecipe, path)
+    config = draccus.decode(PreTrainedConfig, recipe.policy | {"backbone_options": {}})
+    control = control_class_of(recipe.episodes.control_class)
+    assert config.latency_frames == control.latency_frames
+    assert config.head_options["palm_speed_m_s"] == control.palm_speed_m_s
+    assert read_recipe(EyeRecipe, EYE).episodes.image_size == recipe.episodes.image_size == config.image_size
+    standard = yaml.safe_load((RECIPES / "train" / "standard.yaml").read_text())["policy"]
+    changed = {key for key in standard if recipe.policy.get(key) != standard[key]}
+    assert changed <= {"repo_id", "head_options"}, "the classes share their weights"
 
 
 @pytest.mark.slow

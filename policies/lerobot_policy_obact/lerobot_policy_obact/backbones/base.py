@@ -28,6 +28,8 @@ class Backbone(nn.Module, ABC):
     """
 
     reads_text: ClassVar[bool] = False
+    locates: ClassVar[bool] = False
+    sees_motion: ClassVar[bool] = False
     pixel_mean: Tensor
     pixel_std: Tensor
 
@@ -45,6 +47,14 @@ class Backbone(nn.Module, ABC):
 
     def load_pretrained(self) -> None:
         """Load published weights, if there are any; called when training starts, not when a checkpoint is opened."""
+
+    def look(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
+        """Do the part of `forward` that may be done once for all updates, if it is not trained; by default all."""
+        return self(images, texts)
+
+    def tokens(self, looks: Tensor) -> Tensor:
+        """Do the rest, from looks ``(F, ...)`` to tokens ``(F, N, D)``."""
+        return looks
 
     @abstractmethod
     def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:

@@ -29,8 +29,8 @@ class ConvBackbone(Backbone):
         mean = (0.5, 0.5, 0.5, 0.25) if saturation else (0.5, 0.5, 0.5)
         super().__init__(width, mean, std=(0.25,) * len(mean))
         self.grid, self.saturation = grid, saturation
-        self.stem = nn.Sequential(StandardisedPatches(len(mean), channels), _conv(channels, channels))
-        self.deep = nn.Sequential(_conv(channels, 2 * channels, stride=2), _conv(2 * channels, 2 * channels))
+        self.stem = nn.Sequential(StandardisedPatches(len(mean), channels), conv(channels, channels))
+        self.deep = nn.Sequential(conv(channels, 2 * channels, stride=2), conv(2 * channels, 2 * channels))
         self.lateral = nn.Conv2d(2 * channels, channels, kernel_size=1)
         self.keypoints = KeypointTokens(channels, n_keypoints, width)
         self.grid_token = nn.Linear(2 * channels, width)
@@ -75,7 +75,8 @@ def saturation(images: Tensor) -> Tensor:
     return images.amax(1, keepdim=True) - images.amin(1, keepdim=True)
 
 
-def _conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
+def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
+    """Return a 3 x 3 convolution with normalisation by groups of eight channels, and its activation."""
     return nn.Sequential(
         nn.Conv2d(n_in, n_out, kernel_size=3, stride=stride, padding=1, bias=False),
         nn.GroupNorm(n_out // 8, n_out),

@@ -10,6 +10,7 @@ from typing import ClassVar
 from torch import Tensor, nn
 
 from ..registry import Registry
+from ..track import Track
 
 heads: Registry[type[ActionHead]] = Registry("head")
 
@@ -31,6 +32,8 @@ class ActionSpec:
         width: size of the condition tokens, ``D``.
         n_heads: attention heads.
         dropout: dropout probability.
+        fps: frame rate [Hz].
+        latency_frames: leading actions of a chunk that lie in the past when it is ready.
     """
 
     horizon: int
@@ -39,6 +42,8 @@ class ActionSpec:
     width: int
     n_heads: int
     dropout: float
+    fps: float = 20.0
+    latency_frames: int = 0
 
 
 @dataclass(frozen=True)
@@ -48,18 +53,25 @@ class Condition:
     Attributes:
         tokens: fused image, proprioception and text tokens, shape ``(B, N, D)``.
         state: current proprioception, normalised, shape ``(B, S)``.
+        position: current ``observation.state``, normalised, shape ``(B, P)``.
+        track: where the target has been seen, if the backbone is an eye.
+        pending: change of the state that is commanded and has not taken effect, shape ``(B, A)``; None for none.
     """
 
     tokens: Tensor
     state: Tensor
+    position: Tensor
+    track: Track | None = None
+    pending: Tensor | None = None
 
     def repeat(self, n: int) -> Condition:
         """Return the condition with every row repeated ``n`` times, ``(B * n, ...)``."""
-        return Condition(self.tokens.repeat_interleave(n, 0), self.state.repeat_interleave(n, 0))
+        tokens, state, position = (x.repeat_interleave(n, 0) for x in (self.tokens, self.state, self.position))
+        return Condition(tokens, state, position, self.track)
 
 
 class ActionHead(nn.Module, ABC):
-    """A conditional distribution over action chunks in the frame of `ActionFrame`.
+    """Says which chunk of actions to execute, in the frame of `ActionFrame`.
 
     A subclass takes an `ActionSpec` first and its own options as keywords.
 
@@ -82,10 +94,6 @@ class ActionHead(nn.Module, ABC):
         """Load published weights, if there are any; called when training starts, not when a checkpoint is opened."""
 
     @abstractmethod
-    def loss(self, actions: Tensor, condition: Condition) -> Tensor:
-        """Return the training loss of each entry, ``(B, H, A) -> (B, H, A)``."""
-
-    @abstractmethod
     def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
         """Sample a chunk: map standard normal noise ``(B, H, noise_dim)`` to ``(B, H, A)``.
 
@@ -93,4 +101,40 @@ class ActionHead(nn.Module, ABC):
             condition: what the chunk is conditioned on.
             noise: start of the sampling, standard normal.
             guide: steers the flow, for heads with ``accepts_guide``.
+        """
+
+
+class ChunkHead(ActionHead):
+    """A conditional distribution over action chunks, learned from chunks."""
+
+    @abstractmethod
+    def loss(self, actions: Tensor, condition: Condition) -> Tensor:
+        """Return the training loss of each entry, ``(B, H, A) -> (B, H, A)``."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What is predicted for ``R`` decisions, and what it is compared with.
+
+    Attributes:
+        path: offsets of the target from the palm of the current frame, at ``K`` times ahead [m], shape ``(R, K, 3)``.
+        closed: joint angles that close the hand around the target [rad], shape ``(R, J)``.
+    """
+
+    path: Tensor
+    closed: Tensor
+
+
+class ForecastHead(ActionHead):
+    """Predicts where the target goes, learns from where it went, and derives the chunk from the prediction."""
+
+    @abstractmethod
+    def forecast_loss(self, label: Forecast, condition: Condition, arrival: Tensor, known: Tensor) -> Tensor:
+        """Return the loss of each decision, shape ``(R,)``.
+
+        Args:
+            label: the true path and grasp.
+            condition: what the forecast is conditioned on.
+            arrival: frames until a teacher meets the target, shape ``(R,)``.
+            known: False where the true path is not known, shape ``(R, K)``.
         """

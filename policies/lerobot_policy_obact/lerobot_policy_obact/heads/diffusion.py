@@ -11,14 +11,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .base import ActionHead, ActionSpec, Condition, Guide, heads
+from .base import ActionSpec, ChunkHead, Condition, Guide, heads
 from .dit import DiT
 
 SAMPLERS = ("ddim", "ddpm")
 
 
 @heads.register("diffusion")
-class DiffusionHead(ActionHead):
+class DiffusionHead(ChunkHead):
     """Predicts the noise in a chunk.
 
     Args:
@@ -56,7 +56,7 @@ class DiffusionHead(ActionHead):
         self.net = DiT(spec, n_layers)
 
     def loss(self, actions: Tensor, condition: Condition) -> Tensor:
-        """See `ActionHead.loss`."""
+        """See `ChunkHead.loss`."""
         target, condition = actions.repeat_interleave(self.n_draws, 0), condition.repeat(self.n_draws)
         level = torch.randint(0, self.n_train_steps, (len(target),), device=target.device)
         noise = torch.randn_like(target)

@@ -22,7 +22,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from .base import ActionHead, ActionSpec, Condition, Guide, heads
+from .base import ActionSpec, ChunkHead, Condition, Guide, heads
 from .dit import DiT
 
 MAX_TIME = 0.999
@@ -57,7 +57,7 @@ def integrate(
 
 
 @heads.register("flow")
-class FlowHead(ActionHead):
+class FlowHead(ChunkHead):
     """Flow matching over a `DiT`.
 
     Args:
@@ -83,7 +83,7 @@ class FlowHead(ActionHead):
         self.net = DiT(spec, n_layers)
 
     def loss(self, actions: Tensor, condition: Condition) -> Tensor:
-        """See `ActionHead.loss`."""
+        """See `ChunkHead.loss`."""
         target, condition = actions.repeat_interleave(self.n_draws, 0), condition.repeat(self.n_draws)
         t = sample_flow_times(len(target), target.device)
         noise = torch.randn_like(target)

@@ -29,7 +29,7 @@ from huggingface_hub import snapshot_download
 from safetensors import safe_open
 from torch import Tensor, nn
 
-from .base import ActionHead, ActionSpec, Condition, Guide, heads
+from .base import ActionSpec, ChunkHead, Condition, Guide, heads
 from .flow import integrate
 from .gr00t_modules import (
     CategorySpecificMLP,
@@ -44,7 +44,7 @@ N_POSITIONS = 1024
 
 
 @heads.register("gr00t_n15")
-class Gr00tN15Head(ActionHead):
+class Gr00tN15Head(ChunkHead):
     """Flow matching with the transformer of GR00T-N1.5; the defaults are the released sizes.
 
     Args:
@@ -119,7 +119,7 @@ class Gr00tN15Head(ActionHead):
         return self.max_action_dim
 
     def loss(self, actions: Tensor, condition: Condition) -> Tensor:
-        """See `ActionHead.loss`; the padding of the action is excluded."""
+        """See `ChunkHead.loss`; the padding of the action is excluded."""
         target = F.pad(actions, (0, self.max_action_dim - actions.shape[-1]))
         u = torch.rand(len(target), device=target.device) ** (1 / BETA_ALPHA)
         t = (TIME_SCALE - u) / TIME_SCALE

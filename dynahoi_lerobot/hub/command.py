@@ -1,0 +1,84 @@
+"""``dynahoi push``: upload a dataset, a checkpoint, results or an environment to the Hugging Face Hub."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from dynahoi_lerobot.foundation.arguments import path
+from dynahoi_lerobot.hub.contents import (
+    Contents,
+    checkpoint_contents,
+    dataset_contents,
+    environment_contents,
+    kind_of,
+    results_contents,
+)
+from dynahoi_lerobot.hub.failures import RESUME, HubError
+from dynahoi_lerobot.hub.repository import Repository
+from dynahoi_lerobot.verify.runner import verify
+
+DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi push``."""
+    parser.add_argument(
+        "folder", type=path, help="a dataset, a pretrained_model folder, results of evaluate, or envs/hub"
+    )
+    parser.add_argument("repo", help="USER/NAME on the Hub; of the checkpoint, if results are pushed")
+    parser.add_argument("--private", action="store_true", help="make a private repository")
+    parser.add_argument("--leaderboard", help="of results: dataset USER/NAME that lists them; USER/dynahoi by default")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check what is pushed, push it and print its address.
+
+    Args:
+        args: the parsed arguments of ``add_arguments``.
+
+    Returns:
+        The exit code: 0 done, 1 refused or failed, 2 bad input, 130 stopped by the user.
+    """
+    try:
+        kind = kind_of(args.folder)
+        repository = Repository.open(args.repo)
+        if kind == "dataset" and not _is_sound(args.folder):
+            return _say(f"{args.folder} is not pushed, because `dynahoi verify` has findings", FAILED)
+        with TemporaryDirectory() as stage:
+            contents = _contents(kind, args, Path(stage), repository.api.endpoint)
+            address = repository.push(contents, args.private)
+    except ModuleNotFoundError as error:
+        return _say(f"it needs {error.name}; install dynahoi_lerobot[lerobot]", BAD_INPUT)
+    except HubError as error:
+        return _say(error, FAILED)
+    except KeyboardInterrupt:
+        return _say(f"stopped; {RESUME}", STOPPED)
+    print(f"{kind} pushed to {address}" + (f", tagged {', '.join(contents.tags)}" if contents.tags else ""))
+    return DONE
+
+
+def _is_sound(root: Path) -> bool:
+    """Run the checks of ``dynahoi verify`` and print what they find."""
+    findings = verify(root)
+    for finding in findings:
+        print(finding, file=sys.stderr)
+    return not findings
+
+
+def _contents(kind: str, args: argparse.Namespace, stage: Path, endpoint: str) -> Contents:
+    if kind == "dataset":
+        return dataset_contents(args.folder)
+    if kind == "checkpoint":
+        return checkpoint_contents(args.folder, args.repo)
+    if kind == "environment":
+        return environment_contents(args.folder)
+    leaderboard = args.leaderboard or f"{args.repo.partition('/')[0]}/dynahoi"
+    return results_contents(args.folder, stage, args.repo, leaderboard, endpoint)
+
+
+def _say(problem: object, code: int) -> int:
+    print(f"dynahoi push: {problem}", file=sys.stderr)
+    return code

@@ -1,0 +1,109 @@
+"""A repository on the Hub: made if it does not exist, never mixed with other content."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dynahoi_lerobot.hub.contents import Contents, read_identity
+from dynahoi_lerobot.hub.failures import LOG_IN, HubError, explained
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi
+
+
+@dataclass(frozen=True)
+class Repository:
+    """A repository and the account that writes to it.
+
+    Attributes:
+        api: the Hub's client.
+        name: ``user/name``.
+        token: what the account is known by.
+    """
+
+    api: HfApi
+    name: str
+    token: str
+
+    @classmethod
+    def open(cls, name: str) -> Repository:
+        """Log in with the token that ``hf auth login`` stored, or of ``HF_TOKEN``.
+
+        Raises:
+            HubError: if there is no token, the Hub refuses it or cannot be reached.
+            ValueError: if the name is none.
+        """
+        from huggingface_hub import HfApi, get_token
+        from huggingface_hub.utils import HFValidationError, validate_repo_id
+
+        try:
+            validate_repo_id(name)
+        except HFValidationError as error:
+            raise ValueError(f"the repository is {name!r}; it must be USER/NAME: {error}") from None
+        if name.count("/") != 1:
+            raise ValueError(f"the repository is {name!r}; it must be USER/NAME")
+        if not (token := get_token()):
+            raise HubError(f"there is no token of the Hub; {LOG_IN}")
+        repository = cls(HfApi(token=token), name, token)
+        with explained(name, repository.api.endpoint, token):
+            repository.api.whoami()
+        return repository
+
+    def push(self, contents: Contents, private: bool) -> str:
+        """Upload everything that is not there yet, set the tags, and return the address.
+
+        Raises:
+            HubError: if the repository holds other content, or is public where a private one is asked for, or the
+                upload stopped.
+        """
+        with explained(self.name, self.api.endpoint, self.token):
+            self._make(contents, private)
+            self._refuse_foreign(contents)
+            self.api.upload_folder(
+                repo_id=self.name,
+                folder_path=contents.folder,
+                repo_type=contents.repo_type,
+                ignore_patterns=list(contents.ignored),
+                commit_message=f"Push {contents.folder.name} with dynahoi",
+            )
+            for tag in contents.tags:
+                self._tag(contents, tag)
+        kind = "datasets/" if contents.repo_type == "dataset" else ""
+        return f"{self.api.endpoint}/{kind}{self.name}"
+
+    def _make(self, contents: Contents, private: bool) -> None:
+        if not contents.adds_to:
+            kind = contents.repo_type
+            self.api.create_repo(self.name, repo_type=kind, private=private or None, exist_ok=True)
+        elif not self.api.repo_exists(self.name, repo_type=contents.repo_type):
+            raise HubError(f"{self.name}: there is no such checkpoint on the Hub; push it before its results")
+        if private and not self.api.repo_info(self.name, repo_type=contents.repo_type).private:
+            raise HubError(f"{self.name} exists and is public; make it private in its settings, or choose another name")
+
+    def _refuse_foreign(self, contents: Contents) -> None:
+        """Refuse a repository that holds anything but an earlier, perhaps unfinished, push of the same content."""
+        held = set(self.api.list_repo_files(self.name, repo_type=contents.repo_type))
+        if contents.adds_to and contents.adds_to not in held:
+            raise HubError(f"{self.name} holds no {contents.adds_to}; push the checkpoint before its results")
+        ours = contents.files()
+        if foreign := sorted(name for name in held if contents.is_foreign(name, ours)):
+            raise HubError(f"{self.name} holds other content ({foreign[0]}); choose another name")
+        file, key = contents.identity
+        if file in held & ours:
+            path = self.api.hf_hub_download(self.name, file, repo_type=contents.repo_type)
+            if (found := read_identity(Path(path), key)) != (wanted := contents.own_identity()):
+                raise HubError(
+                    f"{self.name} holds other content (the {key} in {file} is {found}, not {wanted}); "
+                    "choose another name"
+                )
+
+    def _tag(self, contents: Contents, tag: str) -> None:
+        """Set a tag on the latest commit; one that exists is moved."""
+        from huggingface_hub.errors import RevisionNotFoundError
+
+        with suppress(RevisionNotFoundError):
+            self.api.delete_tag(self.name, tag=tag, repo_type=contents.repo_type)
+        self.api.create_tag(self.name, tag=tag, repo_type=contents.repo_type)

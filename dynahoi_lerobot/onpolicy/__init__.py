@@ -1,0 +1,1 @@
+"""Learning while simulating: pictures and labelled episodes that never touch the disk."""

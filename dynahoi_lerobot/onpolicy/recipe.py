@@ -1,0 +1,110 @@
+"""How a policy is trained in memory, as YAML files that draccus reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import draccus
+
+from dynahoi_lerobot.foundation.yaml_file import read_yaml
+from dynahoi_lerobot.sampling.recipe import Recipe
+
+
+@dataclass(frozen=True)
+class EyeRecipe:
+    """How an eye is trained on random configurations.
+
+    Attributes:
+        out: folder that receives ``eye.safetensors`` and ``log.jsonl``.
+        policy: whose eye it is: fields of the policy's config, ``type`` among them.
+        episodes: what the pictures show.
+        n_episodes: how many different episodes they show.
+        pictures: pictures in all, each seen once.
+        batch_size: pictures in an update.
+        learning_rate: of AdamW, with a warm-up and cosine decay.
+        seed: of every draw.
+    """
+
+    out: Path
+    policy: dict[str, Any]
+    episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
+    n_episodes: int = 1024
+    pictures: int = 400_000
+    batch_size: int = 128
+    learning_rate: float = 2e-3
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class DaggerRecipe:
+    """How a policy learns from a teacher in the states that it gets into by itself (Ross et al., 2011).
+
+    Attributes:
+        out: folder that receives the checkpoint, ``log.jsonl`` and what a stopped run goes on from.
+        policy: fields of the policy's config, ``type`` among them.
+        start: checkpoint whose weights training starts from; empty for none.
+        episodes: what is played.
+        rounds: rounds in all; in the first the teacher leads all episodes.
+        worlds: episodes in a round.
+        n_episodes: how many different episodes are played; they come in the order of their seeds, then at random.
+        teacher_share: share of episodes that the teacher leads, disturbed.
+        updates: updates after each round.
+        batch_episodes: whole episodes in an update.
+        rounds_kept: how many of the last rounds are learned from.
+        learning_rate: of AdamW, with a warm-up and cosine decay.
+        save_every: rounds between saves.
+        validate_every: rounds between validations.
+        validation_episodes: how many episodes of ``val`` a validation plays; its processor time is not counted.
+        seed: of every draw.
+    """
+
+    out: Path
+    policy: dict[str, Any]
+    start: str = ""
+    episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
+    rounds: int = 60
+    worlds: int = 64
+    n_episodes: int = 1536
+    teacher_share: float = 0.15
+    updates: int = 24
+    batch_episodes: int = 32
+    rounds_kept: int = 40
+    learning_rate: float = 1.5e-3
+    save_every: int = 5
+    validate_every: int = 15
+    validation_episodes: int = 110
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check what could only fail after minutes.
+
+        Raises:
+            ValueError: naming the value received and the ones allowed.
+        """
+        counts = ("rounds", "worlds", "updates", "batch_episodes", "rounds_kept", "save_every", "validate_every")
+        for name in counts:
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        if self.n_episodes < self.worlds:
+            raise ValueError(f"n_episodes must be at least worlds, {self.worlds}, got {self.n_episodes}")
+        if not 0 <= self.teacher_share <= 1:
+            raise ValueError(f"teacher_share must be 0 to 1, got {self.teacher_share}")
+        if self.episodes.split != "train":
+            raise ValueError(f"episodes.split must be train, got {self.episodes.split}")
+
+
+def read_recipe[R: (EyeRecipe, DaggerRecipe)](kind: type[R], path: Path, **changes: Any) -> R:
+    """Read a recipe from YAML, with some values changed.
+
+    Raises:
+        ValueError: if the file is refused by ``read_yaml``, or holds an unknown key or value.
+    """
+    values = read_yaml(path)
+    if not isinstance(values, dict):
+        raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
+    try:
+        return draccus.decode(kind, values | {name: str(value) for name, value in changes.items()})
+    except draccus.utils.DraccusException as error:
+        raise ValueError(f"{path}: {error.__cause__ or error}") from error

@@ -1,0 +1,115 @@
+"""One round: a student moves the hands of many worlds, and a teacher says what it would have done in every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.agent import Observation
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.onpolicy.student import Student
+from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.rollout.session import Session
+from dynahoi_lerobot.world.batch import WorldBatch
+
+DISTURBED_SHARE, DISTURBANCE_M = 0.3, 0.03
+"""Of the frames that the teacher leads: how many are disturbed, and by how much along each axis [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """B episodes of up to T frames, with the teacher's labels. Home frame, SI units.
+
+    Attributes:
+        state: (B, T, 18) float32, palm centre [m] and joint angles [rad].
+        watching: (B, T) bool, the observation window.
+        playing: (B, T) bool, False once an episode has ended.
+        localized: (B, T) bool, the target is held.
+        target: (B, T, 3) float32, its position [m].
+        path: B arrays (F, 3) float32, the untouched target's position at every frame [m].
+        closed: (B, 15) float32, joint angles of the reference grasp [rad].
+        command: (B, T, 18) float32, what the teacher would have commanded [m], [rad].
+        arrival: (B, T) int, in how many frames the teacher would have met the target.
+        tasks: B instructions.
+        episodes: recordings of those that the student led alone.
+    """
+
+    state: np.ndarray
+    watching: np.ndarray
+    playing: np.ndarray
+    localized: np.ndarray
+    target: np.ndarray
+    path: tuple[np.ndarray, ...]
+    closed: np.ndarray
+    command: np.ndarray
+    arrival: np.ndarray
+    tasks: tuple[str, ...]
+    episodes: tuple[Episode, ...]
+
+
+def play_round(
+    batch: WorldBatch,
+    student: Student,
+    specs: Sequence[EpisodeSpec],
+    rng: np.random.Generator,
+    teacher_share: float = 0.0,
+) -> Round:
+    """Play one episode in every world of a batch.
+
+    Args:
+        batch: the worlds.
+        student: moves the hands.
+        specs: an episode for each world.
+        rng: which episodes the teacher leads instead, and how it is disturbed there.
+        teacher_share: share of those.
+    """
+    session, teacher = Session(batch, record_images=False), Intercept()
+    session.begin(np.arange(batch.size), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
+    student.reset(batch.size)
+    led = rng.random(batch.size) < teacher_share
+    columns: list[dict[str, np.ndarray]] = []
+    episodes: list[Episode] = []
+    while session.playing.size:
+        observation = session.observe(images=True)
+        columns.append(_labels(session, observation, teacher))
+        command = _disturbed(columns[-1]["command"], rng)
+        commands = np.where(led[:, None], command, student.act(observation))
+        for i in session.step(commands).worlds:
+            _, episode = session.finish(int(i), "student")
+            episodes += [] if led[i] else [episode]
+    return Round(
+        **{name: np.stack([frame[name] for frame in columns], axis=1) for name in columns[0]},
+        path=tuple((spec.oracle_path - spec.home_pos_w).astype(np.float32) for spec in specs),
+        closed=np.stack([spec.reference_joints for spec in specs]).astype(np.float32),
+        tasks=tuple(spec.task for spec in specs),
+        episodes=tuple(episodes),
+    )
+
+
+def _labels(session: Session, observation: Observation, teacher: Intercept) -> dict[str, np.ndarray]:
+    """What a `Round` keeps of one frame, (B, ...) each."""
+    batch = session.batch
+    world = batch.world_state(observation)
+    return {
+        "state": observation.state,
+        "watching": observation.phase[:, 0] < 0.5,
+        "playing": np.isin(np.arange(batch.size), session.playing),
+        "localized": batch.localized.copy(),
+        "target": batch.target_pose[:, :PALM_DOF].astype(np.float32),
+        "command": teacher.act(world).astype(np.float32),
+        "arrival": teacher.arrivals(world),
+    }
+
+
+def _disturbed(command: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Let some of the palms (B, 18) miss their commands."""
+    stray = rng.normal(0.0, DISTURBANCE_M, (len(command), PALM_DOF))
+    stray[rng.random(len(command)) >= DISTURBED_SHARE] = 0.0
+    missed = command.copy()
+    missed[:, :PALM_DOF] += stray
+    return missed

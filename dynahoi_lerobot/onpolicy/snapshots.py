@@ -1,0 +1,116 @@
+"""Pictures of random configurations, posed without physics, with where the target is: what an eye learns from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.rollout.loop import make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+
+POSES = 8
+"""Configurations of a world before it shows another episode: to begin one costs as much as several pictures."""
+HOME_SHARE = 0.3
+"""Share of the pictures from home, while the hand watches; that is where most of what stands about is in view."""
+APPROACH_SHARE = 0.7
+"""Share of the other pictures with the palm on its way to the target; in the rest it is anywhere behind it."""
+STRAY_M = 0.04
+"""Standard deviation of the palm from the straight way to the target, along each axis [m]."""
+LEAD_FRAMES = 24
+"""The way leads to where the target is at most this many frames later."""
+NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
+"""Range of the target's position relative to the palm in the other pictures [m], world axes."""
+OPEN_SHARE = 0.5
+STILL_SHARE, FAST_SHARE = 0.15, 0.2
+"""Shares of the other hands that stand still, and of the moving ones that may be fast."""
+SLOW_M_S, FAST_M_S = 0.5, 2.0
+"""Greatest speeds of hands: those of the control classes."""
+WANDER_M = 0.1
+"""Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
+LOWEST_PALM_M = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshots:
+    """N pictures of as many worlds.
+
+    Attributes:
+        images: (N, H, W, 6) uint8 RGB of the hand's camera, and RGB one frame before.
+        offset: (N, 3) float32 target centre relative to the palm centre [m], world axes.
+    """
+
+    images: np.ndarray
+    offset: np.ndarray
+
+
+def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator) -> Iterator[Snapshots]:
+    """Yield pictures for ever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
+
+    Args:
+        recipe: of the episodes, for hand, renderer and image size.
+        specs: episodes whose objects, paths and surroundings are shown; each serves many pictures.
+        size: worlds that are rendered together.
+        rng: source of every draw.
+    """
+    batch, everyone = make_batch(recipe, size, threads=1), np.arange(size)
+    while True:
+        chosen = [specs[i] for i in rng.choice(len(specs), size)]
+        batch.reset(everyone, chosen)
+        for _ in range(POSES):
+            poses = [_pose(spec, rng) for spec in chosen]
+            turns = _turns(size, rng)
+            images = []
+            for pose in ([pose.now for pose in poses], [pose.before for pose in poses]):
+                hand, target = (np.stack(part) for part in zip(*pose, strict=True))
+                batch.place(hand, np.concatenate([target, turns], axis=1))
+                images.append(batch.observe(images=True).images[EGO_VIEW])
+            offset = np.stack([pose.now[1] - pose.now[0][:PALM_DOF] for pose in poses])
+            yield Snapshots(np.concatenate(images, axis=-1), offset.astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """Hand (18,) and target (3,) [m, rad], home frame, at a frame and at the one before."""
+
+    now: tuple[np.ndarray, np.ndarray]
+    before: tuple[np.ndarray, np.ndarray]
+
+
+def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> _Pose:
+    """Draw a frame of an episode, and a hand that moves there."""
+    path = spec.oracle_path - spec.home_pos_w
+    if rng.random() < HOME_SHARE:
+        hand = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
+        frame = min(int(rng.integers(1, spec.window_frames + LEAD_FRAMES)), len(path) - 1)
+        return _Pose((hand, path[frame]), (hand, path[frame - 1]))
+    frame = int(rng.integers(1, len(path)))
+    hand = _hand(spec, path, frame, rng)
+    step = np.zeros_like(hand)
+    if rng.random() > STILL_SHARE:
+        direction = path[frame] - hand[:PALM_DOF] + rng.normal(0.0, WANDER_M, PALM_DOF)
+        speed = rng.uniform(0.0, FAST_M_S if rng.random() < FAST_SHARE else SLOW_M_S)
+        step[:PALM_DOF] = speed * CONTROL_DT * direction / max(float(np.linalg.norm(direction)), 1e-6)
+    return _Pose((hand, path[frame]), (hand - step, path[frame - 1]))
+
+
+def _hand(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw (18,) a hand that may see the target at a frame of its path (F, 3) [m], home frame."""
+    if rng.random() < APPROACH_SHARE:
+        goal = path[min(frame + rng.integers(LEAD_FRAMES), len(path) - 1)]
+        palm = rng.random() * goal + rng.normal(0.0, STRAY_M, PALM_DOF)
+    else:
+        palm = path[frame] - rng.uniform(NEAREST_M, FARTHEST_M)
+    palm[2] = max(palm[2], LOWEST_PALM_M - spec.home_pos_w[2])
+    closed = 0.0 if rng.random() < OPEN_SHARE else rng.random()
+    joints = spec.open_joints + closed * (spec.reference_joints - spec.open_joints)
+    return np.concatenate([palm, joints])
+
+
+def _turns(count: int, rng: np.random.Generator) -> np.ndarray:
+    """(n, 4) random orientations, quaternions wxyz."""
+    quat = rng.normal(size=(count, 4))
+    return quat / np.linalg.norm(quat, axis=1, keepdims=True)

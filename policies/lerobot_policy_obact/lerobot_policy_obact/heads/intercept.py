@@ -1,0 +1,131 @@
+"""A head for hands of limited speed: it predicts the target's path, and goes where the hand can first meet it.
+
+The network predicts where the target will be at a few times, as a correction of the straight line through its latest
+sightings, and how far the fingers must close. The chunk follows from that by `reach.py`: at a limit, *where* to go is
+a question for the network, and how fast is none.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from ..attention import Attention
+from ..reach import Reach, close_in_time, earliest_meeting, first_contact, palm_path
+from ..track import N_SIGHTING, Track
+from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, heads
+
+KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
+"""Frames ahead at which the path is predicted; a spline leads from one to the next."""
+PALM_DIM = 3
+CLOSED_QUANTILE = 0.7
+"""Fingers that close too little lose the target, and fingers that close a little too much do not."""
+
+
+@heads.register("intercept")
+class InterceptHead(ForecastHead):
+    """Forecast, meeting point, straight approach. Needs an eye, and states and actions in metres and radians.
+
+    Args:
+        spec: sizes of the head and of its inputs.
+        palm_speed_m_s: the palm's greatest speed.
+        joint_speed_rad_s: that of each finger joint.
+        spare_frames: fingers are closed this long before the target is expected within reach of them.
+    """
+
+    ahead_s: Tensor
+    between: Tensor
+
+    def __init__(
+        self,
+        spec: ActionSpec,
+        *,
+        palm_speed_m_s: float = 0.5,
+        joint_speed_rad_s: float = 20.0,
+        spare_frames: int = 4,
+    ) -> None:
+        super().__init__(spec)
+        self.reach = Reach(palm_speed_m_s / spec.fps, joint_speed_rad_s / spec.fps, spare_frames)
+        width, n_knots, n_joints = spec.width, len(KNOTS), spec.action_dim - PALM_DIM
+        self.sizes = [3 * n_knots, n_knots, n_joints]
+        self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
+        self.pool = Attention(width, spec.n_heads, spec.dropout)
+        n_in = 2 * width + 6 + N_SIGHTING + n_joints
+        self.hidden = nn.Sequential(nn.Linear(n_in, 2 * width), nn.SiLU(), nn.Linear(2 * width, width), nn.SiLU())
+        self.out = nn.Linear(width, sum(self.sizes))
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+        self.register_buffer("ahead_s", torch.tensor(KNOTS) / spec.fps, persistent=False)
+        self.register_buffer("between", interpolation(KNOTS), persistent=False)
+
+    def forecast(self, condition: Condition) -> Forecast:
+        """Predict the path and the grasp."""
+        track, n = _track_of(condition), len(condition.tokens)
+        pooled = self.pool(self.query.expand(n, -1, -1), condition.tokens)[:, 0]
+        joints = self._joints(condition)
+        context = torch.cat([condition.tokens[:, 0], pooled, track.features(), joints], dim=-1)
+        bend, damping, closed = self.out(self.hidden(context)).split(self.sizes, dim=-1)
+        ahead = self.ahead_s[:, None]  # (K, 1)
+        straight = track.velocity[:, None] * ahead * torch.sigmoid(damping[..., None] + 1 - ahead)
+        bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead)
+        return Forecast(track.offset[:, None] + straight + bend, closed)
+
+    def _start(self, condition: Condition) -> Tensor:
+        """Return where the hand is when the next command takes effect, its palm relative to where it is now."""
+        start = torch.cat([torch.zeros_like(condition.position[:, :PALM_DIM]), self._joints(condition)], dim=-1)
+        return start if condition.pending is None else start + condition.pending
+
+    def _joints(self, condition: Condition) -> Tensor:
+        return condition.position[:, PALM_DIM : self.spec.action_dim]
+
+    def forecast_loss(self, label: Forecast, condition: Condition, arrival: Tensor, known: Tensor) -> Tensor:
+        """See `ForecastHead.forecast_loss`: distances along the path, above all where they will meet, and the grasp."""
+        forecast = self.forecast(condition)
+        error = (forecast.path - label.path) * known[..., None]  # (R, K, 3)
+        meeting = self.between[arrival.long().clamp(0, KNOTS[-1])]  # (R, K)
+        along = (_length(error) / (0.05 + 0.3 * self.ahead_s)).mean(-1)
+        distance = along + _length((meeting[..., None] * error).sum(1)) / 0.1
+        missing = label.closed - forecast.closed
+        grasp = torch.maximum(CLOSED_QUANTILE * missing, (CLOSED_QUANTILE - 1) * missing)
+        return distance + grasp.mean(-1)
+
+    def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
+        """See `ActionHead.sample`; the noise is ignored, and palm targets are relative to the palm [m]."""
+        forecast, start = self.forecast(condition), self._start(condition)
+        late, joints = self.spec.latency_frames, start[:, PALM_DIM:]
+        path = (self.between @ forecast.path)[:, late:] - start[:, None, :PALM_DIM]  # (B, F + 1, 3)
+        turn = (forecast.closed - joints).abs().amax(-1)
+        palm = palm_path(path, earliest_meeting(path, turn, self.reach), self.reach)
+        n_steps = self.spec.horizon - late
+        fingers = close_in_time(joints, forecast.closed, first_contact(palm, path), n_steps, self.reach)
+        moves = torch.cat([palm[:, 1 : n_steps + 1] + start[:, None, :PALM_DIM], fingers], dim=-1)
+        return torch.cat([start[:, None].expand(-1, late, -1), moves], dim=1)
+
+
+def interpolation(knots: tuple[int, ...]) -> Tensor:
+    """Return (F + 1, K) weights of the knots at each frame from 0 to the last knot: the natural cubic spline."""
+    at, n = torch.tensor(knots, dtype=torch.float64), len(knots)
+    gap, identity = at.diff(), torch.eye(n, dtype=torch.float64)
+    slopes = identity.diff(dim=0) / gap[:, None]  # (K - 1, K)
+    system, right = identity.clone(), torch.zeros(n, n, dtype=torch.float64)
+    for k in range(1, n - 1):  # the second derivative is continuous at inner knots, and zero at both ends
+        system[k, k - 1 : k + 2] = torch.stack([gap[k - 1], 2 * (gap[k - 1] + gap[k]), gap[k]])
+        right[k] = 6 * (slopes[k] - slopes[k - 1])
+    second = torch.linalg.solve(system, right)  # (K, K)
+    frames = torch.arange(knots[-1] + 1, dtype=torch.float64)
+    left = (torch.searchsorted(at, frames, right=True) - 1).clamp_max(n - 2)
+    b = ((frames - at[left]) / gap[left])[:, None]
+    a, square = 1 - b, gap[left][:, None].square() / 6
+    curve = square * ((a**3 - a) * second[left] + (b**3 - b) * second[left + 1])
+    return (a * identity[left] + b * identity[left + 1] + curve).float()
+
+
+def _length(x: Tensor) -> Tensor:
+    """Return the lengths of vectors ``(..., 3)``, differentiable at zero."""
+    return x.square().sum(-1).add(1e-8).sqrt()
+
+
+def _track_of(condition: Condition) -> Track:
+    if condition.track is None:
+        raise ValueError("head 'intercept' needs a backbone that locates the target, such as 'eye'.")
+    return condition.track

@@ -1,0 +1,185 @@
+"""A policy that acts in a simulation and learns there from a teacher's labels, without writing a dataset.
+
+The eye is frozen, so each image is looked at once, while acting. Updates then run over whole episodes: every frame is a
+decision, and all decisions of an episode share its tokens.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import draccus
+import numpy as np
+import torch
+from lerobot.configs import PreTrainedConfig
+from lerobot.configs.default import DatasetConfig
+from lerobot.configs.train import TrainPipelineConfig
+from lerobot.envs.utils import preprocess_observation
+from torch import Tensor
+
+from dynahoi_lerobot.env.spaces import as_gym
+
+from .configuration_obact import ObActConfig
+from .decisions import window_decisions
+from .eye_training import learning_rate, train_eye
+from .heads.base import Forecast, ForecastHead
+from .lesson import Lesson
+from .modeling_obact import ObActPolicy
+from .observation import Batch, Observation
+from .processor_obact import make_obact_pre_post_processors
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.agent import Observation as WorldObservation
+    from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
+    from dynahoi_lerobot.onpolicy.rounds import Round
+
+__all__ = ["ObActLearner", "make_learner", "train_eye"]
+
+WARMUP_UPDATES = 50
+ON_POLICY = "on-policy"
+"""What stands for a dataset in the checkpoint's ``train_config.json``: there was none."""
+
+
+class ObActLearner:
+    """See `dynahoi_lerobot.onpolicy.student.Learner`.
+
+    Args:
+        policy: with a backbone that is an eye, and a head that forecasts.
+        recipe: how it is trained.
+    """
+
+    def __init__(self, policy: ObActPolicy, recipe: DaggerRecipe) -> None:
+        self.policy, self.recipe = policy, recipe
+        self.preprocess, self.postprocess = make_obact_pre_post_processors(policy.config)
+        self.lessons: deque[Lesson] = deque(maxlen=recipe.rounds_kept)
+        config = policy.config
+        self.optimizer = torch.optim.AdamW(
+            policy.get_optim_params(), lr=0.0, betas=config.optimizer_betas, weight_decay=config.optimizer_weight_decay
+        )
+        self.generator = torch.Generator().manual_seed(recipe.seed)
+        self.n_updates = 0
+        self._looks: list[Tensor] = []
+        self._proprioception: list[Tensor] = []
+
+    # -- acting ---------------------------------------------------------------------------------------------------
+
+    def reset(self, count: int) -> None:
+        """Begin new episodes."""
+        self.policy.reset()
+        self.policy.eval()
+        self._looks, self._proprioception = [], []
+
+    @torch.no_grad()
+    def act(self, observation: WorldObservation) -> np.ndarray:
+        """Return (N, 18) commands as the policy alone would, and keep what was seen."""
+        batch: Batch = self.preprocess(preprocess_observation(as_gym(observation)) | {"task": list(observation.tasks)})
+        frame = self.policy.planner.observe(batch)
+        looks = self.policy.model.look(frame)
+        self._looks.append(looks)
+        self._proprioception.append(frame.proprioception)
+        return self.postprocess(self.policy.select_action_after(frame, looks, batch)).numpy()
+
+    # -- learning -------------------------------------------------------------------------------------------------
+
+    def study(self, played: Round) -> None:
+        """Keep a round that was just acted."""
+        self.lessons.append(Lesson.of(played, self._looks, self._proprioception))
+
+    def learn(self, updates: int) -> float:
+        """Update the policy; return the mean loss.
+
+        Raises:
+            FloatingPointError: if the loss is not finite.
+        """
+        self.policy.train()
+        return float(np.mean([self._update(self._draw()) for _ in range(updates)]))
+
+    def loss(self, lesson: Lesson) -> Tensor:
+        """Return the mean loss over all frames of a lesson, a scalar."""
+        model, config = self.policy.model, self.policy.config
+        no_images = lesson.looks[..., :0]
+        observation = Observation(
+            no_images, lesson.proprioception, lesson.state, lesson.keep, lesson.watching, lesson.texts
+        )
+        frames = model.encode_looks(observation, lesson.looks)
+        windows = torch.arange(lesson.keep.shape[1])[:, None] + torch.tensor(config.windows.lookback)  # (T, W)
+        decisions = window_decisions(frames, windows, config, wanted=lesson.keep)
+        condition = model.conditions(frames, decisions)
+        palm = condition.position[:, None, :3]
+        label = Forecast(decisions.pick(lesson.path) - palm, decisions.pick(lesson.closed))
+        arrival, known = decisions.pick(lesson.arrival), decisions.pick(lesson.known)
+        return model.head.forecast_loss(label, condition, arrival, known).mean()
+
+    def _update(self, lesson: Lesson) -> float:
+        config = self.policy.config
+        n_updates = self.recipe.rounds * self.recipe.updates
+        rate = learning_rate(self.recipe.learning_rate, self.n_updates, n_updates, WARMUP_UPDATES)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        loss = self.loss(lesson)
+        if not loss.isfinite():
+            raise FloatingPointError(f"the loss of update {self.n_updates} is {loss.item()}; lower learning_rate")
+        self.optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.policy.model.parameters(), config.optimizer_grad_clip_norm)
+        self.optimizer.step()
+        self.policy.update()
+        self.n_updates += 1
+        return loss.item()
+
+    def _draw(self) -> Lesson:
+        """Draw episodes of one of the rounds kept."""
+        lesson = self.lessons[int(torch.randint(len(self.lessons), (), generator=self.generator))]
+        order = torch.randperm(len(lesson.texts), generator=self.generator)
+        return lesson.rows(order[: self.recipe.batch_episodes].tolist())
+
+    # -- saving ---------------------------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that learning goes on from."""
+        return {
+            "policy": self.policy.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "generator": self.generator.get_state(),
+            "updates": self.n_updates,
+            "lessons": [{**lesson.tensors(), "texts": lesson.texts} for lesson in self.lessons],
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        self.policy.load_state_dict(state["policy"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.generator.set_state(state["generator"])
+        self.n_updates = state["updates"]
+        self.lessons.extend(Lesson(**lesson) for lesson in state["lessons"])
+
+    def save_pretrained(self, folder: Path) -> None:
+        """Write the policy, averaged weights alone, and its processors, as LeRobot opens them."""
+        acting = self.policy.for_acting()
+        acting.save_pretrained(folder)
+        recipe = self.recipe
+        steps, dataset = recipe.rounds * recipe.updates, DatasetConfig(repo_id=ON_POLICY)
+        TrainPipelineConfig(
+            dataset, policy=acting.config, seed=recipe.seed, steps=steps, batch_size=recipe.batch_episodes
+        ).save_pretrained(folder)
+        for pipeline in (self.preprocess, self.postprocess):
+            pipeline.save_pretrained(folder)
+
+
+def make_learner(recipe: DaggerRecipe) -> ObActLearner:
+    """Return the learner of a recipe's policy, at the weights of its ``start``, if any, or else at random ones.
+
+    Raises:
+        ValueError: if the policy cannot learn this way, or its config is not valid.
+    """
+    torch.manual_seed(recipe.seed)
+    config = cast(ObActConfig, draccus.decode(PreTrainedConfig, recipe.policy))
+    policy = ObActPolicy.from_pretrained(recipe.start, config=config) if recipe.start else ObActPolicy(config)
+    if not (policy.model.backbone.locates and isinstance(policy.model.head, ForecastHead)):
+        raise ValueError(
+            f"only backbones that locate the target and heads that forecast learn on-policy, such as eye and "
+            f"intercept, got {config.backbone!r} and {config.head!r}"
+        )
+    return ObActLearner(policy, recipe)

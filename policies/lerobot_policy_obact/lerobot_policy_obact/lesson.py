@@ -1,0 +1,84 @@
+"""Labelled episodes with the looks at their images, on which whole updates run without rendering or encoding again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .heads.intercept import KNOTS
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.onpolicy.rounds import Round
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """``B`` labelled episodes of up to ``T`` frames, in the frame of ``observation.state``.
+
+    Attributes:
+        looks: at the images, shape ``(B, T, C, L)``.
+        proprioception: all vector observations concatenated, shape ``(B, T, S)``.
+        state: ``observation.state``, shape ``(B, T, P)``.
+        keep: False once an episode has ended, shape ``(B, T)``.
+        watching: the observation window, shape ``(B, T)``.
+        path: where the target will be at `KNOTS` after each frame [m], shape ``(B, T, K, 3)``.
+        known: False where that lies beyond the known path, shape ``(B, T, K)``.
+        closed: joints that close the hand around the target [rad], shape ``(B, T, J)``.
+        arrival: frames until the teacher meets the target, shape ``(B, T)``.
+        texts: instructions.
+    """
+
+    looks: Tensor
+    proprioception: Tensor
+    state: Tensor
+    keep: Tensor
+    watching: Tensor
+    path: Tensor
+    known: Tensor
+    closed: Tensor
+    arrival: Tensor
+    texts: list[str]
+
+    @classmethod
+    def of(cls, played: Round, looks: Sequence[Tensor], proprioception: Sequence[Tensor]) -> Lesson:
+        """Put the labels of a round beside what was seen in each of its frames, ``(B, 1, ...)`` each.
+
+        A target that is held stays where it is; of its untouched path nothing can be seen any more.
+        """
+        n_frames = played.playing.shape[1]
+        paths, known = zip(*(path_ahead(path, n_frames) for path in played.path), strict=True)
+        held = torch.from_numpy(played.localized)[..., None]  # (B, T, 1)
+        here = torch.from_numpy(played.target)[:, :, None]  # (B, T, 1, 3)
+        return cls(
+            looks=torch.cat(list(looks), dim=1),
+            proprioception=torch.cat(list(proprioception), dim=1),
+            state=torch.from_numpy(played.state),
+            keep=torch.from_numpy(played.playing),
+            watching=torch.from_numpy(played.watching),
+            path=torch.where(held[..., None], here, torch.from_numpy(np.stack(paths))),
+            known=torch.from_numpy(np.stack(known)) | held,
+            closed=torch.from_numpy(played.closed)[:, None].expand(-1, n_frames, -1),
+            arrival=torch.from_numpy(played.arrival),
+            texts=list(played.tasks),
+        )
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return all tensors by name."""
+        return {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
+
+    def rows(self, index: list[int]) -> Lesson:
+        """Return some of the episodes, without frames at which none of them is played."""
+        n_frames = int(self.keep[index].sum(1).max())
+        chosen = {name: value[index, :n_frames] for name, value in self.tensors().items()}
+        return replace(self, **chosen, texts=[self.texts[i] for i in index])
+
+
+def path_ahead(path: np.ndarray, n_frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (T, K, 3) at `KNOTS` after each of T frames of a path (F, 3), and which of them it holds."""
+    index = np.arange(n_frames)[:, None] + np.array(KNOTS)
+    return path[index.clip(max=len(path) - 1)], index < len(path)

@@ -1,0 +1,91 @@
+"""What was pushed is used by its name on the Hub, by LeRobot and by ``dynahoi evaluate``, from an empty cache."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from huggingface_hub import parse_eval_result_entries
+
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
+from tests.hub.conftest import Push
+from tests.hub.server import Hub
+
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints/obact_cpu"
+READ = """
+import sys
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from dynahoi_lerobot.verify.runner import verify
+dataset = LeRobotDataset("me/catching", video_backend="pyav")
+sample = dataset[len(dataset) - 1]
+print(dataset.num_episodes, dataset.meta.episodes[0]["motion"], *sample["observation.images.ego"].shape)
+print(*verify(dataset.root))
+"""
+
+pytestmark = pytest.mark.slow  # LeRobot takes long to import
+
+
+def elsewhere(hub: Hub, home: Path, *words: str) -> str:
+    """Run Python with an empty cache and no token; return what it printed."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("HF_")}
+    environment |= {"HF_ENDPOINT": hub.url, "HF_HOME": str(home), "HF_HUB_DISABLE_XET": "1"}
+    done = subprocess.run([sys.executable, *words], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_dataset_is_read_by_its_name(simulated: Path, hub: Hub, push: Push, tmp_path: Path):
+    push(simulated, "me/catching")
+    facts, findings, *_ = elsewhere(hub, tmp_path / "home", "-c", READ).splitlines()
+    seeds = Manifest.read(simulated).seeds
+    assert facts.split()[0] == str(len(seeds))
+    assert facts.split()[2:] == ["3", "32", "32"]
+    assert findings == ""
+
+
+def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(hub: Hub, push: Push, tmp_path: Path):
+    checkpoint, results = shutil.copytree(CHECKPOINT, tmp_path / "checkpoint"), tmp_path / "results"
+    assert push(checkpoint, "me/obact")[0] == 0
+    words = ("-m", "dynahoi_lerobot.cli.main", "evaluate", "--policy", "me/obact", "--episodes", "2", "--out")
+    elsewhere(hub, tmp_path / "home", *words, str(results))
+    code, out, err = push(results, "me/obact")
+    assert code == 0, err
+    assert f"results pushed to {hub.url}/me/obact" in out
+    files = hub.repos["models/me/obact"].files
+    assert set(files) > {path.name for path in checkpoint.iterdir()}
+    head = json.loads((results / METRICS_FILE).read_text())
+    name = f"{head['split']}_attach_{head['extra']['recipe']['control_class']}"
+    assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
+    entries = parse_eval_result_entries(yaml.safe_load(files[f".eval_results/{name}.yaml"]))
+    assert {entry.dataset_id for entry in entries} == {"me/dynahoi"}
+    shown = {entry.task_id.removeprefix(f"{name}_"): entry.value for entry in entries}
+    assert shown == {key: metric["value"] for key, metric in head["metrics"].items() if metric["value"] is not None}
+    assert push(checkpoint, "me/obact")[0] == 0
+    elsewhere(hub, tmp_path / "other_home", *words, str(tmp_path / "again"))
+    assert json.loads((tmp_path / "again" / METRICS_FILE).read_text())["metrics"] == head["metrics"]
+
+
+PLAY = """
+from lerobot.envs.factory import make_env
+suites = make_env("me/dynahoi-env", n_envs=2, trust_remote_code=True)
+envs = next(iter(next(iter(suites.values())).values()))
+observation, info = envs.reset(seed=[0, 1])
+observation, reward, *_ = envs.step(envs.action_space.sample())
+print(len(suites), *observation["agent_pos"].shape, *reward.shape)
+"""
+
+
+def test_an_environment_is_made_by_its_name(hub: Hub, push: Push, tmp_path: Path):
+    folder = Path(__file__).parents[2] / "envs/hub"
+    code, out, err = push(folder, "me/dynahoi-env")
+    assert code == 0, err
+    assert f"environment pushed to {hub.url}/me/dynahoi-env" in out
+    assert set(hub.repos["models/me/dynahoi-env"].files) == {"README.md", "env.py", "requirements.txt"}
+    assert elsewhere(hub, tmp_path / "home", "-c", PLAY).split() == ["8", "2", "18", "2"]

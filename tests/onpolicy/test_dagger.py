@@ -1,0 +1,133 @@
+"""A tiny run of `dynahoi dagger`: it logs, leaves a LeRobot checkpoint, and goes on where it was stopped."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from lerobot_policy_obact import ObActPolicy
+from lerobot_policy_obact.backbones.eye import EyeBackbone
+from safetensors.torch import load_file, save_file
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.onpolicy import dagger
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+
+STANDARD = Path(__file__).parents[2] / "recipes" / "train" / "standard.yaml"
+TINY_EYE = {"channels": 8, "fovea": 12, "embedding": 4}
+
+
+def tiny_recipe(folder: Path, **changes: object) -> Path:
+    """Write the recipe for the standard class, made tiny, with an eye that has learned nothing."""
+    recipe = yaml.safe_load(STANDARD.read_text())
+    torch.manual_seed(0)
+    save_file(EyeBackbone(16, **TINY_EYE).learned_state(), folder / "eye.safetensors")
+    recipe["episodes"] |= {"image_size": 32, "motions": ["lob"]}
+    recipe |= {"rounds": 3, "worlds": 2, "n_episodes": 4, "updates": 2, "batch_episodes": 2, "save_every": 1}
+    recipe |= {"validate_every": 2, "validation_episodes": 2}
+    policy = recipe["policy"]
+    policy |= {"width": 16, "n_attention_heads": 2, "n_obs_frames": 3, "n_window_frames": 2, "image_size": 32}
+    policy["backbone_options"] = TINY_EYE | {"weights": str(folder / "eye.safetensors")}
+    policy["input_features"]["observation.images.ego"]["shape"] = [3, 32, 32]
+    path = folder / "recipe.yaml"
+    path.write_text(yaml.safe_dump(recipe | changes))
+    return path
+
+
+def run(recipe: Path, out: Path) -> list[dict]:
+    assert main(["dagger", "--recipe", str(recipe), "--out", str(out)]) == 0
+    return [json.loads(line) for line in (out / dagger.LOG).read_text().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dagger")
+    run(tiny_recipe(folder), folder / "out")
+    return folder / "out"
+
+
+def test_the_log_tells_scores_against_processor_minutes(finished: Path):
+    lines = [json.loads(line) for line in (finished / dagger.LOG).read_text().splitlines()]
+    assert [line["round"] for line in lines] == [1, 2, 3]
+    minutes = [line["processor_minutes"] for line in lines]
+    assert minutes == sorted(minutes)
+    assert minutes[0] > 0
+    assert lines[0]["train"]["S_loc"] is None, "the teacher led all episodes of the first round"
+    assert ["val" in line for line in lines] == [False, True, True]
+    assert set(lines[1]["val"]) == set(dagger.SCORES)
+
+
+def test_the_checkpoint_acts_as_any_lerobot_policy_does(finished: Path):
+    checkpoint = finished / dagger.CHECKPOINT
+    files = {"config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"}
+    files |= {"train_config.json"}
+    assert files <= {path.name for path in checkpoint.iterdir()}
+    policy = ObActPolicy.from_pretrained(checkpoint)
+    stored = load_file(checkpoint / "model.safetensors")
+    assert set(stored) == set(policy.state_dict())
+    agent = PolicyAgent(str(checkpoint))
+    specs = sample_specs(Recipe(split="val", image_size=32), [0])
+    (episode,) = evaluate(make_batch(Recipe(image_size=32), 1, threads=1), agent, specs)
+    assert len(episode) > episode.meta.window_frames
+
+
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    recipe = tiny_recipe(tmp_path)
+    played, calls = dagger.play_round, []
+
+    def stopped_in_the_third_round(*args, **kwargs):
+        calls.append(args)
+        if len(calls) == 4:  # two rounds, a validation
+            raise KeyboardInterrupt
+        return played(*args, **kwargs)
+
+    monkeypatch.setattr(dagger, "play_round", stopped_in_the_third_round)
+    out = tmp_path / "out"
+    assert main(["dagger", "--recipe", str(recipe), "--out", str(out)]) == 130
+    assert len((out / dagger.LOG).read_text().splitlines()) == 2
+    monkeypatch.setattr(dagger, "play_round", played)
+    lines = run(recipe, out)
+    assert [line["round"] for line in lines] == [1, 2, 3]
+    weights, expected = (load_file(f / dagger.CHECKPOINT / "model.safetensors") for f in (out, finished))
+    for name, tensor in expected.items():
+        torch.testing.assert_close(weights[name], tensor, rtol=0, atol=0, msg=name)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"rounds": 0}, "rounds must be 1 or more, got 0"),
+        ({"n_episodes": 1}, "n_episodes must be at least worlds, 2, got 1"),
+        ({"teacher_share": 1.5}, "teacher_share must be 0 to 1, got 1.5"),
+        ({"episodes": {"split": "test"}}, "episodes.split must be train, got test"),
+        ({"policy": {"type": "act"}}, "policy.type must name a policy with a learner, such as obact, got 'act'"),
+        ({"nonsense": 1}, "nonsense"),
+    ],
+)
+def test_a_wrong_recipe_is_refused_in_a_sentence(
+    change: dict, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "out"
+    assert main(["dagger", "--recipe", str(tiny_recipe(tmp_path, **change)), "--out", str(out)]) == 2
+    assert told in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_an_eye_is_pretrained_and_a_policy_starts_from_it(tmp_path: Path):
+    recipe = {"out": str(tmp_path / "eye"), "episodes": {"image_size": 32}, "n_episodes": 2, "pictures": 16}
+    recipe |= {"batch_size": 8, "policy": {"type": "obact", "backbone_options": TINY_EYE}}
+    path = tmp_path / "eye.yaml"
+    path.write_text(yaml.safe_dump(recipe))
+    assert main(["pretrain", "--recipe", str(path)]) == 0
+    eye = EyeBackbone(16, **TINY_EYE, weights=str(tmp_path / "eye" / "eye.safetensors"))
+    eye.load_pretrained()
+    (line,) = (tmp_path / "eye" / "log.jsonl").read_text().splitlines()
+    assert json.loads(line)["pictures"] == 16
