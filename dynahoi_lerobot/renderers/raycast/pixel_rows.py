@@ -1,9 +1,8 @@
 """One shape and sixteen rays from the camera: depth, lighting and texture at the points where they enter the shape.
 
 The loops over the rays hold no branches and stay loops, so that compilers turn them into vector instructions; that is
-most of the speed on a CPU. Ray i has the direction ``(xs[i], ys[i], -1)`` in the camera's frame. Shapes are passed by
-number: to copy one for a call takes longer than the call, as the processor waits for what it has just stored in small
-parts and loads as a whole.
+most of the speed on a CPU. Shapes are passed by number, as the processor waits for a copy that it has just stored in
+small parts and loads as a whole. Ray i has the direction ``(xs[i], ys[i], -1)`` in the camera's frame.
 """
 
 # ruff: noqa: PLR0917 - warp functions take their arguments by position

@@ -36,9 +36,7 @@ class CameraIntrinsics:
     """Pinhole camera.
 
     Attributes:
-        camera: id in the model.
-        size: side of the square image [px].
-        focal: focal length [px].
+        camera: id in the model; ``size``: side of the square image [px]; ``focal``: focal length [px].
         slopes: (tiles across,) slopes to the right of the rays through the pixels of each tile.
     """
 
