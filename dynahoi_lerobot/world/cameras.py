@@ -43,7 +43,8 @@ class Cameras:
         if ids is None or len(ids) == n_worlds:
             return draw(self._renderer(camera), np.arange(n_worlds))
         images = np.zeros((n_worlds, self.image_size, self.image_size, 3), np.uint8)
-        images[ids] = draw(self._renderer(camera), np.asarray(ids))
+        if len(ids):
+            images[ids] = draw(self._renderer(camera), np.asarray(ids))
         return images
 
     def segmentation(self) -> np.ndarray:

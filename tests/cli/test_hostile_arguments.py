@@ -21,6 +21,8 @@ REQUIRED = {
     "filter": ["nothing", "--out", "made"],
     "evaluate": ["--policy", "hold", "--motions", "constant", "--episodes", "1", "--image-size", "16"],
     "certify": ["nothing"],
+    "dagger": ["--recipe", "nothing"],
+    "pretrain": ["--recipe", "nothing"],
     "report": ["nothing"],
     "view": ["--motion", "constant", "--image-size", "16", "--out", "made.gif"],
     "quickstart": ["--out", "file/made"],

@@ -50,7 +50,7 @@ FILES: Table = {
     "a flipped byte in a video's index": (
         file(VIDEO, lambda c: flip((c.index(b"stsz") + 21) / len(c))(c)), "default", "file-000.mp4"
     ),
-    "a flipped byte in a video's pictures": (file(VIDEO, flip(0.3)), "decode", "does not show what its statistics"),
+    "a flipped byte in a video's pictures": (file(VIDEO, flip(0.3)), "decode", "pictures: observation.images.ego"),
     **{
         f"{kind} of {name}": (file(name, change), "default", f"{name} cannot be read")
         for name in (INFO, STATS, HIST, MANIFEST)
@@ -65,7 +65,7 @@ FILES: Table = {
     "the manifest gone": (lambda root: (root / MANIFEST).unlink(), "default", "manifest.json is missing"),
     "a folder instead of a video": (folder_instead(VIDEO), "default", "file-000.mp4"),
     "a folder instead of a table": (folder_instead(DATA), "default", "file-000.parquet cannot be read"),
-    "swapped videos": (swap(VIDEO, OTHER_VIDEO), "default", "frames; its episodes have"),
+    "swapped videos": (swap(VIDEO, OTHER_VIDEO), "default", "file-000.mp4 has"),
     "swapped tables": (swap(DATA, ROWS), "default", "file-000.parquet"),
     "a symbolic link": (link_out(VIDEO), "default", "is a symbolic link, to"),
     "a link in a circle": (lambda root: (root / "loop").symlink_to(root), "default", "loop is a symbolic link"),
