@@ -279,8 +279,8 @@ def test_the_papers_prompt_is_sent_and_named_in_every_row(tmp_path: Path, capsys
         words = ["evaluate", "--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant"]
         words += ["--image-size", "32", "--out", str(out), "--capture", "attach_lenient"]
         assert main([*words, "--prompt", "paper", "--episodes", "1"]) == 0
-        words = capsys.readouterr().out.split()
-        assert {"vlm:tiny:paper", "test_small", "attach_lenient", "standard"} <= set(words)
+        said = set(capsys.readouterr().out.split())
+        assert {"vlm:tiny:paper", "test_small", "attach_lenient", "standard"} <= said
         assert main([*words, "--prompt", "extended", "--episodes", "2"]) == 2
         assert "holds results with policy vlm:tiny:paper, not vlm:tiny:extended" in capsys.readouterr().err
         assert main([*words, "--prompt", "short"]) == 2
