@@ -25,11 +25,11 @@ def test_the_same_draws_give_the_same_pictures_and_others_do_not():
     assert (first.offset != other.offset).any()
 
 
-def test_every_picture_is_of_another_pose():
+def test_pictures_are_of_many_poses():
     shown = list(islice(snapshots(RECIPE, SPECS, 4, np.random.default_rng(0)), 10))
     offsets = np.concatenate([s.offset for s in shown])
     assert len(offsets) == 40
-    assert len(np.unique(offsets, axis=0)) >= 38, "waiting hands are shown at the same frame now and then"
+    assert len(np.unique(offsets, axis=0)) > 30, "some are from home, and there a target that rests is where it was"
     assert np.ptp(offsets, axis=0).min() > 0.2, "targets near and far, left and right, above and below"
 
 
