@@ -44,7 +44,7 @@ def main() -> None:
     for row in rows:
         along, across = row["along_cm"], row["across_cm"]
         told = f"{along[0]:5.1f} ({along[1]:5.1f}) / {across[0]:5.2f} ({across[1]:5.2f})"
-        print(f"{row['from_cm']:5.0f} to {row['to_cm']:4.0f} {row['pictures']:9d}      {told}")
+        print(f"{row['from_cm']:5.0f} to {row['to_cm'] or np.inf:4.0f} {row['pictures']:9d}      {told}")
     write_numbers(args, rows=rows)
 
 
@@ -67,7 +67,7 @@ def _table(errors: np.ndarray) -> list[dict[str, object]]:
         some = 100 * errors[(errors[:, 0] >= low) & (errors[:, 0] < high)]
         if len(some):
             along, across = (np.quantile(some[:, column], (0.5, 0.9)).tolist() for column in (1, 2))
-            bounds = {"from_cm": 100 * low, "to_cm": 100 * high}
+            bounds = {"from_cm": 100 * low, "to_cm": 100 * high if np.isfinite(high) else None}
             rows.append({**bounds, "pictures": len(some), "along_cm": along, "across_cm": across})
     return rows
 

@@ -105,9 +105,8 @@ class StraightforwardEnv(gym.Env):
         due_frame = max(self.frame, self.spec.window_frames)
         (pose, velocity), caught = self.target_state(), self.localized_frame is not None
         state, position = self.executed + self.origin, pose[:3] + self.spec.home_pos_w
-        return WorldView(
-            self.spec, state, self.frame, due_frame, position, velocity[:3], caught, 1, self._writer.control
-        )
+        known = (self.spec, state, self.frame, due_frame, position, velocity[:3], caught, 1)
+        return WorldView(*known, self._writer.control, LOCALIZATION_RADIUS_M)
 
     def target_state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return pose (7,), home frame, and velocity (6,) of the target."""

@@ -19,7 +19,7 @@ from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.evaluate.checkpoint_trust import PolicyError, UntrustedCheckpointError, check_folder
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_cpu"
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_standard"
 PREPROCESSOR = "policy_preprocessor.json"
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 
-CHECKPOINT = str(Path(__file__).parents[2] / "checkpoints" / "obact_cpu")
+CHECKPOINT = str(Path(__file__).parents[2] / "checkpoints" / "obact_standard")
 
 
 def test_settings_change_the_config_and_nothing_else() -> None:

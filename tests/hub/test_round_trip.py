@@ -18,7 +18,7 @@ from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
 from tests.hub.conftest import Push
 from tests.hub.server import Hub
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints/obact_cpu"
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints/obact_standard"
 READ = """
 import sys
 from lerobot.datasets.lerobot_dataset import LeRobotDataset

@@ -9,7 +9,7 @@ import pytest
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
 
-CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "obact_cpu"
+CHECKPOINT = Path(__file__).parents[3] / "checkpoints" / "obact_standard"
 
 
 @pytest.mark.slow
