@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.onpolicy.curriculum import Curriculum
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
 from dynahoi_lerobot.onpolicy.rounds import play_round
 from dynahoi_lerobot.onpolicy.student import Learner
@@ -40,8 +40,8 @@ class Dagger:
         self.recipe, self.learner = recipe, learner
         self.round, self.processor_s = 0, 0.0
         self._rng = np.random.default_rng(recipe.seed)
+        self._curriculum = Curriculum(recipe, self._rng)
         self._batch = make_batch(recipe.episodes, recipe.worlds, threads=1)
-        self._specs: dict[int, EpisodeSpec] = {}
         recipe.out.mkdir(parents=True, exist_ok=True)
         if (recipe.out / STATE).exists():
             self._resume()
@@ -64,23 +64,12 @@ class Dagger:
         """Play a round and learn from all that are kept."""
         recipe = self.recipe
         share = recipe.teacher_share if self.round else 1.0
-        played = play_round(self._batch, self.learner, self._next_specs(), self._rng, share)
+        played = play_round(self._batch, self.learner, self._curriculum.episodes(self.round), self._rng, share)
+        self._curriculum.note(played.episodes)
         self.learner.study(played)
         loss = self.learner.learn(recipe.updates)
         self.round += 1
         return {"round": self.round, "loss": round(loss, 4), "train": scores(played.episodes)}
-
-    def _next_specs(self) -> list[EpisodeSpec]:
-        """Return the episodes of the next round: new ones as long as there are any, then a draw from all."""
-        recipe = self.recipe
-        first = self.round * recipe.worlds
-        if first + recipe.worlds <= recipe.n_episodes:
-            seeds = np.arange(first, first + recipe.worlds)
-        else:
-            seeds = np.sort(self._rng.choice(recipe.n_episodes, recipe.worlds, replace=False))
-        missing = [int(seed) for seed in seeds if int(seed) not in self._specs]
-        self._specs |= zip(missing, sample_specs(recipe.episodes, missing), strict=True)
-        return [self._specs[int(seed)] for seed in seeds]
 
     def _validate(self) -> dict[str, float | None]:
         """Play episodes of ``val`` without a teacher."""
@@ -109,6 +98,7 @@ class Dagger:
             "round": self.round,
             "processor_s": self.processor_s,
             "rng": self._rng.bit_generator.state,
+            "curriculum": self._curriculum.state_dict(),
             "learner": self.learner.state_dict(),
             "log": (self.recipe.out / LOG).read_text(),
         }
@@ -122,6 +112,7 @@ class Dagger:
         state = torch.load(self.recipe.out / STATE, weights_only=True)
         self.round, self.processor_s = state["round"], state["processor_s"]
         self._rng.bit_generator.state = state["rng"]
+        self._curriculum.load_state_dict(state["curriculum"])
         self.learner.load_state_dict(state["learner"])
         (self.recipe.out / LOG).write_text(state["log"])  # drops the lines of rounds that were not saved
 

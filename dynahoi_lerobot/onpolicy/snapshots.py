@@ -14,10 +14,13 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 
 POSES = 8
 """Configurations of a world before it shows another episode: to begin one costs as much as several pictures."""
-HOME_SHARE = 0.3
+HOME_SHARE = 0.25
 """Share of the pictures from home, while the hand watches; that is where most of what stands about is in view."""
-APPROACH_SHARE = 0.7
-"""Share of the other pictures with the palm on its way to the target; in the rest it is anywhere behind it."""
+NEAR_SHARE, APPROACH_SHARE = 0.35, 0.45
+"""Shares of the other pictures with the palm at the target, where an error of centimetres decides, and on its way
+there; in the rest it is anywhere behind it."""
+NEAR_M = 0.06
+"""Standard deviation of the palm from the target when it is near, along each axis [m]."""
 STRAY_M = 0.04
 """Standard deviation of the palm from the straight way to the target, along each axis [m]."""
 LEAD_FRAMES = 24
@@ -99,7 +102,10 @@ def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> _Pose:
 
 def _hand(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
     """Draw (18,) a hand that may see the target at a frame of its path (F, 3) [m], home frame."""
-    if rng.random() < APPROACH_SHARE:
+    kind = rng.random()
+    if kind < NEAR_SHARE:
+        palm = path[frame] + rng.normal(0.0, NEAR_M, PALM_DOF)
+    elif kind < NEAR_SHARE + APPROACH_SHARE:
         goal = path[min(frame + rng.integers(LEAD_FRAMES), len(path) - 1)]
         palm = rng.random() * goal + rng.normal(0.0, STRAY_M, PALM_DOF)
     else:

@@ -89,7 +89,7 @@ class EyeBackbone(Backbone):
             nn.Linear(64 * math.ceil(fovea / 4) ** 2, 128), nn.SiLU(),
         )  # fmt: skip
         self.read = nn.Sequential(
-            nn.Linear(128 + channels + 2, 128), nn.SiLU(), nn.Linear(128, embedding + 3 + N_SCALES)
+            nn.Linear(128 + 3 * channels + 2, 128), nn.SiLU(), nn.Linear(128, embedding + 3 + N_SCALES)
         )
         self.token = nn.Linear(self.look_dim(embedding), width)
         self.embedding = embedding
@@ -136,10 +136,10 @@ class EyeBackbone(Backbone):
         """
         now, before = images[:, :3], images[:, -3:]
         pixels = torch.cat([now, saturation(now), now - before], dim=1).contiguous(memory_format=torch.channels_last)
-        heat, fine = self._glance(pixels)
+        heat, fine, room = self._glance(pixels)
         centre, glance = self._peak(heat, fine)
         seen = self.foveal(self._crop(pixels, centre.detach()))
-        read = self.read(torch.cat([seen, glance, centre], dim=-1))
+        read = self.read(torch.cat([seen, glance, room, centre], dim=-1))
         shift, log_depth, scales, embedding = read.split([2, 1, N_SCALES, self.embedding], dim=-1)
         camera = torch.cat([centre + self.fovea / images.shape[-1] * shift, log_depth], dim=-1)
         return torch.cat([self.offset(camera), camera, scales, embedding], dim=-1), heat
@@ -156,12 +156,13 @@ class EyeBackbone(Backbone):
         depth = local[..., 2:].clamp_min(0.01)
         return torch.cat([local[..., :2] / (depth * self.half_view), (depth / TYPICAL_DEPTH_M).log()], dim=-1)
 
-    def _glance(self, pixels: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the logarithmic heat map ``(F, h, w)`` and the features under it, ``(F, C, h, w)``."""
+    def _glance(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the logarithmic heat map ``(F, h, w)``, features under it ``(F, C, h, w)`` and of all ``(F, 2C)``."""
         fine = self.refine(self.patches(pixels, self.pixel_mean, self.pixel_std))  # (F, C, H/4, W/4)
-        fine = self.merge(fine + F.interpolate(self.lateral(self.deep(fine)), size=fine.shape[-2:]))
+        deep = self.deep(fine)
+        fine = self.merge(fine + F.interpolate(self.lateral(deep), size=fine.shape[-2:]))
         heat = self.heat(fine)[:, 0]
-        return heat.flatten(1).log_softmax(-1).view_as(heat), fine
+        return heat.flatten(1).log_softmax(-1).view_as(heat), fine, deep.mean((-2, -1))
 
     def _peak(self, heat: Tensor, fine: Tensor) -> tuple[Tensor, Tensor]:
         """Return where the peak is, ``(F, 2)``, and the features there, ``(F, C)``.
