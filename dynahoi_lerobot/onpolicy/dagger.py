@@ -7,11 +7,13 @@ import os
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.onpolicy.curriculum import Curriculum
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
@@ -73,14 +75,17 @@ class Dagger:
 
     def _validate(self) -> dict[str, float | None]:
         """Play episodes of ``val`` without a teacher."""
-        episodes = replace(self.recipe.episodes, split="val")
-        specs = sample_specs(episodes, range(self.recipe.validation_episodes))
+        episodes, specs = replace(self.recipe.episodes, split="val"), self._validation_specs
         found: list[Episode] = []
         for first in range(0, len(specs), self.recipe.worlds):
             some = specs[first : first + self.recipe.worlds]
             batch: WorldBatch = make_batch(episodes, len(some), threads=1)
             found += play_round(batch, self.learner, some, np.random.default_rng(0)).episodes
         return scores(found)
+
+    @cached_property
+    def _validation_specs(self) -> list[EpisodeSpec]:
+        return sample_specs(replace(self.recipe.episodes, split="val"), range(self.recipe.validation_episodes))
 
     def _due(self, every: int) -> bool:
         return self.round % every == 0 or self.round == self.recipe.rounds
