@@ -1,10 +1,12 @@
 """Train and evaluate every variant of a study under one protocol, and report them together.
 
     python recipes/study/run.py recipes/study/cpu.yaml --out outputs/study
+    python recipes/study/run.py recipes/study/observing.yaml --out outputs/observing
 
-Variants run one after another through ``lerobot-train`` and ``dynahoi evaluate``, and the report grows with each; those
-that are done are skipped, so the same command goes on after an interruption. Each result folder says what the variant
-was (``extra`` in ``metrics.json``), which is what the report's figures on observed frames and data scaling read.
+Variants run one after another through ``lerobot-train`` or ``dynahoi dagger``, and then ``dynahoi evaluate``; the
+report grows with each. Those that are done are skipped, so the same command goes on after an interruption. Each result
+folder says what the variant was (``extra`` in ``metrics.json``), which is what the report's figures on observed frames
+and data scaling read.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ import yaml
 ROOT = Path(__file__).resolve().parents[2]
 PACE_STEPS = (50, 250)
 """The steps of two short runs, whose difference in time says how long a step takes."""
+AS_IT_IS = "as_it_is"
+"""The condition of studies that name none: nothing about the evaluation is changed."""
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")}
 
 
@@ -35,7 +39,9 @@ class Variant:
     Attributes:
         name: of its folder.
         config: a training recipe, relative to the repository.
-        options: what it changes, as ``lerobot-train`` options.
+        trainer: ``lerobot-train``, or ``dagger``, which learns in memory and reads recipes of ``dynahoi dagger``.
+        options: what it changes of the recipe, by dotted names.
+        conditions: names of the study's conditions that it is evaluated under.
         data_fraction: share of the episodes it learns from, the first ones.
         as_long_as: another variant, whose training time this one gets instead of its number of steps.
         extra: what its results say about it.
@@ -43,7 +49,9 @@ class Variant:
 
     name: str
     config: str
+    trainer: str = "lerobot-train"
     options: dict[str, Any] = field(default_factory=dict)
+    conditions: list[str] = field(default_factory=lambda: [AS_IT_IS])
     data_fraction: float = 1.0
     as_long_as: str = ""
     extra: dict[str, Any] = field(default_factory=dict)
@@ -61,14 +69,17 @@ def main() -> None:
     variants = [Variant(**{**study["defaults"], **row}) for row in study["variants"]]
     if args.only:
         variants = [variant for variant in variants if variant.name in args.only.split(",")]
-    data = args.data or generate(study["data"], args.out)
+    data = (args.data or generate(study["data"], args.out)) if "data" in study else None
+    conditions = study.get("conditions", {AS_IT_IS: {}})
     for name in study["baselines"]:
         for split in study["splits"]:
-            play(name, split, args.out / "results" / f"{name}-{split}", study["image_size"])
+            play(name, args.out / "results" / f"{name}-{split}", {"split": split, "image-size": study["image_size"]})
     for variant in variants:
-        train(variant, study["common"], data, args.out / variant.name)
+        train(variant, study.get("common", {}), data, args.out / variant.name)
         for split in study["splits"]:
-            evaluate(variant, split, args.out / variant.name, study["image_size"])
+            for condition in variant.conditions:
+                how = {"split": split, "image-size": study["image_size"], **conditions[condition]}
+                evaluate(variant, condition, how, args.out / variant.name)
         folders = sorted((args.out / "results").iterdir())
         dynahoi("report", *map(str, folders), "--out", str(args.out / "report.html"))
 
@@ -86,10 +97,38 @@ def generate(data: dict[str, Any], out: Path) -> Path:
     return lean
 
 
-def train(variant: Variant, common: dict[str, Any], data: Path, out: Path) -> None:
+def train(variant: Variant, common: dict[str, Any], data: Path | None, out: Path) -> None:
     """Train one variant unless its last checkpoint is there."""
-    if checkpoint(out).exists():
+    if (out / "seconds.json").exists():
         return
+    out.mkdir(parents=True, exist_ok=True)
+    if variant.trainer == "dagger":
+        seconds = dagger(variant, common, out)
+    else:
+        assert data is not None, f"{variant.name} learns from data, and the study has none"
+        seconds = train_on_data(variant, common, data, out)
+    (out / "seconds.json").write_text(json.dumps(round(seconds)))
+
+
+def dagger(variant: Variant, common: dict[str, Any], out: Path) -> float:
+    """Train in memory, or go on with that; return the processor time it took in all [s]."""
+    path, folder = out / "recipe.yaml", out / "training"
+    recipe = changed(yaml.safe_load((ROOT / variant.config).read_text()), {**common, **variant.options})
+    path.write_text(yaml.safe_dump(recipe, sort_keys=False))
+    dynahoi("dagger", "--recipe", str(path), "--out", str(folder))
+    return 60 * json.loads((folder / "log.jsonl").read_text().splitlines()[-1])["processor_minutes"]
+
+
+def changed(recipe: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
+    """Return a recipe with values changed that dotted names tell."""
+    for name, value in options.items():
+        owner, _, key = name.rpartition(".")
+        recipe = {**recipe, owner: {**recipe[owner], key: value}} if owner else {**recipe, key: value}
+    return recipe
+
+
+def train_on_data(variant: Variant, common: dict[str, Any], data: Path, out: Path) -> float:
+    """Train on a dataset through LeRobot; return how long it took [s]."""
     options = {**common, "dataset.root": data, **variant.options}
     if variant.data_fraction < 1:
         episodes = json.loads((data / "meta" / "info.json").read_text())["total_episodes"]
@@ -97,8 +136,7 @@ def train(variant: Variant, common: dict[str, Any], data: Path, out: Path) -> No
     if variant.as_long_as:
         seconds = json.loads((out.parent / variant.as_long_as / "seconds.json").read_text())
         options["steps"] = steps_within(seconds, variant, options, out)
-    seconds = lerobot_train(variant, options, out / "training")
-    (out / "seconds.json").write_text(json.dumps(round(seconds)))
+    return lerobot_train(variant, options, out / "training")
 
 
 def steps_within(seconds: float, variant: Variant, options: dict[str, Any], out: Path) -> int:
@@ -124,28 +162,36 @@ def words(options: dict[str, Any]) -> list[str]:
     return [f"--{key}={json.dumps(value, default=str).strip(chr(34))}" for key, value in options.items()]
 
 
-def evaluate(variant: Variant, split: str, out: Path, image_size: int) -> None:
-    """Evaluate one trained variant on a split, and write down what it was, which says that all was played."""
-    folder = out.parent / "results" / f"{variant.name}-{split}"
+def evaluate(variant: Variant, condition: str, how: dict[str, Any], out: Path) -> None:
+    """Evaluate one trained variant under a condition, and write down what it was, which says that all was played."""
+    folder = out.parent / "results" / "-".join([variant.name, how["split"], condition])
     path = folder / "metrics.json"
     if path.exists() and json.loads(path.read_text())["policy"] == variant.name:
         return
-    play(str(checkpoint(out)), split, folder, image_size)
+    play(str(checkpoint(variant, out)), folder, how)
     head = json.loads(path.read_text())
     head["policy"] = variant.name
     seconds = json.loads((out / "seconds.json").read_text())
     head["extra"] |= {**variant.extra, "data_fraction": variant.data_fraction, "training_seconds": seconds}
+    head["extra"] |= {"condition": condition}
     path.write_text(json.dumps(head, indent=2) + "\n")
 
 
-def play(policy: str, split: str, folder: Path, image_size: int) -> None:
-    """Play what has not been played of a split."""
-    what = ["--policy", policy, "--split", split, "--image-size", str(image_size)]
-    dynahoi("evaluate", *what, "--out", str(folder))
+def play(policy: str, folder: Path, how: dict[str, Any]) -> None:
+    """Play what has not been played, with options of ``dynahoi evaluate``."""
+    dynahoi("evaluate", "--policy", policy, *repeated(how), "--out", str(folder))
 
 
-def checkpoint(out: Path) -> Path:
+def repeated(options: dict[str, Any]) -> list[str]:
+    """Return options as our commands read them; each entry of a list is an option of its own."""
+    flat = [(name, one) for name, value in options.items() for one in (value if isinstance(value, list) else [value])]
+    return [word for name, value in flat for word in (f"--{name}", str(value))]
+
+
+def checkpoint(variant: Variant, out: Path) -> Path:
     """Return where the last checkpoint of a variant is."""
+    if variant.trainer == "dagger":
+        return out / "training" / "pretrained_model"
     return out / "training" / "checkpoints" / "last" / "pretrained_model"
 
 

@@ -44,7 +44,7 @@ class Track:
         """Fit the tracks of decisions whose hands are at ``position`` (R, P), in the unit of the state."""
         places = frames.position[..., :3] + frames.sightings[..., :3]  # (B, T, 3)
         points = decisions.windows(places) - position[:, None, :3]  # (R, W, 3)
-        sigma = depth_error(decisions.windows(frames.sightings))  # (R, W)
+        sigma = sighting_error(decisions.windows(frames.sightings))  # (R, W)
         weights = decisions.pick(decisions.keep) * (-decisions.age_s / MEMORY_S).exp() / sigma.square()
         offset, velocity = fit_line(points, weights, decisions.age_s)
         return cls(offset, velocity, decisions.current(frames.sightings))
@@ -54,10 +54,11 @@ class Track:
         return torch.cat([self.offset / LENGTH_M, self.velocity / TYPICAL_SPEED_M_S, scaled(self.sighting)], dim=-1)
 
 
-def depth_error(sightings: Tensor) -> Tensor:
-    """Return the expected error along the line of sight [m], ``(..., N_SIGHTING) -> (...)``."""
+def sighting_error(sightings: Tensor) -> Tensor:
+    """Return the expected errors across and along the line of sight together [m], ``(..., N_SIGHTING) -> (...)``."""
     distance = sightings[..., :3].norm(dim=-1) + 0.1
-    return (distance * sightings[..., 7].clamp(-5.0, 1.0).exp()).clamp_min(0.003)
+    scales = sightings[..., 6:8].clamp(-5.0, 5.0).exp()
+    return (distance * scales.norm(dim=-1)).clamp_min(0.003)
 
 
 def scaled(sightings: Tensor) -> Tensor:

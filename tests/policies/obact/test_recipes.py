@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from lerobot.utils.import_utils import register_third_party_plugins
 from torch.utils.data import default_collate
 
 from dynahoi_lerobot.control_class import control_class_of
+from dynahoi_lerobot.evaluate import command as evaluate_command
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
 from dynahoi_lerobot.sampling.recipe import load_recipe
 
@@ -94,6 +97,31 @@ def test_the_cpu_recipe_learns_from_the_lean_copy(tmp_path: Path) -> None:
     assert policy.model.backbone.slot.grad.abs().max() > 0
 
 
+def _lerobot_train(row: dict[str, Any], options: dict[str, Any]) -> TrainPipelineConfig:
+    return draccus.parse(TrainPipelineConfig, config_path=RECIPES.parent / row["config"], args=STUDY.words(options))
+
+
+def _dagger(row: dict[str, Any], options: dict[str, Any]) -> DaggerRecipe:
+    """Return the recipe with its policy's config in place of the fields of one."""
+    values = STUDY.changed(yaml.safe_load((RECIPES.parent / row["config"]).read_text()), options)
+    recipe = draccus.decode(DaggerRecipe, values)
+    return replace(recipe, policy=draccus.decode(PreTrainedConfig, values["policy"] | {"backbone_options": {}}))
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=str)
+def test_a_study_evaluates_under_conditions_that_exist(path: Path) -> None:
+    study = yaml.safe_load(path.read_text())
+    named = {name for row in study["variants"] for name in {**study["defaults"], **row}.get("conditions", [])}
+    assert named == set(study.get("conditions", {}))
+    for how in study.get("conditions", {}).values():
+        words = [
+            f"--{name}={one}" for name, value in how.items() for one in (value if type(value) is list else [value])
+        ]
+        parser = argparse.ArgumentParser()
+        evaluate_command.add_arguments(parser)
+        assert parser.parse_args(["--policy=hold", *words]).policy == "hold"
+
+
 @pytest.mark.parametrize("path", STUDIES, ids=str)
 def test_a_study_changes_options_that_exist(path: Path) -> None:
     register_third_party_plugins()
@@ -104,9 +132,7 @@ def test_a_study_changes_options_that_exist(path: Path) -> None:
         row = {**study["defaults"], **variant}
         assert row.get("as_long_as", "") in ("", *names[: names.index(row["name"])]), "its time must be known by then"
         options = {**study["common"], **row.get("options", {}), "policy.device": "cpu"}
-        config = draccus.parse(
-            TrainPipelineConfig, config_path=RECIPES.parent / row["config"], args=STUDY.words(options)
-        )
+        config = _dagger(row, options) if row.get("trainer") == "dagger" else _lerobot_train(row, options)
         for key, value in options.items():
             owner, _, name = key.rpartition(".")
             found = draccus.encode(getattr(getattr(config, owner) if owner else config, name))

@@ -33,6 +33,8 @@ PEAK_CELLS = 2
 HEAT_WEIGHT = 0.3
 N_SCALES = 2
 """Logarithmic scales of the errors of a sighting: across the line of sight [tangent], and of the logarithmic depth."""
+UNSEEN_SCALE = 5.0
+"""Both scales of a sighting in a black picture, which shows nothing."""
 N_SIGHTING = 3 + 3 + N_SCALES
 """Numbers of a sighting: offset from the palm [m], (u, v, log depth), scales."""
 SHIPPED = "shipped"
@@ -141,6 +143,7 @@ class EyeBackbone(Backbone):
         seen = self.foveal(self._crop(pixels, centre.detach()))
         read = self.read(torch.cat([seen, glance, room, centre], dim=-1))
         shift, log_depth, scales, embedding = read.split([2, 1, N_SCALES, self.embedding], dim=-1)
+        scales = torch.where(now.amax((1, 2, 3))[:, None] > 0, scales, UNSEEN_SCALE)
         camera = torch.cat([centre + self.fovea / images.shape[-1] * shift, log_depth], dim=-1)
         return torch.cat([self.offset(camera), camera, scales, embedding], dim=-1), heat
 
