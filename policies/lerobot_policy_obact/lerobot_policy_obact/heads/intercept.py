@@ -1,8 +1,8 @@
 """A head for hands of limited speed: it predicts the target's path, and goes where the hand can first meet it.
 
 The network predicts where the target will be at a few times, as a correction of the straight line through its latest
-sightings, and how far the fingers must close. The chunk follows from that by `reach.py`: at a limit, *where* to go is
-a question for the network, and how fast is none.
+sightings, towards a parabola through more of them and beyond, and how far the fingers must close. The chunk follows
+from that by `reach.py`: at a limit, *where* to go is a question for the network, and how fast is none.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from ..attention import Attention
 from ..reach import Reach, close_in_time, earliest_meeting, first_contact, palm_path
-from ..track import N_SIGHTING, Track
+from ..track import N_TRACK, Track
 from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, heads
 
 KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
@@ -47,10 +47,10 @@ class InterceptHead(ForecastHead):
         super().__init__(spec)
         self.reach = Reach(palm_speed_m_s / spec.fps, joint_speed_rad_s / spec.fps, spare_frames)
         width, n_knots, n_joints = spec.width, len(KNOTS), spec.action_dim - PALM_DIM
-        self.sizes = [3 * n_knots, n_knots, n_joints]
+        self.sizes = [3 * n_knots, n_knots, n_knots, n_joints]
         self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
         self.pool = Attention(width, spec.n_heads, spec.dropout)
-        n_in = 2 * width + 6 + N_SIGHTING + n_joints
+        n_in = 2 * width + N_TRACK + n_joints
         self.hidden = nn.Sequential(nn.Linear(n_in, 2 * width), nn.SiLU(), nn.Linear(2 * width, width), nn.SiLU())
         self.out = nn.Linear(width, sum(self.sizes))
         nn.init.zeros_(self.out.weight)
@@ -64,11 +64,12 @@ class InterceptHead(ForecastHead):
         pooled = self.pool(self.query.expand(n, -1, -1), condition.tokens)[:, 0]
         joints = self._joints(condition)
         context = torch.cat([condition.tokens[:, 0], pooled, track.features(), joints], dim=-1)
-        bend, damping, closed = self.out(self.hidden(context)).split(self.sizes, dim=-1)
-        ahead = self.ahead_s[:, None]  # (K, 1)
-        straight = track.velocity[:, None] * ahead * torch.sigmoid(damping[..., None] + 1 - ahead)
-        bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead)
-        return Forecast(track.offset[:, None] + straight + bend, closed)
+        bend, damping, turn, closed = self.out(self.hidden(context)).split(self.sizes, dim=-1)
+        ahead = self.ahead_s
+        straight = track.along_line(ahead, torch.sigmoid(damping + 1 - ahead))
+        turned = turn[..., None] * (track.along_parabola(ahead) - straight)
+        bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead[:, None])
+        return Forecast(straight + turned + bend, closed)
 
     def _start(self, condition: Condition) -> Tensor:
         """Return where the hand is when the next command takes effect, its palm relative to where it is now."""

@@ -1,0 +1,65 @@
+"""The track: a straight line through sightings, of which those of black pictures and unsure ones hardly count."""
+
+from __future__ import annotations
+
+import torch
+from lerobot_policy_obact.backbones.eye import N_SIGHTING, UNSEEN_SCALE, EyeBackbone
+from lerobot_policy_obact.track import fit_line, fit_parabola, sighting_error
+
+AGE_S = torch.tensor([0.2, 0.15, 0.1, 0.05, 0.0])
+POSITION, VELOCITY = torch.tensor([0.4, 0.1, -0.1]), torch.tensor([-0.3, 0.5, 0.1])
+POINTS = POSITION - AGE_S[:, None] * VELOCITY  # (5, 3)
+
+
+def sightings(points: torch.Tensor, across: float = -5.0, along: float = -5.0) -> torch.Tensor:
+    """Return sightings ``(5, N_SIGHTING)`` of points ``(5, 3)`` with scales of their errors."""
+    scales = torch.tensor([across, along]).expand(5, 2)
+    return torch.cat([points, torch.zeros(5, 3), scales], dim=-1)
+
+
+def fitted(seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    weights = sighting_error(seen).square().reciprocal()
+    offset, velocity = fit_line(seen[None, :, :3], weights[None], AGE_S)
+    return offset[0], velocity[0]
+
+
+def test_points_of_a_line_give_where_it_ends_and_how_fast_it_is_followed():
+    offset, velocity = fitted(sightings(POINTS))
+    torch.testing.assert_close(offset, POSITION, rtol=0, atol=1e-3)
+    torch.testing.assert_close(velocity, VELOCITY, rtol=0.1, atol=1e-3)  # a prior holds it near zero
+
+
+def test_what_a_black_picture_shows_does_not_move_the_line():
+    seen = sightings(POINTS)
+    seen[-2:, :3] = torch.tensor([2.0, -2.0, 2.0])
+    seen[-2:, 6:] = UNSEEN_SCALE
+    offset, velocity = fitted(seen)
+    torch.testing.assert_close(offset, POSITION, rtol=0, atol=5e-3)
+    torch.testing.assert_close(velocity, VELOCITY, rtol=0.1, atol=1e-2)
+
+
+def test_an_error_across_the_line_of_sight_counts_as_one_along_it_does():
+    sure = sighting_error(sightings(POINTS))
+    torch.testing.assert_close(
+        sighting_error(sightings(POINTS, across=-1.0)), sighting_error(sightings(POINTS, -5.0, -1.0)), rtol=0.02, atol=0
+    )
+    assert (sighting_error(sightings(POINTS, across=-1.0)) > 5 * sure).all()
+
+
+def test_an_eye_sees_nothing_in_a_black_picture():
+    torch.manual_seed(0)
+    images = torch.rand(2, 3, 32, 32)
+    images[1] = 0.0
+    scales = EyeBackbone(16, channels=8, fovea=12, embedding=4).look(images)[:, N_SIGHTING - 2 : N_SIGHTING]
+    assert (scales[1] == UNSEEN_SCALE).all()
+    assert (scales[0] < 2.0).all()
+
+
+def test_a_parabola_tells_how_the_target_turns():
+    turn = torch.tensor([0.5, -2.0, -9.8])
+    age_s = torch.arange(11, -1, -1) * 0.05
+    points = POSITION - age_s[:, None] * VELOCITY + age_s.square()[:, None] * turn / 2
+    position, velocity, acceleration = fit_parabola(points[None], torch.full((1, 12), 1e6), age_s)[0]
+    torch.testing.assert_close(position, POSITION, rtol=0, atol=1e-3)
+    torch.testing.assert_close(velocity, VELOCITY, rtol=0, atol=1e-2)
+    torch.testing.assert_close(acceleration, turn, rtol=0.01, atol=0.05)
