@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Iterator
 from itertools import islice
@@ -14,6 +13,7 @@ from safetensors.torch import save_file
 
 from .backbones import backbones
 from .backbones.eye import EyeBackbone, sighting_loss
+from .updates import learning_rate, take_step
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
@@ -43,17 +43,10 @@ def train_eye(recipe: EyeRecipe, stream: Iterator[Snapshots]) -> Iterator[str]:
     recipe.out.mkdir(parents=True, exist_ok=True)
     with (recipe.out / LOG).open("w") as log:
         for step, shown in enumerate(islice(stream, n_updates)):
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate(recipe.learning_rate, step, n_updates, WARMUP_UPDATES)
+            rate = learning_rate(recipe.learning_rate, step, n_updates, WARMUP_UPDATES)
             images = torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0  # (F, 6, H, W)
             loss = sighting_loss(eye, images, torch.from_numpy(shown.offset)).mean()
-            if not loss.isfinite():
-                raise FloatingPointError(f"the loss of update {step} is {loss.item()}; lower learning_rate")
-            optimizer.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(eye.parameters(), GRADIENT_CLIP)
-            optimizer.step()
-            recent.append(loss.item())
+            recent.append(take_step(optimizer, loss, eye.parameters(), max_norm=GRADIENT_CLIP, rate=rate, n=step))
             if (step + 1) % LOG_EVERY == 0 or step + 1 == n_updates:
                 minutes = round(time.process_time() / 60, 3)
                 line = {"pictures": (step + 1) * recipe.batch_size, "processor_minutes": minutes}
@@ -62,9 +55,3 @@ def train_eye(recipe: EyeRecipe, stream: Iterator[Snapshots]) -> Iterator[str]:
                 recent.clear()
                 yield told
     save_file(eye.learned_state(), recipe.out / WEIGHTS)
-
-
-def learning_rate(peak: float, step: int, n_steps: int, warmup: int) -> float:
-    """Return the rate of a step: a linear warm-up, then a cosine down to a fiftieth of the peak."""
-    progress = min(step / max(n_steps, 1), 1.0)
-    return peak * min(1.0, (step + 1) / warmup) * (0.02 + 0.49 * (1 + math.cos(math.pi * progress)))
