@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.rollout.loop import make_batch
@@ -27,8 +28,9 @@ NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
 OPEN_SHARE = 0.5
 STILL_SHARE, FAST_SHARE = 0.15, 0.2
 """Shares of the other hands that stand still, and of the moving ones that may be fast."""
-SLOW_M_S, FAST_M_S = 0.5, 2.0
-"""Greatest speeds of hands: those of the control classes."""
+PALM_SPEEDS_M_S = [control.palm_speed_m_s for control in CONTROL_CLASSES.values()]
+SLOW_M_S, FAST_M_S = min(PALM_SPEEDS_M_S), max(PALM_SPEEDS_M_S)
+"""Greatest speeds of hands: those of the slowest and the fastest control class."""
 WANDER_M = 0.1
 """Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
 LOWEST_PALM_M = 0.05
