@@ -12,7 +12,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Actor, Agent, ChunkAgent
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.actors import VLM, add_trust_argument, image_size_for, make_actor
@@ -29,7 +30,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import add_salt_argument, stream_label, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import SMALL_TEST, seed_stream, split_seeds
-from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS, Prompt
 
 DEFAULT_IMAGE_SIZE = 128
 """Side of the images [px] for experts and for policies that do not say theirs."""
@@ -105,7 +106,9 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
     parser.add_argument(
-        "--prompt", default=DEFAULT_PROMPT, help=f"with --policy vlm: what the model is asked, {' or '.join(PROMPTS)}"
+        "--prompt",
+        default=DEFAULT_PROMPT.name,
+        help=f"with --policy vlm: what the model is asked, {' or '.join(PROMPTS)}",
     )
     parser.add_argument(
         "--base-url",
@@ -191,6 +194,7 @@ def _vlm(args: argparse.Namespace) -> Agent:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
     if protocol_of(args.protocol).blind_control:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
+    prompt = Prompt(args.prompt, CAPTURES[args.capture].palm_speed_m_s(control_class_of(args.control_class)))
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
     audit = args.out / "vlm.jsonl" if args.out else None
@@ -199,7 +203,7 @@ def _vlm(args: argparse.Namespace) -> Agent:
         args.base_url,
         timeout_s=args.request_timeout,
         prices=tuple(args.prices),
-        prompt=args.prompt,
+        prompt=prompt,
         audit=audit,
     )
     return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
