@@ -23,7 +23,7 @@ from dynahoi_lerobot.env.spaces import as_gym
 
 from .configuration_obact import ObActConfig
 from .decisions import window_decisions
-from .eye_training import train_eye
+from .eye_training import EyeTraining
 from .heads.base import Forecast, ForecastHead
 from .lesson import Lesson
 from .modeling_obact import ObActPolicy
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
     from dynahoi_lerobot.onpolicy.rounds import Round
 
-__all__ = ["ObActLearner", "make_learner", "train_eye"]
+__all__ = ["EyeTraining", "ObActLearner", "make_learner"]
 
 WARMUP_UPDATES = 50
 ON_POLICY = "on-policy"
