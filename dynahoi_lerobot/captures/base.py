@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.motions import Motion
@@ -105,6 +106,11 @@ class CaptureRule(ABC):
     """Frames that every episode has left after the intercept, at least."""
     settle_frames: ClassVar[int] = 10
     """Frames after the first localisation in which the verdict falls; then an evaluated episode may end."""
+
+    @classmethod
+    def palm_speed_m_s(cls, control: ControlClass) -> float:
+        """Return the palm's greatest speed [m/s]: the control class's, or that of the rule's gantry."""
+        return control.palm_speed_m_s if cls.gantry_speed_m_s is None else cls.gantry_speed_m_s
 
     @abstractmethod
     def collisions(self, motion: Motion) -> int:

@@ -60,14 +60,13 @@ class TrajectoryLimits:
     frozen_gap_m: float = 0.005
 
     @classmethod
-    def of_class(cls, control: ControlClass, gantry_speed_m_s: float | None = None) -> TrajectoryLimits:
+    def of_class(cls, control: ControlClass, palm_speed_m_s: float) -> TrajectoryLimits:
         """Return the limits of a control class.
 
         Args:
             control: the class.
-            gantry_speed_m_s: of the capture rule, where it replaces the class's speed of the palm [m/s].
+            palm_speed_m_s: the palm's under the capture rule [m/s].
         """
-        palm_speed_m_s = control.palm_speed_m_s if gantry_speed_m_s is None else gantry_speed_m_s
         return cls(
             palm_step_m=CATCH_UP * palm_speed_m_s * CONTROL_DT,
             joint_step_rad=OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT,
@@ -88,7 +87,8 @@ def limits_of(capture: str, control_class: str) -> TrajectoryLimits:
     """
     from dynahoi_lerobot.captures import CAPTURES  # imports MuJoCo, which reading a dataset does not need
 
-    return TrajectoryLimits.of_class(control_class_of(control_class), CAPTURES[capture].gantry_speed_m_s)
+    control = control_class_of(control_class)
+    return TrajectoryLimits.of_class(control, CAPTURES[capture].palm_speed_m_s(control))
 
 
 def trajectory_problems(columns: Columns, home_pos_w: np.ndarray, limits: TrajectoryLimits | None = None) -> list[str]:

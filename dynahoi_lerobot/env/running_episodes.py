@@ -50,7 +50,7 @@ class RunningEpisodes(Session):
         mask = np.isin(np.arange(self.batch.size), ending)
         infos: dict[str, Any] = {"is_success": self._success.copy()}
         for i in ending:
-            _, episode = self.finish(int(i), POLICY_NAME)
+            episode = self.finish(int(i), POLICY_NAME)
             if self._on_episode is not None:
                 self._on_episode(episode)
             for name, value in measure(episode).items():

@@ -7,17 +7,17 @@ does not say who gave the commands: a log of the expert's commands under another
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import batched
-from pathlib import Path
 
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
-from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import seal, split_of
@@ -47,29 +47,28 @@ def _stream(sealed: str) -> str:
     return f"salt {sealed}" if sealed else "the public stream"
 
 
-def check_folder(folder: Path, recipe: Recipe) -> Iterator[str]:
-    """Yield what in a result folder is wrong by itself, before anything is played.
+def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
+    """Yield what in results and their folder is wrong by itself, before anything is played.
 
     Args:
-        folder: the result folder.
+        results: as ``read_results`` read them.
         recipe: of ``open_recipe``.
 
     Raises:
-        ResultsError: if the folder cannot be read.
+        ResultsError: if the folder cannot be read any more.
     """
-    results = read_results(folder)
     info, split = results.info, split_of(results.info.split)
     if (here := recipe.fingerprint()) != info.fingerprint:
         yield f"the results were made by other code or another recipe ({info.fingerprint}, here is {here})"
     if recipe.split != seed_stream(split) or recipe.capture != info.capture:
         played = f"{recipe.split} under {recipe.capture}"
         yield f"metrics.json names split {info.split} and capture rule {info.capture}, but its recipe plays {played}"
-    seeds = [row["seed"] for row in results.rows]
-    if repeated := sorted({seed for seed in seeds if seeds.count(seed) > 1}):
-        yield f"seed {repeated[0]} is there {seeds.count(repeated[0])} times"
+    seeds = Counter(row["seed"] for row in results.rows)
+    if repeated := sorted(seed for seed, count in seeds.items() if count > 1):
+        yield f"seed {repeated[0]} is there {seeds[repeated[0]]} times"
     if foreign := sorted(set(seeds) - set(split_seeds(split))):
         yield f"seed {foreign[0]} is not in split {info.split}"
-    yield from _wrong_sums(result_files.read(folder)[0]["metrics"], results.as_json()["metrics"])
+    yield from _wrong_sums(result_files.read_head(results.folder)["metrics"], results.as_json()["metrics"])
 
 
 def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:

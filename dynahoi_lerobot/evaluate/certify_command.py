@@ -6,7 +6,7 @@ import argparse
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.evaluate.certify import check_episodes, check_folder, open_recipe, sample
+from dynahoi_lerobot.evaluate.certify import check_episodes, check_results, open_recipe, sample
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.sampling.salt import add_salt_argument, split_of
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     """
     results = read_results(args.results)
     recipe = open_recipe(results, args.salt)
-    findings = list(check_folder(args.results, recipe))
+    findings = list(check_results(results, recipe))
     chosen = sample(len(results.rows), args.episodes)
     if not findings:
         progress = tqdm(check_episodes(results, recipe, chosen), total=len(chosen), desc="replaying", unit="episode")

@@ -12,119 +12,29 @@ from pathlib import Path
 from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Actor, Agent, ChunkAgent
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.control_class import control_class_of
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.evaluate.actors import VLM, add_trust_argument, image_size_for, make_actor
+from dynahoi_lerobot.evaluate.actors import VLM, image_size_for, make_actor
+from dynahoi_lerobot.evaluate.arguments import add_arguments
 from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
-from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.arguments import names, number, path, whole
-from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS, protocol_of
-from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC, Inference
+from dynahoi_lerobot.protocol import protocol_of
+from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.salt import add_salt_argument, stream_label, without_salt
+from dynahoi_lerobot.sampling.salt import stream_label, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import SMALL_TEST, seed_stream, split_seeds
-from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
+from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
+from dynahoi_lerobot.vlm.prompt import Prompt
+
+__all__ = ["add_arguments", "run"]
 
 DEFAULT_IMAGE_SIZE = 128
 """Side of the images [px] for experts and for policies that do not say theirs."""
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi evaluate``."""
-    parser.add_argument(
-        "--policy",
-        required=True,
-        help=f"checkpoint folder, Hub repository, vlm, or privileged baseline: expert, {', '.join(EXPERTS.names())}",
-    )
-    parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val or one of the ood_ splits")
-    parser.add_argument("--out", type=path, help="result folder; resumes where an earlier run stopped")
-    parser.add_argument("--episodes", type=int, help="number of episodes, from the first of the split; all by default")
-    parser.add_argument(
-        "--motions", type=names, default=(), help="comma-separated motions; all of the split by default"
-    )
-    parser.add_argument("--capture", default="attach", help="capture rule: attach, attach_lenient or contact")
-    parser.add_argument(
-        "--control-class",
-        default=DEFAULT_CONTROL_CLASS,
-        help="hand limits: unlimited, standard or late",
-    )
-    parser.add_argument("--hand", default="", help="hand model; the capture rule's own by default")
-    parser.add_argument(
-        "--protocol",
-        default=DEFAULT_PROTOCOL,
-        help="; ".join(f"{protocol.name}: {protocol.meaning}" for protocol in PROTOCOLS.values()),
-    )
-    parser.add_argument(
-        "--objects", type=names, default=(), help="comma-separated objects; all of the split by default"
-    )
-    parser.add_argument(
-        "--appearance",
-        type=names,
-        default=(),
-        help="comma-separated: what is randomised beyond the training distribution",
-    )
-    add_salt_argument(parser)
-    parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
-    parser.add_argument(
-        "--batch-size", type=whole(1, 4096), default=32, help="worlds simulated together; no influence on the result"
-    )
-    parser.add_argument("--gifs", type=whole(0, 10**6), default=0, help="number of episodes to record as GIFs in --out")
-    parser.add_argument("--per-kind", action="store_true", help="also print a row for each motion")
-    _add_policy_arguments(parser)
-
-
-def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare what concerns LeRobot policies and vision-language models."""
-    parser.add_argument("--device", help="torch device of the policy")
-    add_trust_argument(parser)
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="override a field of the policy's config, such as n_action_steps=2; may be repeated",
-    )
-    parser.add_argument(
-        "--inference",
-        choices=INFERENCE_MODES,
-        default=SYNC,
-        help="; ".join(f"{mode}: {meaning}" for mode, meaning in INFERENCE_MODES.items()),
-    )
-    parser.add_argument(
-        "--inference-ms",
-        type=_latency,
-        default=0.0,
-        metavar="MS",
-        help="with --inference async or rtc: how long an inference takes [ms]; or measured, on this machine",
-    )
-    parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
-    parser.add_argument(
-        "--prompt", default=DEFAULT_PROMPT, help=f"with --policy vlm: what the model is asked, {' or '.join(PROMPTS)}"
-    )
-    parser.add_argument(
-        "--base-url",
-        help="with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from OPENAI_API_KEY",
-    )
-    parser.add_argument(
-        "--request-timeout",
-        type=number(0.001, 86_400.0),
-        default=60.0,
-        help="with --policy vlm: time for a decision with all its requests [s]",
-    )
-    parser.add_argument(
-        "--prices",
-        type=number(0.0, 1e6),
-        nargs=2,
-        default=(0.0, 0.0),
-        metavar=("PROMPT", "COMPLETION"),
-        help="with --policy vlm: prices of a million tokens",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -162,11 +72,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _latency(text: str) -> float | None:
-    """Parse ``--inference-ms``; None is ``measured``."""
-    return None if text == "measured" else number(0.0, MAX_LATENCY_MS)(text)
-
-
 def _real_time(actor: Actor, inference: Inference) -> Actor:
     """Give the actor an inference that takes time."""
     if inference.mode == SYNC:
@@ -191,6 +96,7 @@ def _vlm(args: argparse.Namespace) -> Agent:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
     if protocol_of(args.protocol).blind_control:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
+    prompt = Prompt(args.prompt, CAPTURES[args.capture].palm_speed_m_s(control_class_of(args.control_class)))
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
     audit = args.out / "vlm.jsonl" if args.out else None
@@ -199,7 +105,7 @@ def _vlm(args: argparse.Namespace) -> Agent:
         args.base_url,
         timeout_s=args.request_timeout,
         prices=tuple(args.prices),
-        prompt=args.prompt,
+        prompt=prompt,
         audit=audit,
     )
     return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)

@@ -56,15 +56,24 @@ def write(folder: Path, head: dict[str, Any], rows: Sequence[Row], actions: Sequ
     )
 
 
-def read(folder: Path) -> tuple[dict[str, Any], list[Row], list[np.ndarray]]:
-    """Return the content of ``metrics.json``, the rows and the (T, 18) actions of every episode.
+def read_head(folder: Path) -> dict[str, Any]:
+    """Return the content of ``metrics.json``.
 
     Raises:
         ResultsError: one sentence that says what is missing or damaged.
     """
     if not folder.is_dir():
         raise ResultsError(f"there is no result folder {folder}; {REMEDY}")
-    head = _load(folder / METRICS_FILE, _read_head)
+    return _load(folder / METRICS_FILE, _read_head)
+
+
+def read(folder: Path) -> tuple[dict[str, Any], list[Row], list[np.ndarray]]:
+    """Return the content of ``metrics.json``, the rows and the (T, 18) actions of every episode.
+
+    Raises:
+        ResultsError: one sentence that says what is missing or damaged.
+    """
+    head = read_head(folder)
     rows = _load(folder / EPISODES_FILE, _read_rows)
     actions = _load(folder / ACTIONS_FILE, _read_actions)
     if not head["n"] == len(rows) == len(actions) > 0:

@@ -59,6 +59,10 @@ class Motion(ABC):
         """Return the names of the objects that can move this way: all registered ones, unless a kind overrides it."""
         return OBJECTS.names()
 
+    def launch(self, target: TargetObject) -> Launch:
+        """Return the initial condition of ``target`` and the fixtures around it; a closed form has neither."""
+        return Launch((0.0, 0.0, 0.0))
+
     def parameters(self) -> str:
         """Return the parameters as JSON, SI units."""
         return json.dumps(asdict(self), sort_keys=True)  # type: ignore[call-overload]

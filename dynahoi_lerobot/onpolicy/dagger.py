@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,12 +16,13 @@ from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.onpolicy.curriculum import Curriculum
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
 from dynahoi_lerobot.onpolicy.rounds import play_round
+from dynahoi_lerobot.onpolicy.run_folder import RunFolder
 from dynahoi_lerobot.onpolicy.student import Learner
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
-CHECKPOINT, LOG, STATE = "pretrained_model", "log.jsonl", "state.pt"
+CHECKPOINT = "pretrained_model"
 SCORES = ("S_loc", "S_gra", "S_joint")
 
 
@@ -44,9 +43,9 @@ class Dagger:
         self._rng = np.random.default_rng(recipe.seed)
         self._curriculum = Curriculum(recipe, self._rng)
         self._batch = make_batch(recipe.episodes, recipe.worlds, threads=1)
-        recipe.out.mkdir(parents=True, exist_ok=True)
-        if (recipe.out / STATE).exists():
-            self._resume()
+        self._folder = RunFolder(recipe.out)
+        if state := self._folder.restore():
+            self._resume(state)
 
     def run(self) -> Iterator[dict[str, Any]]:
         """Play and learn until all rounds are done; yield a line of the log after each."""
@@ -57,7 +56,7 @@ class Dagger:
             line["processor_minutes"] = round(self.processor_s / 60, 3)
             if self._due(self.recipe.validate_every):
                 line["val"] = self._validate()
-            self._log(line)
+            self._folder.log(line)
             if self._due(self.recipe.save_every):
                 self._save()
             yield line
@@ -90,14 +89,8 @@ class Dagger:
     def _due(self, every: int) -> bool:
         return self.round % every == 0 or self.round == self.recipe.rounds
 
-    def _log(self, line: dict[str, Any]) -> None:
-        with (self.recipe.out / LOG).open("a") as file:
-            file.write(json.dumps(line) + "\n")
-
     def _save(self) -> None:
-        """Write the checkpoint, and what to go on from, in that order and each at once."""
-        import torch
-
+        """Write the checkpoint, then what to go on from."""
         self.learner.save_pretrained(self.recipe.out / CHECKPOINT)
         state = {
             "round": self.round,
@@ -105,21 +98,14 @@ class Dagger:
             "rng": self._rng.bit_generator.state,
             "curriculum": self._curriculum.state_dict(),
             "learner": self.learner.state_dict(),
-            "log": (self.recipe.out / LOG).read_text(),
         }
-        unfinished = self.recipe.out / f"{STATE}.unfinished"
-        torch.save(state, unfinished)
-        os.replace(unfinished, self.recipe.out / STATE)
+        self._folder.save(state)
 
-    def _resume(self) -> None:
-        import torch
-
-        state = torch.load(self.recipe.out / STATE, weights_only=True)
+    def _resume(self, state: dict[str, Any]) -> None:
         self.round, self.processor_s = state["round"], state["processor_s"]
         self._rng.bit_generator.state = state["rng"]
         self._curriculum.load_state_dict(state["curriculum"])
         self.learner.load_state_dict(state["learner"])
-        (self.recipe.out / LOG).write_text(state["log"])  # drops the lines of rounds that were not saved
 
 
 def scores(episodes: tuple[Episode, ...] | list[Episode]) -> dict[str, float | None]:

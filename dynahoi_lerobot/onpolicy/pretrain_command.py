@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import argparse
-
-import numpy as np
+import json
+import sys
 
 from dynahoi_lerobot.foundation.arguments import path
-from dynahoi_lerobot.onpolicy.command import learner_module
+from dynahoi_lerobot.onpolicy.command import FAILED, learner_module
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe, read_recipe
-from dynahoi_lerobot.onpolicy.snapshots import snapshots
-from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.onpolicy.snapshots import PictureStream
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi pretrain``."""
     parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/train/eye.yaml")
-    parser.add_argument("--out", type=path, help="folder that receives the eye instead of the recipe's")
+    parser.add_argument("--out", type=path, help="folder of the run instead of the recipe's; goes on where it stopped")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train, print a line now and then, and return 0."""
+    """Train, print a line at each save, and return the exit code: 0 done, 1 the loss was not finite."""
     recipe = read_recipe(EyeRecipe, args.recipe, **({} if args.out is None else {"out": args.out}))
-    learner = learner_module(recipe.policy)
-    specs = sample_specs(recipe.episodes, range(recipe.n_episodes))
-    stream = snapshots(recipe.episodes, specs, recipe.batch_size, np.random.default_rng(recipe.seed))
-    for line in learner.train_eye(recipe, stream):
-        print(line, flush=True)
+    training = learner_module(recipe.policy).EyeTraining(recipe)
+    if training.finished:
+        print(f"{recipe.out}: already trained on all {recipe.pictures} pictures")
+    try:
+        for line in training.run(PictureStream(recipe)):
+            print(json.dumps(line), flush=True)
+    except FloatingPointError as error:
+        print(f"dynahoi pretrain: {error}; the last save is in {recipe.out}", file=sys.stderr)
+        return FAILED
     return 0

@@ -17,13 +17,15 @@ class EyeRecipe:
     """How an eye is trained on random configurations.
 
     Attributes:
-        out: folder that receives ``eye.safetensors`` and ``log.jsonl``.
+        out: folder that receives ``eye.safetensors``, ``log.jsonl`` and what a killed run goes on from.
         policy: whose eye it is: fields of the policy's config, ``type`` among them.
         episodes: what the pictures show.
         n_episodes: how many different episodes they show.
         pictures: pictures in all, each seen once.
         batch_size: pictures in an update.
         learning_rate: of AdamW, with a warm-up and cosine decay.
+        save_every: updates between saves. After each the pictures come from a new stream of random numbers, so that a
+            run that goes on sees the same ones as a run that was never killed.
         seed: of every draw.
     """
 
@@ -34,7 +36,18 @@ class EyeRecipe:
     pictures: int = 400_000
     batch_size: int = 128
     learning_rate: float = 2e-3
+    save_every: int = 100
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check what could only fail after minutes.
+
+        Raises:
+            ValueError: naming the value received and the ones allowed.
+        """
+        _check_counts(self, "n_episodes", "batch_size", "save_every")
+        if self.pictures < self.batch_size:
+            raise ValueError(f"pictures must be at least batch_size, {self.batch_size}, got {self.pictures}")
 
 
 @dataclass(frozen=True)
@@ -83,16 +96,21 @@ class DaggerRecipe:
         Raises:
             ValueError: naming the value received and the ones allowed.
         """
-        counts = ("rounds", "worlds", "updates", "batch_episodes", "rounds_kept", "save_every", "validate_every")
-        for name in counts:
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        _check_counts(
+            self, "rounds", "worlds", "updates", "batch_episodes", "rounds_kept", "save_every", "validate_every"
+        )
         if self.n_episodes < self.worlds:
             raise ValueError(f"n_episodes must be at least worlds, {self.worlds}, got {self.n_episodes}")
         if not 0 <= self.teacher_share <= 1:
             raise ValueError(f"teacher_share must be 0 to 1, got {self.teacher_share}")
         if self.episodes.split != "train":
             raise ValueError(f"episodes.split must be train, got {self.episodes.split}")
+
+
+def _check_counts(recipe: EyeRecipe | DaggerRecipe, *names: str) -> None:
+    for name in names:
+        if getattr(recipe, name) < 1:
+            raise ValueError(f"{name} must be 1 or more, got {getattr(recipe, name)}")
 
 
 def read_recipe[R: (EyeRecipe, DaggerRecipe)](kind: type[R], path: Path, **changes: Any) -> R:

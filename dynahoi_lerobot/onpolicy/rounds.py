@@ -80,7 +80,7 @@ def play_round(
         command = _disturbed(columns[-1]["command"], rng)
         commands = np.where(led[:, None], command, student.act(observation))
         for i in session.step(commands).worlds:
-            _, episode = session.finish(int(i), "student")
+            episode = session.finish(int(i), "student")
             episodes += [] if led[i] else [episode]
     return Round(
         **{name: np.stack([frame[name] for frame in columns], axis=1) for name in columns[0]},

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
 
 POSES = 8
 """Configurations of a world before it shows another episode: to begin one costs as much as several pictures."""
@@ -30,8 +34,9 @@ NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
 OPEN_SHARE = 0.5
 STILL_SHARE, FAST_SHARE = 0.15, 0.2
 """Shares of the other hands that stand still, and of the moving ones that may be fast."""
-SLOW_M_S, FAST_M_S = 0.5, 2.0
-"""Greatest speeds of hands: those of the control classes."""
+PALM_SPEEDS_M_S = [control.palm_speed_m_s for control in CONTROL_CLASSES.values()]
+SLOW_M_S, FAST_M_S = min(PALM_SPEEDS_M_S), max(PALM_SPEEDS_M_S)
+"""Greatest speeds of hands: those of the slowest and the fastest control class."""
 WANDER_M = 0.1
 """Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
 LOWEST_PALM_M = 0.05
@@ -48,6 +53,26 @@ class Snapshots:
 
     images: np.ndarray
     offset: np.ndarray
+
+
+class PictureStream:
+    """The pictures of an eye's recipe, a batch for each update, from any update on.
+
+    Each call seeds a stream anew from the recipe's seed and the update. Episodes are sampled at the first one.
+    """
+
+    def __init__(self, recipe: EyeRecipe) -> None:
+        self._recipe = recipe
+
+    def __call__(self, update: int) -> Iterator[Snapshots]:
+        """Yield pictures for ever, as a run shows them that goes on from ``update``."""
+        recipe = self._recipe
+        rng = np.random.default_rng([recipe.seed, update])
+        return snapshots(recipe.episodes, self._specs, recipe.batch_size, rng)
+
+    @cached_property
+    def _specs(self) -> list[EpisodeSpec]:
+        return sample_specs(self._recipe.episodes, range(self._recipe.n_episodes))
 
 
 def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator) -> Iterator[Snapshots]:

@@ -11,8 +11,7 @@ from dynahoi_lerobot.agent import Meeting
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.hands.base import EGO_CAMERA
-from dynahoi_lerobot.motions import Motion, PhysicalMotion
-from dynahoi_lerobot.motions.launch import Launch
+from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.objects.primitives import as_table, extent
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
@@ -44,7 +43,7 @@ def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | N
 
 def object_constants(motion: Motion, target: TargetObject) -> dict[str, Any]:
     """Return what is known of the target besides its motion; SI units."""
-    launch = motion.launch(target) if isinstance(motion, PhysicalMotion) else Launch((0.0, 0.0, 0.0))
+    launch = motion.launch(target)
     own = target.friction if launch.friction is None else launch.friction
     struck = () if launch.striker is None else (launch.striker,)
     return {

@@ -44,7 +44,8 @@ def play(
         observation = session.observe(images=images or actor.sees_images)
         ended = session.step(actor.commands(observation, batch.world_state))
         for i in ended.worlds:
-            yield session.finish(int(i), actor)
+            job = session.job(int(i))
+            yield job, session.finish(int(i), actor.name, actor.first_meeting(job.spec, batch.control, job.attempt))
 
 
 def record(

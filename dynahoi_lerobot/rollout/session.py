@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Actor, Observation
+from dynahoi_lerobot.agent import Meeting, Observation
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, frame_columns
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -89,11 +89,10 @@ class Session:
         """Return the verdict on what world ``i`` has played so far."""
         return self._recorders[i].success(self.batch.rule)
 
-    def finish(self, i: int, actor: str | Actor) -> tuple[Job, Episode]:
-        """End the episode of world ``i``; return its job and the recording, which names the actor and has its plan."""
-        recorder = self._recorders.pop(i)
-        job = recorder.job
-        if isinstance(actor, str):
-            return job, recorder.freeze(self.batch, actor, None)
-        meeting = actor.first_meeting(job.spec, self.batch.control, job.attempt)
-        return job, recorder.freeze(self.batch, actor.name, meeting)
+    def job(self, i: int) -> Job:
+        """Return what world ``i`` plays."""
+        return self._recorders[i].job
+
+    def finish(self, i: int, actor: str, meeting: Meeting | None = None) -> Episode:
+        """End the episode of world ``i`` and return the recording, which names the actor and has its plan, if any."""
+        return self._recorders.pop(i).freeze(self.batch, actor, meeting)

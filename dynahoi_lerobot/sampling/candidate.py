@@ -12,7 +12,7 @@ from dynahoi_lerobot.appearance import Appearance
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
-from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PhysicalMotion
+from dynahoi_lerobot.motions import MOTIONS, Draw, Motion
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.protocol import protocol_of
@@ -89,14 +89,12 @@ class Candidate:
             speed_scale=self.recipe.speed_scale,
         )
         self.motion = self.kind.sample(draw)
-        if not isinstance(self.motion, PhysicalMotion):
-            return True
         return self.motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
 
     @property
     def fixtures(self) -> tuple[Box, ...]:
         """The static boxes around the motion last drawn."""
-        return self.motion.launch(self.target).boxes if isinstance(self.motion, PhysicalMotion) else ()
+        return self.motion.launch(self.target).boxes
 
     def _draw_target(self) -> TargetObject:
         allowed = [name for name in self.recipe.object_names if name in self.kind.objects()]

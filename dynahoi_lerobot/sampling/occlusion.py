@@ -9,7 +9,6 @@ import numpy as np
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.hands.gantry import CAMERA_POS
-from dynahoi_lerobot.motions import PhysicalMotion
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import TargetObject
 
@@ -48,13 +47,12 @@ class Sight:
         share = (np.arange(meeting) - spec.window_frames) / (meeting - spec.window_frames)
         way = np.maximum(share, 0.0)[:, None] * (spec.oracle_path[meeting] - spec.home_pos_w)
         waiting = np.tile(spec.home_pos_w + CAMERA_POS, (meeting, 1))
-        motion, target = spec.motion, spec.target
-        release_s = motion.launch(target).release_s if isinstance(motion, PhysicalMotion) else 0.0
+        release_s = spec.motion.launch(spec.target).release_s
         return cls(
             eyes_w=np.stack([waiting, waiting + way]),
             target_w=spec.oracle_path[:meeting],
-            radius_m=enclosing_radius_m(target),
-            inner_m=INNER_SHARE * target.grasp_radius_m,
+            radius_m=enclosing_radius_m(spec.target),
+            inner_m=INNER_SHARE * spec.target.grasp_radius_m,
             release_frame=int(np.ceil(release_s / CONTROL_DT - 1e-9)),
             window_frames=spec.window_frames,
         )

@@ -8,7 +8,6 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.hands.gantry import CAMERA_POS
-from dynahoi_lerobot.motions import PhysicalMotion
 from dynahoi_lerobot.motions.launch import Box, Launch
 from dynahoi_lerobot.sampling.fixture_clearance import box_distance, hand_points, keeps_clear
 
@@ -27,7 +26,7 @@ def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -
             palm centre also on the way to the episode's intercept.
         radius_m: of a sphere around the target [m].
     """
-    home, launch = spec.home_pos_w, _launch(spec)
+    home, launch = spec.home_pos_w, spec.motion.launch(spec.target)
     return (
         bool(box_distance(spec.oracle_path, panel).min() > radius_m + TARGET_CLEARANCE_M)
         and all(apart(panel, box, FIXTURE_CLEARANCE_M) for box in launch.boxes)
@@ -75,7 +74,3 @@ def apart(panel: Box, other: Box, room_m: float) -> bool:
     axes = axes[np.linalg.norm(axes, axis=1) > 1e-6]
     reach = np.abs(axes) @ (np.asarray(panel.half_size) + room_m) + np.abs(axes @ turned) @ np.asarray(other.half_size)
     return bool((np.abs(axes @ (np.asarray(panel.pos) - np.asarray(other.pos))) > reach).any())
-
-
-def _launch(spec: EpisodeSpec) -> Launch:
-    return spec.motion.launch(spec.target) if isinstance(spec.motion, PhysicalMotion) else Launch((0.0, 0.0, 0.0))

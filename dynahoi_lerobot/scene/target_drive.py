@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import PHYSICS_DT, SUBSTEPS
-from dynahoi_lerobot.motions import Motion, PhysicalMotion, PrescribedMotion
+from dynahoi_lerobot.motions import Motion, PrescribedMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 from dynahoi_lerobot.objects import TargetObject
 
@@ -40,7 +40,6 @@ def drive_for(motion: Motion, target: TargetObject, frames: int) -> TargetDrive:
     if isinstance(motion, PrescribedMotion):
         times = np.arange(-1, frames * SUBSTEPS + 1) * PHYSICS_DT
         return _follow(motion.position(times), target.mass_kg, frames)
-    assert isinstance(motion, PhysicalMotion)
     launch = motion.launch(target)
     start, velocity = np.asarray(launch.pos), np.asarray(launch.velocity)
     held = min(round(launch.release_s / PHYSICS_DT), frames * SUBSTEPS)

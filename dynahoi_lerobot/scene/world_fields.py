@@ -9,7 +9,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.appearance import Appearance, Solid
-from dynahoi_lerobot.motions import Motion, PhysicalMotion
+from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.motions.geometry import yaw_quat
 from dynahoi_lerobot.motions.launch import Box, Launch, Striker, Tether
 from dynahoi_lerobot.objects import TargetObject
@@ -72,7 +72,7 @@ class WorldFields:
             drive: where it starts.
             collides_with: collision bits the target asks for.
         """
-        launch = motion.launch(target) if isinstance(motion, PhysicalMotion) else Launch((0.0, 0.0, 0.0))
+        launch = motion.launch(target)
         self._write_target(i, target, launch, collides_with)
         for slot in range(len(self._scene.box_geoms)):
             self._write_box(i, slot, launch.boxes[slot] if slot < len(launch.boxes) else None)

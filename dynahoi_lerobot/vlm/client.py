@@ -17,7 +17,7 @@ from dynahoi_lerobot.vlm.completion import Usage, read_envelope, read_text, read
 from dynahoi_lerobot.vlm.deadline import Deadline
 from dynahoi_lerobot.vlm.endpoint import api_key, connect
 from dynahoi_lerobot.vlm.failures import Cause, RequestFailure
-from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, HORIZON, answer_schema, check_prompt, messages
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, HORIZON, Prompt, answer_schema
 from dynahoi_lerobot.vlm.redaction import Redactor
 from dynahoi_lerobot.vlm.reply import parse_reply
 
@@ -59,7 +59,7 @@ class VlmClient:
         timeout_s: float = 60.0,
         retries: int = 2,
         prices: tuple[float, float] = (0.0, 0.0),
-        prompt: str = DEFAULT_PROMPT,
+        prompt: Prompt = DEFAULT_PROMPT,
         audit: Path | None = None,
     ) -> None:
         """Prepare requests to ``base_url``; the API key is read from the environment variable ``OPENAI_API_KEY``.
@@ -70,18 +70,17 @@ class VlmClient:
             timeout_s: for one decision [s], all its requests included.
             retries: further requests after a failed one, as long as time is left.
             prices: of a million prompt and completion tokens, in any currency.
-            prompt: what is asked, one of ``prompt.PROMPTS``.
+            prompt: what is asked.
             audit: a JSON-lines file to which a line is appended for every request, with the text of the answer.
 
         Raises:
-            ValueError: for an unknown prompt, a number out of range, an invalid URL or key, if the endpoint is
+            ValueError: for a number out of range, an invalid URL or key, if the endpoint is
                 OpenAI's and there is no key, or if the ``openai`` package is not installed.
         """
         _check_numbers(timeout_s, retries, prices)
         self.account, self._prices, self._retries = Account(), prices, retries
         self._model, self._audit, self._lock = model, audit, threading.Lock()
-        self._prompt = check_prompt(prompt)
-        self._timeout_s, self._structured = timeout_s, True
+        self._prompt, self._timeout_s, self._structured = prompt, timeout_s, True
         self._redact = Redactor(api_key(base_url))
         self._redact.watch_loggers()
         self._client = connect(base_url, self._redact)
@@ -99,7 +98,7 @@ class VlmClient:
         Returns:
             (10, 18) palm centre position [m], home frame, and joint angles [rad], one row for each frame of 0.05 s.
         """
-        attempt = self._attempts(messages(task, state, image, prompt=self._prompt), task)
+        attempt = self._attempts(self._prompt.messages(task, state, image), task)
         with self._lock:
             self.account.add_decision(attempt.cause)
         return attempt.commands
@@ -107,7 +106,7 @@ class VlmClient:
     def report(self) -> dict[str, Any]:
         """Return the names of model and prompt and the account so far, as JSON values."""
         with self._lock:
-            asked = {"model": self._redact(self._model), "prompt": self._prompt}
+            asked = {"model": self._redact(self._model), "prompt": self._prompt.name}
             return {**asked, "structured_output": self._structured, **self.account.report()}
 
     def _attempts(self, request: list[dict[str, Any]], task: str) -> _Attempt:

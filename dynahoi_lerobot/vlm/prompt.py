@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import base64
 import io
+from dataclasses import dataclass
 from string import Template
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from dynahoi_lerobot.foundation.conventions import HAND_DOF, HAND_NAMES
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, HAND_NAMES
 
 HORIZON = 10
 """T, the number of frames of 0.05 s that one answer commands."""
@@ -48,7 +50,8 @@ Return only the following JSON:
 EXTENDED = """Task: $task
 Input: the RGB image of the camera on the hand, and the current hand state s_t, 18 numbers \
 [x, y, z in metres (from where the palm started, z up), 15 joint angles in radians, 0 open to 1.6 closed]: $state
-The order of the joints is $names. The palm faces +x; one frame lasts 0.05 s; the palm moves at most 0.1 m a frame.
+The order of the joints is $names. The palm faces +x; one frame lasts 0.05 s; the palm moves at most $palm_step m a \
+frame.
 Skill set: {$skills}.
 Output: (i) a parameterized skill program whose durations sum to $horizon, and (ii) an explicit low-level rollout of \
 the next $horizon frames, each with 18 values in the same order.
@@ -63,41 +66,50 @@ PROMPTS = {"extended": Template(EXTENDED), "paper": Template(PAPER)}
 
 The paper gives ``terminate_if`` no grammar, and says that the simulator receives the rollout. So an answer may hold any
 value there; it is written to the log with the answer and, as the skills themselves, changes no command."""
-DEFAULT_PROMPT = "extended"
 
 
-def check_prompt(name: str) -> str:
-    """Return the name of a prompt.
+@dataclass(frozen=True)
+class Prompt:
+    """What a model is asked.
 
-    Raises:
-        ValueError: naming the prompts there are, if it is none.
+    Attributes:
+        name: one of ``PROMPTS``.
+        palm_speed_m_s: the palm's greatest speed in the episodes [m/s], which ``extended`` tells.
     """
-    if name not in PROMPTS:
-        raise ValueError(f"unknown prompt {name!r}; known: {', '.join(PROMPTS)}")
-    return name
+
+    name: str = "extended"
+    palm_speed_m_s: float = control_class_of(DEFAULT_CONTROL_CLASS).palm_speed_m_s
+
+    def __post_init__(self) -> None:
+        """Check the name.
+
+        Raises:
+            ValueError: naming the prompts there are, if it is none.
+        """
+        if self.name not in PROMPTS:
+            raise ValueError(f"unknown prompt {self.name!r}; known: {', '.join(PROMPTS)}")
+
+    def messages(self, task: str, state: np.ndarray, image: np.ndarray) -> list[dict[str, Any]]:
+        """Return the chat messages of one request: system, then user with text and a JPEG image.
+
+        Args:
+            task: the instruction.
+            state: (18,) palm centre position [m], home frame, and joint angles [rad].
+            image: (H, W, 3) uint8 RGB of the hand's camera.
+        """
+        text = PROMPTS[self.name].substitute(
+            task=task,
+            state=np.round(state.astype(float), 4).tolist(),
+            names=", ".join(HAND_NAMES[3:]),
+            skills=", ".join(SKILLS),
+            horizon=HORIZON,
+            palm_step=f"{self.palm_speed_m_s * CONTROL_DT:.4g}",
+        )
+        content = [{"type": "text", "text": text}, {"type": "image_url", "image_url": {"url": _data_url(image)}}]
+        return [{"role": "system", "content": SYSTEM}, {"role": "user", "content": content}]
 
 
-def messages(
-    task: str, state: np.ndarray, image: np.ndarray, horizon: int = HORIZON, prompt: str = DEFAULT_PROMPT
-) -> list[dict[str, Any]]:
-    """Return the chat messages of one request: system, then user with text and a JPEG image.
-
-    Args:
-        task: the instruction.
-        state: (18,) palm centre position [m], home frame, and joint angles [rad].
-        image: (H, W, 3) uint8 RGB of the hand's camera.
-        horizon: T, the number of frames to command.
-        prompt: one of ``PROMPTS``.
-    """
-    text = PROMPTS[prompt].substitute(
-        task=task,
-        state=np.round(state.astype(float), 4).tolist(),
-        names=", ".join(HAND_NAMES[3:]),
-        skills=", ".join(SKILLS),
-        horizon=horizon,
-    )
-    content = [{"type": "text", "text": text}, {"type": "image_url", "image_url": {"url": _data_url(image)}}]
-    return [{"role": "system", "content": SYSTEM}, {"role": "user", "content": content}]
+DEFAULT_PROMPT = Prompt()
 
 
 def answer_schema(horizon: int = HORIZON) -> dict[str, Any]:

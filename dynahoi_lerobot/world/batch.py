@@ -95,9 +95,9 @@ class WorldBatch:
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
         self.control = control_class_of(control_class)
-        gantry = self.rule.gantry_speed_m_s
-        self.palm_speed_m_s = self.control.palm_speed_m_s if gantry is None else gantry
-        limits = SpeedLimits(self.palm_speed_m_s, self.control.joint_speed_rad_s, by_axis=gantry is not None)
+        self.palm_speed_m_s = self.rule.palm_speed_m_s(self.control)
+        by_axis = self.rule.gantry_speed_m_s is not None
+        limits = SpeedLimits(self.palm_speed_m_s, self.control.joint_speed_rad_s, by_axis)
         self.servo = Servo(self.scene.model, limits)
         self._latency = CommandLatency(size, self.control.latency_frames)
         self._targets = Targets(self.scene, self._fields, size)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from dynahoi_lerobot.cli import quickstart
 from dynahoi_lerobot.cli.main import main
@@ -13,6 +14,16 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.benchmark import MOTIONS
 
 SHORT = ["--episodes", "4", "--rounds", "1", "--evaluation-episodes", "1"]
+
+
+STANDARD = Path(__file__).parents[2] / "recipes" / "train" / "standard.yaml"
+"""What the quickstart shortens; wheels hold only the copy."""
+
+
+def test_it_trains_the_standard_recipe_shortened() -> None:
+    copy, original = (yaml.safe_load(path.read_text()) for path in (quickstart.TRAINING, STANDARD))
+    differs = {key for key in copy.keys() | original.keys() if copy.get(key) != original.get(key)}
+    assert differs == {"out", "rounds", "validation_episodes"}
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,6 +84,18 @@ def test_an_honest_result_is_certified(honest: Path, capsys: pytest.CaptureFixtu
     assert "certified: 3 of 110 episodes of test_small, 3 of them played again" in capsys.readouterr().out
     assert main(["certify", str(honest), "--episodes", "1"]) == 0
     assert "1 of them played again" in capsys.readouterr().out
+
+
+def test_the_log_of_commands_is_read_once(honest: Path, monkeypatch: pytest.MonkeyPatch):
+    load, opened = np.load, []
+
+    def counted(path: Path, **options: Any) -> Any:
+        opened.append(path)
+        return load(path, **options)
+
+    monkeypatch.setattr(np, "load", counted)
+    assert main(["certify", str(honest), "--episodes", "1"]) == 0
+    assert opened.count(honest / "actions.npz") == 1
 
 
 @pytest.mark.parametrize(("forge", "finding"), FORGERIES)

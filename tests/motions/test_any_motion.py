@@ -49,6 +49,13 @@ def test_the_same_seed_draws_the_same_motion_and_another_seed_another(kind: str)
     assert len({motion.parameters() for motion in drawn}) == len(drawn)
 
 
+@pytest.mark.parametrize("kind", PRESCRIBED)
+def test_a_path_in_closed_form_needs_no_fixtures_and_is_under_way_at_once(kind: str):
+    drawn = draw_motion(kind, 0)
+    launch = drawn.motion.launch(drawn.target)
+    assert (launch.boxes, launch.tether, launch.striker, launch.release_s) == ((), None, None, 0.0)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_parameters_are_finite_json_that_gives_the_motion_back(kind: str):
     for seed in SEEDS:

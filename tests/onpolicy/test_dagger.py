@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.onpolicy import dagger
+from dynahoi_lerobot.onpolicy.run_folder import LOG
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -42,7 +43,7 @@ def tiny_recipe(folder: Path, **changes: object) -> Path:
 
 def run(recipe: Path, out: Path) -> list[dict]:
     assert main(["dagger", "--recipe", str(recipe), "--out", str(out)]) == 0
-    return [json.loads(line) for line in (out / dagger.LOG).read_text().splitlines()]
+    return [json.loads(line) for line in (out / LOG).read_text().splitlines()]
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_log_tells_scores_against_processor_minutes(finished: Path):
-    lines = [json.loads(line) for line in (finished / dagger.LOG).read_text().splitlines()]
+    lines = [json.loads(line) for line in (finished / LOG).read_text().splitlines()]
     assert [line["round"] for line in lines] == [1, 2, 3]
     minutes = [line["processor_minutes"] for line in lines]
     assert minutes == sorted(minutes)
@@ -92,7 +93,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(
     monkeypatch.setattr(dagger, "play_round", stopped_in_the_third_round)
     out = tmp_path / "out"
     assert main(["dagger", "--recipe", str(recipe), "--out", str(out)]) == 130
-    assert len((out / dagger.LOG).read_text().splitlines()) == 2
+    assert len((out / LOG).read_text().splitlines()) == 2
     monkeypatch.setattr(dagger, "play_round", played)
     lines = run(recipe, out)
     assert [line["round"] for line in lines] == [1, 2, 3]
@@ -119,15 +120,3 @@ def test_a_wrong_recipe_is_refused_in_a_sentence(
     assert main(["dagger", "--recipe", str(tiny_recipe(tmp_path, **change)), "--out", str(out)]) == 2
     assert told in capsys.readouterr().err
     assert not out.exists()
-
-
-def test_an_eye_is_pretrained_and_a_policy_starts_from_it(tmp_path: Path):
-    recipe = {"out": str(tmp_path / "eye"), "episodes": {"image_size": 32}, "n_episodes": 2, "pictures": 16}
-    recipe |= {"batch_size": 8, "policy": {"type": "obact", "backbone_options": TINY_EYE}}
-    path = tmp_path / "eye.yaml"
-    path.write_text(yaml.safe_dump(recipe))
-    assert main(["pretrain", "--recipe", str(path)]) == 0
-    eye = EyeBackbone(16, **TINY_EYE, weights=str(tmp_path / "eye" / "eye.safetensors"))
-    eye.load_pretrained()
-    (line,) = (tmp_path / "eye" / "log.jsonl").read_text().splitlines()
-    assert json.loads(line)["pictures"] == 16

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.motions import PhysicalMotion
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import wait, world
@@ -127,12 +126,10 @@ def _shown(scene: Scene, spec: EpisodeSpec) -> set[int]:
     shown |= set(scene.furniture_geoms[: len(spec.appearance.furniture)])
     free = {shape: list(ids) for shape, ids in scene.slots.items()}
     shown |= {free[primitive.shape].pop(0) for primitive in spec.target.primitives}
-    if isinstance(spec.motion, PhysicalMotion):
-        launch = spec.motion.launch(spec.target)
-        shown |= set(scene.box_geoms[: len(launch.boxes)])
-        shown |= {scene.tether_geom} if launch.tether else set()
-        shown |= {scene.striker_geom} if launch.striker else set()
-    return shown
+    launch = spec.motion.launch(spec.target)
+    shown |= set(scene.box_geoms[: len(launch.boxes)])
+    shown |= {scene.tether_geom} if launch.tether else set()
+    return shown | ({scene.striker_geom} if launch.striker else set())
 
 
 def _cosine(color: np.ndarray, tint: tuple[float, float, float]) -> float:

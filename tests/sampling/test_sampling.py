@@ -11,7 +11,6 @@ import pytest
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
 from dynahoi_lerobot.hands import HANDS
-from dynahoi_lerobot.motions import PhysicalMotion
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.candidate import MIN_OBSERVED_S
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -112,9 +111,8 @@ def test_the_hand_hides_what_is_behind_it():
 
 def test_what_is_let_go_is_seen_moving_before_control_starts(specs: list[EpisodeSpec]):
     for spec in specs:
-        if isinstance(spec.motion, PhysicalMotion):
-            release_s = spec.motion.launch(spec.target).release_s
-            assert release_s <= max(0.0, spec.window_frames * CONTROL_DT - MIN_OBSERVED_S)
+        release_s = spec.motion.launch(spec.target).release_s
+        assert release_s <= max(0.0, spec.window_frames * CONTROL_DT - MIN_OBSERVED_S)
 
 
 def test_without_a_window_control_starts_at_once():

@@ -16,7 +16,7 @@ from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.vlm.agent import VlmAgent
 from dynahoi_lerobot.vlm.client import VlmClient
-from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, answer_schema, messages
+from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, Prompt, answer_schema
 from dynahoi_lerobot.vlm.reply import ReplyError, parse_reply
 from tests.vlm.hostile import STATE, answer
 from tests.vlm.server import Exchange, serving
@@ -98,7 +98,7 @@ Return only the following JSON:
 
 
 def test_the_papers_prompt_is_literal():
-    system, user = messages("Catch the ball.", STATE, IMAGE, prompt="paper")
+    system, user = Prompt("paper").messages("Catch the ball.", STATE, IMAGE)
     assert system["content"] == "You are a Vision-Language-Action agent for dynamic hand-object interaction."
     text = user["content"][0]["text"]
     assert text == PAPER_PROMPT.replace("STATE", str(np.round(STATE.astype(float), 4).tolist()))
@@ -115,7 +115,7 @@ def test_an_answer_may_say_when_a_skill_ends_and_its_rollout_is_played(condition
 
 
 def test_the_request_holds_what_the_paper_says():
-    system, user = messages("Catch the ball.", STATE, IMAGE)
+    system, user = Prompt().messages("Catch the ball.", STATE, IMAGE)
     assert system["role"] == "system"
     text, picture = user["content"]
     for word in ("Catch the ball.", "1.7", "action_sequence", "predicted_motion", f"sum to {HORIZON}", *SKILLS):
@@ -289,6 +289,21 @@ def test_the_papers_prompt_is_sent_and_named_in_every_row(tmp_path: Path, capsys
     assert (row["agent"], row["capture"]) == ("vlm:tiny:paper", "attach_lenient")
     account = read_results(out).info.extra["vlm"]
     assert (account["prompt"], account["failed"]) == ("paper", 0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        (["--control-class", "standard"], "the palm moves at most 0.025 m a frame."),
+        (["--control-class", "unlimited"], "the palm moves at most 0.1 m a frame."),
+        (["--control-class", "standard", "--capture", "contact"], "the palm moves at most 0.1 m a frame."),
+    ],
+)
+def test_the_model_is_told_how_far_the_palm_may_move(settings: list[str], told: str):
+    with serving(lambda exchange: exchange.say(answer())) as (url, seen):
+        words = ["--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant", *settings]
+        assert main(["evaluate", *words, "--episodes", "1", "--image-size", "32"]) == 0
+    assert all(told in exchange.body["messages"][1]["content"][0]["text"] for exchange in seen)
 
 
 def test_a_model_must_be_named(capsys: pytest.CaptureFixture):

@@ -59,9 +59,8 @@ def _cameras(model: mujoco.MjModel, image_size: int) -> dict[str, np.ndarray]:
 
 def _limits(recipe: Recipe) -> np.ndarray:
     """Return (3,) limits of palm [m/s] and joints [rad/s], latency [ms]."""
-    control, gantry = control_class_of(recipe.control_class), CAPTURES[recipe.capture].gantry_speed_m_s
-    palm_speed = control.palm_speed_m_s if gantry is None else gantry
-    return np.array([palm_speed, control.joint_speed_rad_s, control.latency_ms])
+    control = control_class_of(recipe.control_class)
+    return np.array([CAPTURES[recipe.capture].palm_speed_m_s(control), control.joint_speed_rad_s, control.latency_ms])
 
 
 def _plan(row: EpisodeRow) -> str | None:

@@ -11,6 +11,7 @@ from lerobot.utils.constants import ACTION
 from torch import Tensor
 
 from .configuration_obact import ObActConfig
+from .heads.base import ActionHead, ForecastHead
 from .heads.intercept import KNOTS, PALM_DIM
 from .privileged import read_column
 
@@ -78,14 +79,19 @@ class Demonstrated:
         return ForecastLabels(*(label.to(index.device) for label in labels))
 
 
-def demonstrated(config: ObActConfig, meta: Any | None) -> Demonstrated | None:
-    """Open the labels of a policy whose head forecasts, if there is a dataset to train on.
+def demonstrated(head: ActionHead, config: ObActConfig, meta: Any | None) -> Demonstrated | None:
+    """Open the labels of a head that forecasts, if there is a dataset to train on.
+
+    Args:
+        head: the policy's head.
+        config: the policy's config.
+        meta: the dataset's LeRobot metadata; None while acting.
 
     Raises:
         ValueError: if the config names no column of the target's position.
     """
-    if config.head != "intercept" or meta is None:
+    if not isinstance(head, ForecastHead) or meta is None:
         return None
     if not config.privileged_key:
-        raise ValueError("head 'intercept' learns where targets go: privileged_key must name a column, got ''.")
+        raise ValueError(f"head {config.head!r} learns where targets go: privileged_key must name a column, got ''.")
     return Demonstrated(meta, config.privileged_key)

@@ -2,69 +2,127 @@
 
 from __future__ import annotations
 
-import json
-import math
+import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import draccus
 import torch
 from safetensors.torch import save_file
 
+from dynahoi_lerobot.onpolicy.run_folder import RunFolder
+
 from .backbones import backbones
 from .backbones.eye import EyeBackbone, sighting_loss
+from .updates import learning_rate, take_step
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
     from dynahoi_lerobot.onpolicy.snapshots import Snapshots
 
 WARMUP_UPDATES = 200
-LOG_EVERY = 100
-WEIGHTS, LOG = "eye.safetensors", "log.jsonl"
+WEIGHTS = "eye.safetensors"
 GRADIENT_CLIP = 5.0
 
+Pictures = Callable[[int], Iterator["Snapshots"]]
+"""The pictures from an update on, a batch for each; of an update that a run goes on from they are always the same."""
 
-def train_eye(recipe: EyeRecipe, stream: Iterator[Snapshots]) -> Iterator[str]:
-    """Train the eye of a recipe's policy on a stream of pictures; write its weights into ``recipe.out``.
 
-    Yields:
-        A line of the log, JSON, now and then.
+class EyeTraining:
+    """A run of a recipe, which can be killed at any time and goes on from its last save.
 
-    Raises:
-        FloatingPointError: if the loss is not finite.
+    It ends with the same weights to the bit, on the same machine, however often it was killed: every save, also of a
+    run that goes on, begins a new stream of pictures, and after the first weights nothing else is drawn.
+
+    Attributes:
+        recipe: what to do.
+        eye: who learns.
+        n_updates: done so far.
     """
-    torch.manual_seed(recipe.seed)
-    options = recipe.policy.get("backbone_options", {}) | {"frozen": False}
-    eye: EyeBackbone = backbones.build("eye", recipe.policy.get("width", 128), options=options)
-    eye.load_pretrained()
-    optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)
-    n_updates, recent = recipe.pictures // recipe.batch_size, []
-    recipe.out.mkdir(parents=True, exist_ok=True)
-    with (recipe.out / LOG).open("w") as log:
-        for step, shown in enumerate(islice(stream, n_updates)):
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate(recipe.learning_rate, step, n_updates, WARMUP_UPDATES)
-            images = torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0  # (F, 6, H, W)
-            loss = sighting_loss(eye, images, torch.from_numpy(shown.offset)).mean()
-            if not loss.isfinite():
-                raise FloatingPointError(f"the loss of update {step} is {loss.item()}; lower learning_rate")
-            optimizer.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(eye.parameters(), GRADIENT_CLIP)
-            optimizer.step()
-            recent.append(loss.item())
-            if (step + 1) % LOG_EVERY == 0 or step + 1 == n_updates:
-                minutes = round(time.process_time() / 60, 3)
-                line = {"pictures": (step + 1) * recipe.batch_size, "processor_minutes": minutes}
-                told = json.dumps({**line, "loss": round(sum(recent) / len(recent), 4)})
-                log.write(told + "\n")
-                recent.clear()
-                yield told
-    save_file(eye.learned_state(), recipe.out / WEIGHTS)
+
+    def __init__(self, recipe: EyeRecipe) -> None:
+        """Build the eye of the recipe's policy; a run that was killed is taken up where it was saved last.
+
+        Raises:
+            ValueError: if the folder holds a run of another recipe.
+        """
+        torch.manual_seed(recipe.seed)
+        self.recipe = recipe
+        options = recipe.policy.get("backbone_options", {}) | {"frozen": False}
+        self.eye: EyeBackbone = backbones.build("eye", recipe.policy.get("width", 128), options=options)
+        self.eye.load_pretrained()
+        self.optimizer = torch.optim.AdamW(self.eye.parameters(), lr=0.0, weight_decay=1e-4)
+        self.n_updates, self._spent_s = 0, 0.0
+        self._folder = RunFolder(recipe.out)
+        if state := self._folder.restore():
+            self._resume(state)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all pictures have been seen."""
+        return self.n_updates >= self._all_updates
+
+    @property
+    def _all_updates(self) -> int:
+        return self.recipe.pictures // self.recipe.batch_size
+
+    def run(self, pictures: Pictures) -> Iterator[dict[str, Any]]:
+        """Learn until all pictures have been seen, then write the weights; yield a line of the log after each save.
+
+        Raises:
+            FloatingPointError: if the loss is not finite.
+        """
+        while not self.finished:
+            ahead = min(self.recipe.save_every, self._all_updates - self.n_updates)
+            losses = [self._update(shown) for shown in islice(pictures(self.n_updates), ahead)]
+            seen, minutes = self.n_updates * self.recipe.batch_size, round(self._processor_s() / 60, 3)
+            line = {"pictures": seen, "processor_minutes": minutes, "loss": round(sum(losses) / len(losses), 4)}
+            self._folder.log(line)
+            self._save()
+            yield line
+        unfinished = self.recipe.out / f"{WEIGHTS}.unfinished"
+        save_file(self.eye.learned_state(), unfinished)
+        os.replace(unfinished, self.recipe.out / WEIGHTS)
+
+    def _update(self, shown: Snapshots) -> float:
+        recipe, n = self.recipe, self.n_updates
+        images = torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0  # (F, 6, H, W)
+        loss = sighting_loss(self.eye, images, torch.from_numpy(shown.offset)).mean()
+        rate = learning_rate(recipe.learning_rate, n, self._all_updates, WARMUP_UPDATES)
+        self.n_updates += 1
+        return take_step(self.optimizer, loss, self.eye.parameters(), max_norm=GRADIENT_CLIP, rate=rate, n=n)
+
+    def _processor_s(self) -> float:
+        """Processor time of this process, and of those before it until they saved last [s]."""
+        return self._spent_s + time.process_time()
+
+    def _save(self) -> None:
+        state = {
+            "recipe": _as_stored(self.recipe),
+            "updates": self.n_updates,
+            "processor_s": self._processor_s(),
+            "eye": self.eye.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+        }
+        self._folder.save(state)
+
+    def _resume(self, state: dict[str, Any]) -> None:
+        wanted = _as_stored(self.recipe)
+        if changed := sorted(key for key, value in wanted.items() if state["recipe"][key] != value):
+            key = changed[0]
+            raise ValueError(
+                f"{self.recipe.out} holds a run with {key} {state['recipe'][key]}, not {wanted[key]}; "
+                "name another folder with --out"
+            )
+        self.n_updates, self._spent_s = state["updates"], state["processor_s"]
+        self.eye.load_state_dict(state["eye"])
+        self.optimizer.load_state_dict(state["optimizer"])
 
 
-def learning_rate(peak: float, step: int, n_steps: int, warmup: int) -> float:
-    """Return the rate of a step: a linear warm-up, then a cosine down to a fiftieth of the peak."""
-    progress = min(step / max(n_steps, 1), 1.0)
-    return peak * min(1.0, (step + 1) / warmup) * (0.02 + 0.49 * (1 + math.cos(math.pi * progress)))
+def _as_stored(recipe: EyeRecipe) -> dict[str, Any]:
+    """Return all that decides the weights, as plain values."""
+    return draccus.encode(replace(recipe, out=Path()))

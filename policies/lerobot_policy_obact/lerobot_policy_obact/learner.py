@@ -23,19 +23,20 @@ from dynahoi_lerobot.env.spaces import as_gym
 
 from .configuration_obact import ObActConfig
 from .decisions import window_decisions
-from .eye_training import learning_rate, train_eye
+from .eye_training import EyeTraining
 from .heads.base import Forecast, ForecastHead
 from .lesson import Lesson
 from .modeling_obact import ObActPolicy
 from .observation import Batch, Observation
 from .processor_obact import make_obact_pre_post_processors
+from .updates import learning_rate, take_step
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.agent import Observation as WorldObservation
     from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
     from dynahoi_lerobot.onpolicy.rounds import Round
 
-__all__ = ["ObActLearner", "make_learner", "train_eye"]
+__all__ = ["EyeTraining", "ObActLearner", "make_learner"]
 
 WARMUP_UPDATES = 50
 ON_POLICY = "on-policy"
@@ -113,21 +114,14 @@ class ObActLearner:
         return model.head.forecast_loss(label, condition, arrival, known).mean()
 
     def _update(self, lesson: Lesson) -> float:
-        config = self.policy.config
-        n_updates = self.recipe.rounds * self.recipe.updates
-        rate = learning_rate(self.recipe.learning_rate, self.n_updates, n_updates, WARMUP_UPDATES)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
-        loss = self.loss(lesson)
-        if not loss.isfinite():
-            raise FloatingPointError(f"the loss of update {self.n_updates} is {loss.item()}; lower learning_rate")
-        self.optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.policy.model.parameters(), config.optimizer_grad_clip_norm)
-        self.optimizer.step()
-        self.policy.update()
+        recipe, policy, n = self.recipe, self.policy, self.n_updates
+        rate = learning_rate(recipe.learning_rate, n, recipe.rounds * recipe.updates, WARMUP_UPDATES)
+        max_norm = policy.config.optimizer_grad_clip_norm
+        clipped = policy.model.parameters()
+        loss = take_step(self.optimizer, self.loss(lesson), clipped, max_norm=max_norm, rate=rate, n=n)
+        policy.update()
         self.n_updates += 1
-        return loss.item()
+        return loss
 
     def _draw(self) -> Lesson:
         """Draw episodes of one of the rounds kept."""

@@ -65,7 +65,8 @@ class ObActPolicy(PreTrainedPolicy):
             self.model.load_pretrained()
         self.ema = averaged_copy(self.model, config.ema_decay) if config.ema_decay else None
         self.register_load_state_dict_pre_hook(match_averages)
-        labels, forecasts = privileged_labels(config, dataset_meta), demonstrated(config, dataset_meta)
+        labels = privileged_labels(config, dataset_meta)
+        forecasts = demonstrated(self.model.head, config, dataset_meta)
         self.objective = ImitationObjective(config, self.frame, labels, forecasts)
         self.planner = ChunkPlanner(config, self.frame)
         self.set_dataset_stats(dataset_stats)

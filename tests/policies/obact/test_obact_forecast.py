@@ -7,7 +7,8 @@ import pytest
 import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot_policy_obact.demonstrated import Demonstrated
-from lerobot_policy_obact.heads.intercept import KNOTS
+from lerobot_policy_obact.heads.base import heads
+from lerobot_policy_obact.heads.intercept import KNOTS, InterceptHead
 from lerobot_policy_obact.observation import Observation
 from obact_helpers import FPS, HAND_FEATURES, fit, make_batch, make_policy, mean_loss
 
@@ -69,6 +70,15 @@ def test_a_policy_learns_them_from_a_batch(meta: LeRobotDatasetMetadata):
 def test_a_dataset_without_the_column_is_refused(meta: LeRobotDatasetMetadata):
     with pytest.raises(ValueError, match="privileged_key must name a column, got ''"):
         make_policy(meta=meta, **FORECASTING | {"privileged_key": ""})
+
+
+def test_any_head_that_forecasts_learns_from_them(meta: LeRobotDatasetMetadata, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(heads._classes, "foresee", type("Foresee", (InterceptHead,), {}))
+    policy = make_policy(meta=meta, **FORECASTING | {"head": "foresee"})
+    batch = make_batch(policy) | {"index": torch.tensor([8, 12, N_FRAMES + 9])}
+    assert mean_loss(policy, batch, n_draws=1) > 0
+    with pytest.raises(ValueError, match="head 'foresee' learns where targets go"):
+        make_policy(meta=meta, **FORECASTING | {"head": "foresee", "privileged_key": ""})
 
 
 @pytest.mark.parametrize("changes", [{}, {"n_decisions": 2, "decision_stride": 3}])

@@ -1,0 +1,43 @@
+"""The folder of a training run: its log, and what a run that was killed goes on from."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+LOG, STATE = "log.jsonl", "state.pt"
+
+
+class RunFolder:
+    """Keeps log and saved state together: what was logged after the last save is dropped when a run goes on from it."""
+
+    def __init__(self, path: Path) -> None:
+        """Use a folder, which is made if it does not exist."""
+        path.mkdir(parents=True, exist_ok=True)
+        self.path = path
+
+    def log(self, line: dict[str, Any]) -> None:
+        """Append a line of JSON."""
+        with (self.path / LOG).open("a") as file:
+            file.write(json.dumps(line) + "\n")
+
+    def save(self, state: dict[str, Any]) -> None:
+        """Write what to go on from, whole or not at all, in place of what was saved before."""
+        import torch
+
+        unfinished = self.path / f"{STATE}.unfinished"
+        torch.save(state | {"log": (self.path / LOG).read_text()}, unfinished)
+        os.replace(unfinished, self.path / STATE)
+
+    def restore(self) -> dict[str, Any] | None:
+        """Return what was saved last, None for nothing, and let the log end there."""
+        import torch
+
+        if not (self.path / STATE).exists():
+            (self.path / LOG).unlink(missing_ok=True)
+            return None
+        state = torch.load(self.path / STATE, weights_only=True)
+        (self.path / LOG).write_text(state["log"])
+        return state
