@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, ChunkAgent, Observation
+from dynahoi_lerobot.rollout.chunk import Chunk
 from dynahoi_lerobot.rollout.inference import RTC, Inference, frames_of
 
 
@@ -39,8 +40,8 @@ class RealTimeAgent(Agent):
         """Forget everything, also what is being inferred."""
         self._agent.reset(count)
         self._frame = 0
-        self._running: list[_Chunk | None] = [None] * count
-        self._coming: list[_Chunk | None] = [None] * count
+        self._running: list[Chunk | None] = [None] * count
+        self._coming: list[Chunk | None] = [None] * count
 
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) the commands that are due."""
@@ -79,7 +80,7 @@ class RealTimeAgent(Agent):
         self._check(plan.actions.shape[1], delay)
         for i, actions, seconds in zip(worlds, plan.actions, plan.seconds, strict=True):
             took = frames_of(seconds) if delay is None else delay
-            self._coming[i] = _Chunk(actions, self._frame, self._frame + took)
+            self._coming[i] = Chunk(actions, self._frame, self._frame + took)
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
 
     def _check(self, length: int, delay: int | None) -> None:
@@ -89,14 +90,3 @@ class RealTimeAgent(Agent):
                 f"the chunks of {self.name!r} have {length} actions, all of them past when a chunk is ready after "
                 f"{self._inference.latency_ms:g} ms ({delay} frames); allowed are less than {length} frames"
             )
-
-
-class _Chunk:
-    """Actions (H, 18) from frame ``first`` on, executed from frame ``ready`` on."""
-
-    def __init__(self, actions: np.ndarray, first: int, ready: int) -> None:
-        self.actions, self.first, self.ready = actions, first, ready
-
-    def action(self, frame: int) -> np.ndarray:
-        """Return the (18,) action of ``frame``, the last one where the chunk is over."""
-        return self.actions[min(frame - self.first, len(self.actions) - 1)]
