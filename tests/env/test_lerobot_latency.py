@@ -74,7 +74,9 @@ def assert_same_as_with_whole_chunks(policy: Path, found: Results) -> None:
     """Play the same episodes as ``dynahoi evaluate --inference async --inference-ms 150`` does, and compare actions."""
     agent = RealTimeAgent(PolicyAgent(str(policy)), Inference("async", 150.0))
     recipe = found.recipe()
-    played = evaluate(make_batch(recipe, 2, threads=1), agent, sample_specs(recipe, sorted(row["seed"] for row in found.rows)))
+    played = evaluate(
+        make_batch(recipe, 2, threads=1), agent, sample_specs(recipe, sorted(row["seed"] for row in found.rows))
+    )
     expected = {episode.meta.seed: episode.action for episode in played}
     assert len(expected) == 2
     for row, actions in zip(found.rows, found.actions, strict=True):

@@ -26,9 +26,7 @@ class Counter(ChunkAgent):
     def act(self, observation: Observation) -> np.ndarray:
         raise AssertionError("a chunk was asked for")
 
-    def plan(
-        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
-    ) -> Plan:
+    def plan(self, observation: Observation, worlds: np.ndarray, **continued: np.ndarray) -> Plan:
         t = float(observation.state[0, 0])
         return Plan(np.broadcast_to((101 * t + np.arange(12.0))[None, :, None], (1, 12, 18)), np.zeros(1))
 
@@ -95,9 +93,19 @@ def test_a_new_episode_begins_with_an_inference():
 @pytest.mark.parametrize(
     ("policy", "mode", "latency_ms", "sentence"),
     [
-        (QueuedPolicy("p", 6), "rtc", 150.0, "asked for one action a call; use async, or dynahoi evaluate --inference rtc"),
+        (
+            QueuedPolicy("p", 6),
+            "rtc",
+            150.0,
+            "asked for one action a call; use async, or dynahoi evaluate --inference rtc",
+        ),
         (QueuedPolicy("p", 6), "async", None, "declare it in ms, or use dynahoi evaluate --inference-ms measured"),
-        (QueuedPolicy("p", 3), "async", 150.0, r"'p' executes 3 .* 150 ms \(3 frames\); n_action_steps must be at least 4"),
+        (
+            QueuedPolicy("p", 3),
+            "async",
+            150.0,
+            r"'p' executes 3 .* 150 ms \(3 frames\); n_action_steps must be at least 4",
+        ),
         (QueuedPolicy("p", 2, 3), "async", 150.0, "n_action_steps must be at least 3"),
         (QueuedPolicy("p", 6, 4), "async", 150.0, "'p' skips 4 frames .* allowed are up to 3"),
         (QueuedPolicy("p", 6, 0, 5), "async", 150.0, "'p' looks back 5 frames and would see some twice"),

@@ -109,9 +109,7 @@ class DynahoiEnvConfig(EnvConfig):
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
-            tasks[len(tasks)] = TaskEnv(
-                log, n_envs, kind=kind, inference=self._stepwise_inference(), **self.gym_kwargs
-            )
+            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, inference=self._stepwise_inference(), **self.gym_kwargs)
         return suites
 
     def _recipe(self) -> Recipe:

@@ -116,4 +116,3 @@ class TaskEnv(DynahoiVectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         """Write what has been played so far."""
         self._log.write()
-
