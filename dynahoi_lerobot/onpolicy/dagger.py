@@ -14,6 +14,7 @@ import numpy as np
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.onpolicy.late_student import acting_student
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
 from dynahoi_lerobot.onpolicy.rounds import play_round
 from dynahoi_lerobot.onpolicy.student import Learner
@@ -64,7 +65,8 @@ class Dagger:
         """Play a round and learn from all that are kept."""
         recipe = self.recipe
         share = recipe.teacher_share if self.round else 1.0
-        played = play_round(self._batch, self.learner, self._next_specs(), self._rng, share)
+        student = acting_student(self.learner, recipe.inference, self._rng)
+        played = play_round(self._batch, student, self._next_specs(), self._rng, share)
         self.learner.study(played)
         loss = self.learner.learn(recipe.updates)
         self.round += 1
@@ -90,7 +92,9 @@ class Dagger:
         for first in range(0, len(specs), self.recipe.worlds):
             some = specs[first : first + self.recipe.worlds]
             batch: WorldBatch = make_batch(episodes, len(some), threads=1)
-            found += play_round(batch, self.learner, some, np.random.default_rng(0)).episodes
+            rng = np.random.default_rng(0)
+            student = acting_student(self.learner, self.recipe.inference, rng)
+            found += play_round(batch, student, some, rng).episodes
         return scores(found)
 
     def _due(self, every: int) -> bool:

@@ -146,7 +146,23 @@ class ObActPolicy(PreTrainedPolicy):
             batch: what it was read from.
         """
         model = self._active_model
-        return self.planner.advance(model, model.encode_looks(frame, looks), batch)
+        return self.planner.advance(model, self.encode_looks(frame, looks), batch)
+
+    def encode_looks(self, frame: Observation, looks: Tensor) -> EncodedFrames:
+        """Encode a frame whose images have been looked at, see `ObActModel.encode_looks`."""
+        return self._active_model.encode_looks(frame, looks)
+
+    def plan_after(self, rows: list[int], leftover: Tensor | None, length: Tensor) -> Tensor:
+        """Return normalised chunks ``(R, D + H, A)`` of some environments, from the frames that were noted.
+
+        Args:
+            rows: which environments.
+            leftover, length: what each executes meanwhile, see `ChunkPlanner.prefix`; D is the greatest length.
+        """
+        model = self._active_model
+        window = self.planner.history.window(model.encode).rows(rows)
+        prefix = self.planner.prefix(window, leftover, length)
+        return self.planner.plan(model, window, self.planner.noise(model, [0] * len(rows)), prefix=prefix)
 
     @torch.no_grad()
     def observe(self, batch: Batch) -> None:
