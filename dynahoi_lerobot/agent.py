@@ -157,25 +157,35 @@ class ChunkAgent(Agent):
     """An agent that can say what it would do in the next frames.
 
     Attributes:
-        accepts_guidance: whether ``plan`` can continue what the previous chunk has committed to.
+        accepts_guidance: whether a chunk can be guided by what the previous one has committed to.
+        accepts_prefix: whether a chunk is planned from where the hand will be when it is ready.
     """
 
     accepts_guidance: bool = False
+    accepts_prefix: bool = False
+
+    def enable_guidance(self) -> None:
+        """Prepare for guidance, which ``accepts_guidance``."""
 
     def watch(self, observation: Observation) -> None:
         """Note a frame in which no chunk is asked for."""
 
     @abstractmethod
     def plan(
-        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+        self,
+        observation: Observation,
+        worlds: np.ndarray,
+        *,
+        executed: np.ndarray | None = None,
+        delays: np.ndarray | None = None,
     ) -> Plan:
         """Return a chunk for each of some worlds; it counts as noting the frame.
 
         Args:
             observation: of all worlds.
             worlds: (n,) sorted worlds that need a chunk.
-            executed: actions of the previous chunk that are past, to continue the others; None for a chunk of its own.
-            delay: actions that will be past when this chunk is ready.
+            executed: (n,) actions of each previous chunk that are past, to continue the others; None if there is none.
+            delays: (n,) actions that will be past when each chunk is ready; None for chunks that continue nothing.
         """
 
 

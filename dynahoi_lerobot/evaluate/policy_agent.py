@@ -67,14 +67,33 @@ class PolicyAgent(ChunkAgent):
 
         return supports_rtc_inference(self._policy)
 
+    @property
+    def accepts_prefix(self) -> bool:
+        """Whether the policy says that it plans from where the hand will be."""
+        return bool(getattr(self._policy, "accepts_prefix", False))
+
+    def enable_guidance(self) -> None:
+        """Set real-time chunking up as ``lerobot-rollout`` does, with LeRobot's defaults if the checkpoint has none."""
+        from lerobot.policies.rtc import RTCConfig
+
+        self._policy.config.rtc_config = self._policy.config.rtc_config or RTCConfig()
+        self._policy.init_rtc_processor()
+
     def watch(self, observation: Observation) -> None:
         """Add a frame to the policy's history, if it has one."""
         note_frame(self._policy, self._batch(observation))
 
     def plan(
-        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+        self,
+        observation: Observation,
+        worlds: np.ndarray,
+        *,
+        executed: np.ndarray | None = None,
+        delays: np.ndarray | None = None,
     ) -> Plan:
         """Return a chunk for each of ``worlds`` (n,), and the seconds that predicting those of all worlds took.
+
+        LeRobot predicts the chunks of all worlds together, so what they continue is as old in each of them.
 
         Raises:
             PolicyError: if the policy predicts no chunks.
@@ -82,8 +101,9 @@ class PolicyAgent(ChunkAgent):
         import torch
 
         start, batch, guidance = time.perf_counter(), self._batch(observation), {}
-        if executed is not None and self._chunk is not None:
-            guidance = {"prev_chunk_left_over": self._chunk[:, executed:], "inference_delay": delay}
+        if delays is not None and (executed is not None or self.accepts_prefix):
+            left_over = None if executed is None else self._chunk[:, int(executed[0]) :]
+            guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
         with torch.inference_mode():
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]

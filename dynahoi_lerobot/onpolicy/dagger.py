@@ -14,6 +14,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.onpolicy.curriculum import Curriculum
+from dynahoi_lerobot.onpolicy.late_student import acting_student
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
 from dynahoi_lerobot.onpolicy.rounds import play_round
 from dynahoi_lerobot.onpolicy.run_folder import RunFolder
@@ -65,7 +66,8 @@ class Dagger:
         """Play a round and learn from all that are kept."""
         recipe = self.recipe
         share = recipe.teacher_share if self.round else 1.0
-        played = play_round(self._batch, self.learner, self._curriculum.episodes(self.round), self._rng, share)
+        student = acting_student(self.learner, recipe.inference, self._rng)
+        played = play_round(self._batch, student, self._curriculum.episodes(self.round), self._rng, share)
         self._curriculum.note(played.episodes)
         self.learner.study(played)
         loss = self.learner.learn(recipe.updates)
@@ -79,7 +81,9 @@ class Dagger:
         for first in range(0, len(specs), self.recipe.worlds):
             some = specs[first : first + self.recipe.worlds]
             batch: WorldBatch = make_batch(episodes, len(some), threads=1)
-            found += play_round(batch, self.learner, some, np.random.default_rng(0)).episodes
+            rng = np.random.default_rng(0)
+            student = acting_student(self.learner, self.recipe.inference, rng)
+            found += play_round(batch, student, some, rng).episodes
         return scores(found)
 
     @cached_property

@@ -9,6 +9,7 @@ from typing import Any
 import draccus
 
 from dynahoi_lerobot.foundation.yaml_file import read_yaml
+from dynahoi_lerobot.rollout.inference import RTC, SYNC, Inference
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 
@@ -51,6 +52,37 @@ class EyeRecipe:
 
 
 @dataclass(frozen=True)
+class StudentInference:
+    """How long the student's inferences take while it acts, see `Inference`.
+
+    Attributes:
+        mode: ``sync`` or ``async``.
+        latency_ms: latency of all episodes, or the least and the greatest: each episode has its own in between [ms].
+    """
+
+    mode: str = SYNC
+    latency_ms: float | tuple[float, float] = 0.0
+
+    def __post_init__(self) -> None:
+        """Check mode and latencies.
+
+        Raises:
+            ValueError: naming the value received and the ones allowed.
+        """
+        if self.mode == RTC:
+            raise ValueError("inference.mode must be sync or async, got rtc: a student is not guided")
+        low, high = self.range_ms
+        _ = Inference(self.mode, low), Inference(self.mode, high)
+        if low > high:
+            raise ValueError(f"inference.latency_ms must rise, got {low:g} to {high:g}")
+
+    @property
+    def range_ms(self) -> tuple[float, float]:
+        """Least and greatest latency [ms]."""
+        return self.latency_ms if isinstance(self.latency_ms, tuple) else (self.latency_ms, self.latency_ms)
+
+
+@dataclass(frozen=True)
 class DaggerRecipe:
     """How a policy learns from a teacher in the states that it gets into by itself (Ross et al., 2011).
 
@@ -59,6 +91,7 @@ class DaggerRecipe:
         policy: fields of the policy's config, ``type`` among them.
         start: checkpoint whose weights training starts from; empty for none.
         episodes: what is played.
+        inference: whether the world waits for the student's inferences, or how long they take.
         rounds: rounds in all; in the first the teacher leads all episodes.
         worlds: episodes in a round.
         n_episodes: how many different episodes are played; they come in the order of their seeds, then at random.
@@ -77,6 +110,7 @@ class DaggerRecipe:
     policy: dict[str, Any]
     start: str = ""
     episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
+    inference: StudentInference = field(default_factory=StudentInference)
     rounds: int = 60
     worlds: int = 64
     n_episodes: int = 1536

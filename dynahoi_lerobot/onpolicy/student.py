@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Observation
+from dynahoi_lerobot.agent import ChunkAgent, Observation
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.onpolicy.rounds import Round
@@ -24,26 +25,29 @@ class Student(Protocol):
         ...
 
 
-class Learner(Student, Protocol):
-    """A student that can be taught."""
+class Learner(ChunkAgent):
+    """A policy that can be taught while it acts."""
 
+    @abstractmethod
     def study(self, played: Round) -> None:
         """Keep a round that was just acted, with what was seen in it, to learn from it."""
 
+    @abstractmethod
     def learn(self, updates: int) -> float:
         """Update the policy from the rounds kept; return the mean loss.
 
         Raises:
             FloatingPointError: if the loss is not finite.
         """
-        ...
 
+    @abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """Return all that learning goes on from."""
-        ...
 
+    @abstractmethod
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from there."""
 
+    @abstractmethod
     def save_pretrained(self, folder: Path) -> None:
         """Write a LeRobot checkpoint for acting."""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.agent import Agent, ChunkAgent, Observation
+from dynahoi_lerobot.rollout.chunk import Chunk
 from dynahoi_lerobot.rollout.inference import RTC, Inference, frames_of
 
 
@@ -31,6 +32,9 @@ class RealTimeAgent(Agent):
             )
         self.name, self.sees_images = agent.name, agent.sees_images
         self.image_size, self.views = agent.image_size, agent.views
+        self._told = inference.mode == RTC or agent.accepts_prefix
+        if inference.mode == RTC:
+            agent.enable_guidance()
         self._agent, self._inference = agent, inference
         self._inferences, self._waited_frames = 0, 0
         self.reset(0)
@@ -39,8 +43,9 @@ class RealTimeAgent(Agent):
         """Forget everything, also what is being inferred."""
         self._agent.reset(count)
         self._frame = 0
-        self._running: list[_Chunk | None] = [None] * count
-        self._coming: list[_Chunk | None] = [None] * count
+        self._delays = self._declared(count)
+        self._running: list[Chunk | None] = [None] * count
+        self._coming: list[Chunk | None] = [None] * count
 
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) the commands that are due."""
@@ -69,34 +74,33 @@ class RealTimeAgent(Agent):
             if chunk is not None and chunk.ready <= self._frame:
                 self._running[i], self._coming[i] = chunk, None
 
+    def _declared(self, count: int) -> list[int | None]:
+        """Return how long the inferences of each world take [frames]; None is what they take on this machine."""
+        declared = self._inference.latency_ms
+        return [None if declared is None else frames_of(declared / 1000)] * count
+
     def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
-        declared = self._inference.latency_ms
-        delay = None if declared is None else frames_of(declared / 1000)
-        old = self._running[worlds[0]] if self._inference.mode == RTC else None
-        executed = None if old is None else self._frame - old.first
-        plan = self._agent.plan(observation, worlds, executed=executed, delay=delay or 0)
-        self._check(plan.actions.shape[1], delay)
+        plan = self._agent.plan(observation, worlds, **(self._continued(worlds) if self._told else {}))
         for i, actions, seconds in zip(worlds, plan.actions, plan.seconds, strict=True):
+            delay = self._delays[i]
+            self._check(len(actions), delay)
             took = frames_of(seconds) if delay is None else delay
-            self._coming[i] = _Chunk(actions, self._frame, self._frame + took)
+            self._coming[i] = Chunk(actions, self._frame, self._frame + took)
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
 
+    def _continued(self, worlds: np.ndarray) -> dict[str, np.ndarray]:
+        """What goes on in ``worlds`` (n,) meanwhile; an inference is expected to take as long as the last one."""
+        old = [chunk for i in worlds if (chunk := self._running[i]) is not None]
+        lasted = [chunk.ready - chunk.first for chunk in old] or [0] * len(worlds)
+        delays = [self._delays[i] for i in worlds]
+        told = {"delays": np.array([last if d is None else d for last, d in zip(lasted, delays, strict=True)])}
+        return told | ({"executed": np.array([self._frame - chunk.first for chunk in old])} if old else {})
+
     def _check(self, length: int, delay: int | None) -> None:
-        """Raise ValueError if the chunks are over before they are ready."""
+        """Raise ValueError if a chunk is over before it is ready."""
         if delay is not None and delay >= length:
             raise ValueError(
                 f"the chunks of {self.name!r} have {length} actions, all of them past when a chunk is ready after "
-                f"{self._inference.latency_ms:g} ms ({delay} frames); allowed are less than {length} frames"
+                f"{delay} frames; allowed are less than {length} frames"
             )
-
-
-class _Chunk:
-    """Actions (H, 18) from frame ``first`` on, executed from frame ``ready`` on."""
-
-    def __init__(self, actions: np.ndarray, first: int, ready: int) -> None:
-        self.actions, self.first, self.ready = actions, first, ready
-
-    def action(self, frame: int) -> np.ndarray:
-        """Return the (18,) action of ``frame``, the last one where the chunk is over."""
-        return self.actions[min(frame - self.first, len(self.actions) - 1)]

@@ -50,7 +50,12 @@ class VlmAgent(ChunkAgent):
         )
 
     def plan(
-        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+        self,
+        observation: Observation,
+        worlds: np.ndarray,
+        *,
+        executed: np.ndarray | None = None,
+        delays: np.ndarray | None = None,
     ) -> Plan:
         """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took."""
         decisions = self._decisions(observation, worlds.tolist())

@@ -21,7 +21,8 @@ class Clock(ChunkAgent):
 
     def __init__(self, seconds: tuple[float, float] = (0.0, 0.0)) -> None:
         self.seconds = np.array(seconds)
-        self.calls: list[tuple[int, tuple[int, ...], int | None, int]] = []
+        self.calls: list[tuple] = []
+        self.guided = False
         self.reset(2)
 
     def reset(self, count: int) -> None:
@@ -30,13 +31,22 @@ class Clock(ChunkAgent):
     def act(self, observation: Observation) -> np.ndarray:
         raise AssertionError("a chunk was asked for")
 
+    def enable_guidance(self) -> None:
+        self.guided = True
+
     def watch(self, observation: Observation) -> None:
         self.t += 1
 
     def plan(
-        self, observation: Observation, worlds: np.ndarray, *, executed: int | None = None, delay: int = 0
+        self,
+        observation: Observation,
+        worlds: np.ndarray,
+        *,
+        executed: np.ndarray | None = None,
+        delays: np.ndarray | None = None,
     ) -> Plan:
-        self.calls.append((self.t, tuple(worlds.tolist()), executed, delay))
+        told = [None if values is None else values.tolist() for values in (executed, delays)]
+        self.calls.append((self.t, worlds.tolist(), *told))
         actions = 100 * self.t + self.t + np.arange(5.0)
         self.t += 1
         return Plan(np.broadcast_to(actions[None, :, None], (len(worlds), 5, 18)), self.seconds[worlds])
@@ -71,18 +81,38 @@ def test_a_measured_latency_is_that_of_each_world():
     clock = Clock(seconds=(0.04, 0.1))
     commands = played(RealTimeAgent(clock, Inference("async", None)), 6)
     assert commands.tolist() == [[STILL, 1, 102, 203, 304, 405], [STILL, STILL, 2, 3, 204, 205]]
-    assert clock.calls[:4] == [(0, (0, 1), None, 0), (1, (0,), None, 0), (2, (0, 1), None, 0), (3, (0,), None, 0)]
+    assert clock.calls[:4] == [
+        (0, [0, 1], None, None),
+        (1, [0], None, None),
+        (2, [0, 1], None, None),
+        (3, [0], None, None),
+    ]
 
 
 def test_real_time_chunking_tells_what_is_executed_and_how_long_it_will_take():
     clock = Clock()
     played(RealTimeAgent(clock, Inference("rtc", 100.0)), 7)
     # The chunk of frame 0 is ready at frame 2; then two of its actions are past and two will be by the next.
-    assert [call[2:] for call in clock.calls] == [(None, 2), (2, 2), (2, 2), (2, 2)]
+    assert [call[2:] for call in clock.calls] == [(None, [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
+    assert clock.guided
+
+
+def test_a_measured_latency_is_expected_to_be_that_of_the_last_inference():
+    clock = Clock(seconds=(0.1, 0.1))
+    played(RealTimeAgent(clock, Inference("rtc", None)), 5)
+    assert [call[2:] for call in clock.calls] == [(None, [0, 0]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
+
+
+def test_an_agent_that_plans_from_where_the_hand_will_be_is_told_in_mode_async_as_well():
+    clock = Clock()
+    clock.accepts_prefix = True
+    played(RealTimeAgent(clock, Inference("async", 100.0)), 5)
+    assert [call[2:] for call in clock.calls] == [(None, [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
+    assert not clock.guided, "guidance is for real-time chunking"
 
 
 def test_a_chunk_that_is_over_before_it_is_ready_is_refused():
-    with pytest.raises(ValueError, match=r"'clock' have 5 actions, all of them past .* 250 ms \(5 frames\); allowed"):
+    with pytest.raises(ValueError, match=r"'clock' have 5 actions, all of them past .* after 5 frames; allowed"):
         played(RealTimeAgent(Clock(), Inference("async", 250.0)), 1)
 
 

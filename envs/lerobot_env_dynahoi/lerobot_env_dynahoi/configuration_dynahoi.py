@@ -18,8 +18,11 @@ from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS
+from dynahoi_lerobot.rollout.inference import SYNC, Inference
+from dynahoi_lerobot.rollout.stepwise_inference import StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
+from lerobot_env_dynahoi.played_policy import queued_policy
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 RECIPE_FIELDS = {field.name for field in fields(Recipe)}
@@ -44,6 +47,10 @@ class DynahoiEnvConfig(EnvConfig):
         hand: embodiment, one of ``dynahoi list hands``; the capture rule's own if empty.
         renderer: one of ``dynahoi list renderers``.
         instructions: ``reveal``, ``neutral`` or ``mixed``.
+        inference: ``sync``, the world waits for the policy, or ``async``, its inferences take ``latency_ms``, one at a
+            time (`stepwise_inference.py`).
+        latency_ms: time from an observation to the chunk that answers it [ms].
+        n_action_steps: the policy's, where LeRobot's command line does not name the policy; else leave it 0.
         results_dir: where the metrics go; a new folder under ``outputs/dynahoi`` if None.
     """
 
@@ -59,6 +66,9 @@ class DynahoiEnvConfig(EnvConfig):
     hand: str = ""
     renderer: str = DEFAULT_RENDERER
     instructions: str = "mixed"
+    inference: str = SYNC
+    latency_ms: float = 0.0
+    n_action_steps: int = 0
     results_dir: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
@@ -87,19 +97,32 @@ class DynahoiEnvConfig(EnvConfig):
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name in RECIPE_FIELDS}
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
-        """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async."""
+        """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async.
+
+        Raises:
+            ValueError: for a timing of inference that there is not, or that cannot be had with the policy.
+        """
         del use_async_envs
         recipe = self._recipe()
         kinds = kinds_of(self.task, recipe.motion_names)
-        log = ResultsLog(self._results_folder(), self.split, recipe)
+        log = ResultsLog(self._results_folder(), self.split, recipe, self._timing.label)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
-            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **self.gym_kwargs)
+            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, inference=self._stepwise_inference(), **self.gym_kwargs)
         return suites
 
     def _recipe(self) -> Recipe:
         return Recipe(**{**self.gym_kwargs, "split": seed_stream(self.split)})
+
+    @property
+    def _timing(self) -> Inference:
+        return Inference(self.inference, self.latency_ms)
+
+    def _stepwise_inference(self) -> StepwiseInference | None:
+        """Return the timing of a new env; None where the world waits for the policy."""
+        timing = self._timing
+        return None if timing.mode == SYNC else StepwiseInference(queued_policy(self.n_action_steps), timing)
 
     def _results_folder(self) -> Path:
         if self.results_dir is not None:

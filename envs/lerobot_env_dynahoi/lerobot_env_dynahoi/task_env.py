@@ -6,25 +6,30 @@ files that ``dynahoi evaluate`` writes.
 
 from __future__ import annotations
 
-import json
+import copy
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.env.vector_env import ONE_EPISODE_OPTION
+from dynahoi_lerobot.rollout.stepwise_inference import StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
+from lerobot_env_dynahoi.played_policy import policy_name
 
 
 class ResultsLog:
     """Collects the finished episodes of all tasks of one evaluation and writes them as one result folder."""
 
-    def __init__(self, folder: Path, split: str, recipe: Recipe) -> None:
-        """Write episodes of ``recipe`` into ``folder`` whenever a task ends."""
-        self.folder, self._split, self._recipe = folder, split, recipe
+    def __init__(self, folder: Path, split: str, recipe: Recipe, inference: str = "") -> None:
+        """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends."""
+        self.folder, self._split, self._recipe, self._inference = folder, split, recipe, inference
         self._recorder = ResultsRecorder()
         self._known: set[tuple[str, int]] = set()
         self._unwritten = 0
@@ -44,7 +49,7 @@ class ResultsLog:
         """Write the folder if there is anything new, and print the table."""
         if not self._unwritten:
             return
-        extra = {"recipe": self._recipe.stored()}
+        extra = {"recipe": self._recipe.stored(), "inference": self._inference}
         name, command = policy_name(sys.argv), " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
         info = RunInfo(name, self._split, self._recipe.capture, command, self._fingerprint, extra)
         results = self._recorder.write(self.folder, info)
@@ -53,29 +58,61 @@ class ResultsLog:
 
 
 class TaskEnv(DynahoiVectorEnv):
-    """A vector env of one kind of motion that reports its episodes to a log."""
+    """A vector env of one kind of motion that reports its episodes to a log, and may let inference take time.
 
-    def __init__(self, log: ResultsLog, num_envs: int, **options: Any) -> None:
-        """Take the log and the arguments of ``DynahoiVectorEnv``."""
+    With a timing of inference a step is a call of the policy. After some of them the world stands still: the observation
+    is the one before, and nothing ends.
+    """
+
+    def __init__(
+        self, log: ResultsLog, num_envs: int, *, inference: StepwiseInference | None = None, **options: Any
+    ) -> None:
+        """Take the log, the timing, which is no other env's, and the arguments of ``DynahoiVectorEnv``."""
         super().__init__(num_envs, on_episode=log.add, **options)
-        self._log = log
+        self._log, self._inference = log, inference
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """See ``DynahoiVectorEnv.reset``.
+
+        Raises:
+            ValueError: if inference takes time and worlds would begin their next episodes at different frames.
+        """
+        if self._inference is not None:
+            if not (options or {}).get(ONE_EPISODE_OPTION):
+                raise ValueError(
+                    f"with inference async all worlds begin together; reset with options={{{ONE_EPISODE_OPTION!r}: True}}"
+                )
+            self._inference.reset()
+        self._seen = super().reset(seed=seed, options=options)
+        return self._seen
+
+    def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """See ``DynahoiVectorEnv.step``."""
+        if self._inference is None:
+            return super().step(actions)
+        commands = self._inference.answer(self._batch.check(actions), self._observed().state.astype(np.float64))
+        if commands is None:
+            observation, infos = self._seen
+            nothing = np.zeros(self.num_envs, bool)
+            return observation, np.zeros(self.num_envs), nothing, nothing, {"is_success": infos["is_success"]}
+        stepped = super().step(commands)
+        self._seen = stepped[0], stepped[-1]
+        return stepped
+
+    @property
+    def _max_episode_steps(self) -> int:
+        """Most steps of the episodes now being played; LeRobot asks after every reset."""
+        frames = super()._max_episode_steps
+        return frames if self._inference is None else self._inference.calls(frames)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy is made from: the log and the arguments of ``DynahoiVectorEnv``."""
         state = super().__getstate__()
         options = {name: value for name, value in state["options"].items() if name != "on_episode"}
-        return state | {"options": options | {"log": self._log}}
+        return state | {"options": options | {"log": self._log, "inference": copy.deepcopy(self._inference)}}
 
     def close_extras(self, **kwargs: Any) -> None:
         """Write what has been played so far."""
         self._log.write()
-
-
-def policy_name(argv: Sequence[str]) -> str:
-    """Return what LeRobot's command line says is being played: the policy's type, its path, or just ``policy``."""
-    given = dict(word.lstrip("-").split("=", 1) for word in argv if word.startswith("--policy.") and "=" in word)
-    path = given.get("policy.path") or given.get("policy.pretrained_path")
-    config = Path(path or "") / "config.json"
-    if path and config.is_file():
-        return str(json.loads(config.read_text()).get("type", path))
-    return path or given.get("policy.type", "policy")

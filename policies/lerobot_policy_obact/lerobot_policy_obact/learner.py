@@ -19,7 +19,9 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.envs.utils import preprocess_observation
 from torch import Tensor
 
+from dynahoi_lerobot.agent import Plan
 from dynahoi_lerobot.env.spaces import as_gym
+from dynahoi_lerobot.onpolicy.student import Learner
 
 from .configuration_obact import ObActConfig
 from .decisions import window_decisions
@@ -43,7 +45,7 @@ ON_POLICY = "on-policy"
 """What stands for a dataset in the checkpoint's ``train_config.json``: there was none."""
 
 
-class ObActLearner:
+class ObActLearner(Learner):
     """See `dynahoi_lerobot.onpolicy.student.Learner`.
 
     Args:
@@ -61,8 +63,8 @@ class ObActLearner:
         )
         self.generator = torch.Generator().manual_seed(recipe.seed)
         self.n_updates = 0
-        self._looks: list[Tensor] = []
-        self._proprioception: list[Tensor] = []
+        self.accepts_prefix = policy.accepts_prefix
+        self.reset(0)
 
     # -- acting ---------------------------------------------------------------------------------------------------
 
@@ -70,23 +72,66 @@ class ObActLearner:
         """Begin new episodes."""
         self.policy.reset()
         self.policy.eval()
-        self._looks, self._proprioception = [], []
+        self._looks: list[Tensor] = []
+        self._proprioception: list[Tensor] = []
+        self._chunks: list[Tensor] = [torch.empty(0)] * count
+        self._lead_frames = torch.zeros(count, dtype=torch.long)
 
     @torch.no_grad()
     def act(self, observation: WorldObservation) -> np.ndarray:
         """Return (N, 18) commands as the policy alone would, and keep what was seen."""
+        batch, frame, looks = self._look(observation)
+        return self.postprocess(self.policy.select_action_after(frame, looks, batch)).numpy()
+
+    @torch.no_grad()
+    def watch(self, observation: WorldObservation) -> None:
+        """Keep what was seen."""
+        _, frame, looks = self._look(observation)
+        self.policy.planner.history.append(self.policy.encode_looks(frame, looks))
+
+    @torch.no_grad()
+    def plan(
+        self,
+        observation: WorldObservation,
+        worlds: np.ndarray,
+        *,
+        executed: np.ndarray | None = None,
+        delays: np.ndarray | None = None,
+    ) -> Plan:
+        """Return a chunk for each of ``worlds`` (n,), which continues what is executed until it is ready."""
+        self.watch(observation)
+        length = torch.from_numpy(np.zeros_like(worlds) if delays is None else delays)
+        leftover = None if executed is None else self._leftover(worlds, executed, int(length.max()))
+        chunks = self.policy.plan_after(worlds.tolist(), leftover, length)
+        self._lead_frames[worlds] = length + length // 2
+        for i, chunk in zip(worlds, chunks, strict=True):
+            self._chunks[i] = chunk
+        return Plan(self.postprocess(chunks).numpy(), np.zeros(len(worlds)))
+
+    def _leftover(self, worlds: np.ndarray, executed: np.ndarray, n_steps: int) -> Tensor:
+        """Return (n, n_steps, A) what is to come of each old chunk, its last action repeated where it is over."""
+        chunks = [self._chunks[i] for i in worlds]
+        places = [
+            torch.arange(done, done + n_steps).clamp_max(len(chunk) - 1)
+            for done, chunk in zip(executed, chunks, strict=True)
+        ]
+        return torch.stack([chunk[place] for chunk, place in zip(chunks, places, strict=True)])
+
+    def _look(self, observation: WorldObservation) -> tuple[Batch, Observation, Tensor]:
+        """Return a frame as a batch, as the policy reads it, and the look at its images."""
         batch: Batch = self.preprocess(preprocess_observation(as_gym(observation)) | {"task": list(observation.tasks)})
         frame = self.policy.planner.observe(batch)
         looks = self.policy.model.look(frame)
         self._looks.append(looks)
         self._proprioception.append(frame.proprioception)
-        return self.postprocess(self.policy.select_action_after(frame, looks, batch)).numpy()
+        return batch, frame, looks
 
     # -- learning -------------------------------------------------------------------------------------------------
 
     def study(self, played: Round) -> None:
         """Keep a round that was just acted."""
-        self.lessons.append(Lesson.of(played, self._looks, self._proprioception))
+        lesson = Lesson.of(played, self._looks, self._proprioception)
+        self.lessons.append(lesson.seen_ahead(self._lead_frames))
 
     def learn(self, updates: int) -> float:
         """Update the policy; return the mean loss.

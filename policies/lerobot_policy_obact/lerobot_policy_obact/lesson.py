@@ -67,6 +67,13 @@ class Lesson:
             texts=list(played.tasks),
         )
 
+    def seen_ahead(self, lead_frames: Tensor) -> Lesson:
+        """Return the lesson of students that had to know where the target is ``lead_frames`` (B,) later, at least.
+
+        What is decided at a frame moves a late hand no earlier, even if the teacher would have met the target before.
+        """
+        return replace(self, arrival=torch.maximum(self.arrival, lead_frames[:, None]))
+
     def tensors(self) -> dict[str, Tensor]:
         """Return all tensors by name."""
         return {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}

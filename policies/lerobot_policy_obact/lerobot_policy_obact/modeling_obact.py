@@ -147,7 +147,23 @@ class ObActPolicy(PreTrainedPolicy):
             batch: what it was read from.
         """
         model = self._active_model
-        return self.planner.advance(model, model.encode_looks(frame, looks), batch)
+        return self.planner.advance(model, self.encode_looks(frame, looks), batch)
+
+    def encode_looks(self, frame: Observation, looks: Tensor) -> EncodedFrames:
+        """Encode a frame whose images have been looked at, see `ObActModel.encode_looks`."""
+        return self._active_model.encode_looks(frame, looks)
+
+    def plan_after(self, rows: list[int], leftover: Tensor | None, length: Tensor) -> Tensor:
+        """Return normalised chunks ``(R, D + H, A)`` of some environments, from the frames that were noted.
+
+        Args:
+            rows: which environments.
+            leftover, length: what each executes meanwhile, see `ChunkPlanner.prefix`; D is the greatest length.
+        """
+        model = self._active_model
+        window = self.planner.history.window(model.encode).rows(rows)
+        prefix = self.planner.prefix(window, leftover, length)
+        return self.planner.plan(model, window, self.planner.noise(model, [0] * len(rows)), prefix=prefix)
 
     @torch.no_grad()
     def observe(self, batch: Batch) -> None:
@@ -165,6 +181,9 @@ class ObActPolicy(PreTrainedPolicy):
     ) -> Tensor:
         """Return a whole chunk, normalised, shape ``(B, H, A)``.
 
+        A head with ``accepts_prefix`` plans from where the hand will be after the actions that are executed meanwhile,
+        and puts those first: ``(B, D + H, A)``.
+
         Args:
             batch: one frame per environment, which joins the history, or a dataset batch with a time axis.
             noise: start of the sampling, shape ``(B, H, noise_dim)``; None draws it as ``noise_seed`` says.
@@ -179,8 +198,18 @@ class ObActPolicy(PreTrainedPolicy):
         model = self._active_model
         window = self.planner.window(model, batch)
         start = self.planner.noise(model, [0] * len(window.keep)) if noise is None else noise
+        if self.accepts_prefix and inference_delay is not None:
+            length = torch.full((len(window.keep),), inference_delay, device=window.position.device)
+            leftover = prev_chunk_left_over
+            leftover = None if leftover is None else leftover.reshape(len(length), -1, leftover.shape[-1])
+            return self.planner.plan(model, window, start, prefix=self.planner.prefix(window, leftover, length))
         guide = self._guide(window, prev_chunk_left_over, inference_delay or 0, execution_horizon)
         return self.planner.plan(model, window, start, guide)
+
+    @property
+    def accepts_prefix(self) -> bool:
+        """Whether a chunk continues the actions that are executed while it is planned, without any guidance."""
+        return self._active_model.head.accepts_prefix
 
     def _guide(
         self, window: EncodedFrames, leftover: Tensor | None, inference_delay: int, execution_horizon: int | None
@@ -193,8 +222,8 @@ class ObActPolicy(PreTrainedPolicy):
         return rtc_guide(self.rtc_processor, leftover, inference_delay, execution_horizon)
 
     def supports_rtc(self) -> bool:
-        """Return whether `predict_action_chunk` honours real-time chunking: the head must be a flow."""
-        return self.model.head.accepts_guide
+        """Return whether `predict_action_chunk` honours real-time chunking: the head is a flow, or takes a prefix."""
+        return self.model.head.accepts_guide or self.model.head.accepts_prefix
 
     def init_rtc_processor(self) -> None:
         """Build the guidance that ``config.rtc_config`` describes; `lerobot-rollout` calls this after setting it."""

@@ -12,7 +12,7 @@ from .action_frame import ActionFrame
 from .configuration_obact import ObActConfig
 from .decisions import window_decisions
 from .frames import EncodedFrames
-from .heads.base import Guide
+from .heads.base import Guide, Prefix
 from .history import ChunkQueue, History
 from .model import ObActModel
 from .observation import Batch, Observation
@@ -32,7 +32,7 @@ class ChunkPlanner:
         self.config, self.frame = config, frame
         self.history, self.queue = History(config.windows), ChunkQueue()
         self._last_images: Tensor | None = None
-        self._given: deque[Tensor] = deque(maxlen=config.latency_frames + 1)
+        self._given: deque[Tensor] = deque(maxlen=config.latency_frames)
 
     def reset(self) -> None:
         """Forget the last episode."""
@@ -78,7 +78,9 @@ class ChunkPlanner:
         rows = self.queue.rows_to_plan(self._trigger(batch), n_rows=len(frame.keep))
         if rows:
             start = self.noise(model, [self.queue.n_planned[row] for row in rows]) if noise is None else noise[rows]
-            chunks = self.plan(model, self.history.window(model.encode).rows(rows), start, pending=self._pending(rows))
+            window = self.history.window(model.encode).rows(rows)
+            prefix = self._given_prefix(window, rows) if model.head.accepts_prefix else None
+            chunks = self.plan(model, window, start, prefix=prefix)
             self.queue.put(rows, chunks[:, self.config.latency_frames :][:, : self.config.n_action_steps])
         action = self.queue.pop()
         self._remember(action, frame)
@@ -114,7 +116,7 @@ class ChunkPlanner:
         window: EncodedFrames,
         noise: Tensor,
         guide: Guide | None = None,
-        pending: Tensor | None = None,
+        prefix: Prefix | None = None,
     ) -> Tensor:
         """Return one normalised chunk per row of the window, shape ``(B, H, A)``.
 
@@ -123,11 +125,11 @@ class ChunkPlanner:
             window: encoded frames, oldest first.
             noise: start of the sampling, shape ``(B, H, noise_dim)``.
             guide: steers the sampling, for heads with ``accepts_guide``.
-            pending: see `Condition`.
+            prefix: see `Condition`; a chunk of a head with ``accepts_prefix`` begins with it.
         """
         whole_window = [list(range(window.keep.shape[1]))]
         decisions = window_decisions(window, whole_window, self.config)
-        condition = replace(model.conditions(window, decisions), pending=pending)
+        condition = replace(model.conditions(window, decisions), prefix=prefix)
         return self.frame.to_actions(model.head.sample(condition, noise, guide), window.position[:, -1])
 
     def noise(self, model: ObActModel, chunk_numbers: list[int]) -> Tensor:
@@ -144,11 +146,33 @@ class ChunkPlanner:
         draws = [torch.randn(shape, generator=torch.Generator().manual_seed(seed)) for seed in seeds]
         return torch.stack(draws).to(device) * self.config.noise_scale
 
-    def _pending(self, rows: list[int]) -> Tensor | None:
-        """Return by how much the commands that have not taken effect will change the state, ``(R, A)``."""
-        if not self.config.latency_frames or not self._given:
-            return None
-        return (self._given[-1] - self._given[0])[rows]
+    def prefix(self, window: EncodedFrames, leftover: Tensor | None, length: Tensor) -> Prefix:
+        """Return what hands execute while their chunks are planned.
+
+        Args:
+            window: encoded frames, the current one last.
+            leftover: normalised actions from the current frame on, the last of which is repeated if they are too few,
+                shape ``(B, n, A)``; None if the hands stay where they are.
+            length: how many are executed, shape ``(B,)``. Nothing is executed in the observation window.
+        """
+        here = self._here(window)
+        n_steps = int(length.max())
+        actions = here.expand(-1, n_steps, -1)
+        if leftover is not None:
+            index = torch.arange(n_steps, device=leftover.device).clamp_max(leftover.shape[1] - 1)
+            actions = torch.where(window.watching[:, -1:, None], actions, leftover[:, index])
+        return Prefix(self.frame.to_model(actions, window.position[:, -1]), length)
+
+    def _given_prefix(self, window: EncodedFrames, rows: list[int]) -> Prefix:
+        """Return the commands that have been given and have not taken effect; before the first the hand stays."""
+        late = self.config.latency_frames
+        given = [action[rows, None].to(window.position.device) for action in self._given]
+        actions = torch.cat([self._here(window).expand(-1, late - len(given), -1), *given], dim=1)
+        length = torch.full((len(rows),), late, device=actions.device)
+        return Prefix(self.frame.to_model(actions, window.position[:, -1]), length)
+
+    def _here(self, window: EncodedFrames) -> Tensor:
+        return window.position[:, -1:, : self.config.action_dim]  # (B, 1, A)
 
     def _remember(self, action: Tensor, frame: Observation | EncodedFrames) -> None:
         """Keep a command; one that is given in the observation window is void, so the hand stays where it is."""

@@ -50,6 +50,23 @@ class Meeting:
     frames: Tensor
 
 
+def executed(start: Tensor, actions: Tensor, length: Tensor, reach: Reach) -> Tensor:
+    """Return where hands are after the first actions of a sequence, each as far as a frame allows, ``(B, A)``.
+
+    Args:
+        start: where they are, palm [m] and joints [rad], shape ``(B, A)``.
+        actions: absolute targets in the same frame, shape ``(B, D, A)``.
+        length: how many of them are executed, shape ``(B,)``.
+        reach: the hand.
+    """
+    for number, action in enumerate(actions.unbind(1)):
+        palm, joints = (action - start)[:, :3], (action - start)[:, 3:]
+        palm = palm * (reach.palm_step_m / palm.norm(dim=-1, keepdim=True).clamp_min(1e-9)).clamp_max(1.0)
+        step = torch.cat([palm, joints.clamp(-reach.joint_step_rad, reach.joint_step_rad)], dim=-1)
+        start = torch.where((number < length)[:, None], start + step, start)
+    return start
+
+
 def earliest_meeting(path: Tensor, turn_rad: Tensor, reach: Reach) -> Meeting:
     """Return the earliest point of each path that a hand can reach in time, with closed fingers; else the last one.
 

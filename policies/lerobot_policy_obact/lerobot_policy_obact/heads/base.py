@@ -47,6 +47,19 @@ class ActionSpec:
 
 
 @dataclass(frozen=True)
+class Prefix:
+    """Actions that a hand has committed to: a chunk continues them.
+
+    Attributes:
+        actions: in the frame of `ActionFrame`, shape ``(B, D, A)``.
+        length: how many of them are executed, shape ``(B,)``.
+    """
+
+    actions: Tensor
+    length: Tensor
+
+
+@dataclass(frozen=True)
 class Condition:
     """What a chunk is conditioned on.
 
@@ -55,14 +68,14 @@ class Condition:
         state: current proprioception, normalised, shape ``(B, S)``.
         position: current ``observation.state``, normalised, shape ``(B, P)``.
         track: where the target has been seen, if the backbone is an eye.
-        pending: change of the state that is commanded and has not taken effect, shape ``(B, A)``; None for none.
+        prefix: what the hand does before the chunk that is asked for takes over; None for nothing.
     """
 
     tokens: Tensor
     state: Tensor
     position: Tensor
     track: Track | None = None
-    pending: Tensor | None = None
+    prefix: Prefix | None = None
 
     def repeat(self, n: int) -> Condition:
         """Return the condition with every row repeated ``n`` times, ``(B * n, ...)``."""
@@ -80,6 +93,7 @@ class ActionHead(nn.Module, ABC):
     """
 
     accepts_guide: ClassVar[bool] = False
+    accepts_prefix: ClassVar[bool] = False
 
     def __init__(self, spec: ActionSpec) -> None:
         super().__init__()
@@ -101,6 +115,10 @@ class ActionHead(nn.Module, ABC):
             condition: what the chunk is conditioned on.
             noise: start of the sampling, standard normal.
             guide: steers the flow, for heads with ``accepts_guide``.
+
+        Returns:
+            The chunk. With a prefix of up to D actions, a head with ``accepts_prefix`` puts them first,
+            ``(B, D + H, A)``.
         """
 
 

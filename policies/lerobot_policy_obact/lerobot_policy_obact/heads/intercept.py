@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from ..attention import Attention
-from ..reach import Reach, close_in_time, earliest_meeting, first_contact, palm_path
+from ..reach import Reach, close_in_time, earliest_meeting, executed, first_contact, palm_path
 from ..track import N_TRACK, Track
-from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, heads
+from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, Prefix, heads
 
 KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
 """Frames ahead at which the path is predicted; a spline leads from one to the next."""
@@ -33,6 +33,7 @@ class InterceptHead(ForecastHead):
         spare_frames: fingers are closed this long before the target is expected within reach of them.
     """
 
+    accepts_prefix = True
     ahead_s: Tensor
     between: Tensor
 
@@ -71,10 +72,16 @@ class InterceptHead(ForecastHead):
         bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead[:, None])
         return Forecast(straight + turned + bend, closed)
 
-    def _start(self, condition: Condition) -> Tensor:
-        """Return where the hand is when the next command takes effect, its palm relative to where it is now."""
-        start = torch.cat([torch.zeros_like(condition.position[:, :PALM_DIM]), self._joints(condition)], dim=-1)
-        return start if condition.pending is None else start + condition.pending
+    def _here(self, condition: Condition) -> Tensor:
+        """Return where the hand is, its palm relative to itself, ``(B, A)``."""
+        return torch.cat([torch.zeros_like(condition.position[:, :PALM_DIM]), self._joints(condition)], dim=-1)
+
+    def _prefix(self, condition: Condition) -> Prefix:
+        """Return what is executed before the chunk takes over; the hand stands still if nothing is known of it."""
+        if condition.prefix is not None:
+            return condition.prefix
+        late, here = self.spec.latency_frames, self._here(condition)
+        return Prefix(here[:, None].expand(-1, late, -1), torch.full((len(here),), late, device=here.device))
 
     def _joints(self, condition: Condition) -> Tensor:
         return condition.position[:, PALM_DIM : self.spec.action_dim]
@@ -91,16 +98,34 @@ class InterceptHead(ForecastHead):
         return distance + grasp.mean(-1)
 
     def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
-        """See `ActionHead.sample`; the noise is ignored, and palm targets are relative to the palm [m]."""
-        forecast, start = self.forecast(condition), self._start(condition)
-        late, joints = self.spec.latency_frames, start[:, PALM_DIM:]
-        path = (self.between @ forecast.path)[:, late:] - start[:, None, :PALM_DIM]  # (B, F + 1, 3)
+        """See `ActionHead.sample`; the noise is ignored, and palm targets are relative to the palm [m].
+
+        The approach begins where the hand will be after the prefix, and when it will be there.
+        """
+        forecast, prefix = self.forecast(condition), self._prefix(condition)
+        start = executed(self._here(condition), prefix.actions, prefix.length, self.reach)
+        joints, origin = start[:, PALM_DIM:], start[:, None, :PALM_DIM]
+        path = delayed(self.between @ forecast.path, prefix.length) - origin  # (B, F + 1, 3)
         turn = (forecast.closed - joints).abs().amax(-1)
         palm = palm_path(path, earliest_meeting(path, turn, self.reach), self.reach)
-        n_steps = self.spec.horizon - late
+        n_steps = self.spec.horizon - self.spec.latency_frames
         fingers = close_in_time(joints, forecast.closed, first_contact(palm, path), n_steps, self.reach)
-        moves = torch.cat([palm[:, 1 : n_steps + 1] + start[:, None, :PALM_DIM], fingers], dim=-1)
-        return torch.cat([start[:, None].expand(-1, late, -1), moves], dim=1)
+        moves = torch.cat([palm[:, 1 : n_steps + 1] + origin, fingers], dim=-1)
+        return continued(prefix, moves)
+
+
+def delayed(path: Tensor, frames: Tensor) -> Tensor:
+    """Return paths (B, F + 1, 3) from ``frames`` (B,) later on; their ends are repeated."""
+    index = torch.arange(path.shape[1], device=path.device) + frames[:, None]  # (B, F + 1)
+    return path.gather(1, index.clamp_max(path.shape[1] - 1)[..., None].expand_as(path))
+
+
+def continued(prefix: Prefix, moves: Tensor) -> Tensor:
+    """Return the executed part of prefixes of up to D actions and then moves (B, n, A), ``(B, D + n, A)``."""
+    place = torch.arange(prefix.actions.shape[1] + moves.shape[1], device=moves.device) - prefix.length[:, None]
+    later = moves.gather(1, place.clamp(0, moves.shape[1] - 1)[..., None].expand(-1, -1, moves.shape[2]))
+    chunk = torch.cat([prefix.actions, moves], dim=1)
+    return torch.where((place < 0)[..., None], chunk, later)
 
 
 def interpolation(knots: tuple[int, ...]) -> Tensor:
