@@ -45,12 +45,13 @@ class Curriculum:
         return [self._specs[int(seed)] for seed in seeds]
 
     def note(self, played: Iterable[Episode]) -> None:
-        """Count what the student caught and held, and what not; older rounds count less and less."""
+        """Count what the student caught (S_joint) or held (S_hold); older rounds count less and less."""
         self._caught *= MEMORY
         self._missed *= MEMORY
         for episode in played:
-            kind = self._kinds == episode.meta.motion
-            (self._caught if measure(episode)["S_joint"] else self._missed)[kind] += 1
+            kind, scores = self._kinds == episode.meta.motion, measure(episode)
+            success = scores["S_joint"] if scores["S_hold"] is None else scores["S_hold"]
+            (self._caught if success else self._missed)[kind] += 1
 
     def failure_rates(self) -> dict[str, float]:
         """Return the expected share of misses by kind of motion."""

@@ -24,7 +24,7 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 CHECKPOINT = "pretrained_model"
-SCORES = ("S_loc", "S_gra", "S_joint")
+SCORES = ("S_loc", "S_gra", "S_joint", "S_hold")
 
 
 class Dagger:

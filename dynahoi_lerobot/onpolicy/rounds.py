@@ -29,7 +29,7 @@ class Round:
         state: (B, T, 18) float32, palm centre [m] and joint angles [rad].
         watching: (B, T) bool, the observation window.
         playing: (B, T) bool, False once an episode has ended.
-        localized: (B, T) bool, the target is held.
+        released: (B, T) bool, the hand has caught or touched the target, which keeps to its path no more.
         target: (B, T, 3) float32, its position [m].
         path: B arrays (F, 3) float32, the untouched target's position at every frame [m].
         closed: (B, 15) float32, joint angles of the reference grasp [rad].
@@ -42,7 +42,7 @@ class Round:
     state: np.ndarray
     watching: np.ndarray
     playing: np.ndarray
-    localized: np.ndarray
+    released: np.ndarray
     target: np.ndarray
     path: tuple[np.ndarray, ...]
     closed: np.ndarray
@@ -99,7 +99,7 @@ def _labels(session: Session, observation: Observation, teacher: Intercept) -> d
         "state": observation.state,
         "watching": observation.phase[:, 0] < 0.5,
         "playing": np.isin(np.arange(batch.size), session.playing),
-        "localized": batch.localized.copy(),
+        "released": batch.released.copy(),
         "target": batch.target_pose[:, :PALM_DOF].astype(np.float32),
         "command": teacher.act(world).astype(np.float32),
         "arrival": teacher.arrivals(world),

@@ -48,11 +48,11 @@ class Lesson:
     def of(cls, played: Round, looks: Sequence[Tensor], proprioception: Sequence[Tensor]) -> Lesson:
         """Put the labels of a round beside what was seen in each of its frames, ``(B, 1, ...)`` each.
 
-        A target that is held stays where it is; of its untouched path nothing can be seen any more.
+        A target that was caught or touched stays where it is; of its untouched path nothing can be seen any more.
         """
         n_frames = played.playing.shape[1]
         paths, known = zip(*(path_ahead(path, n_frames) for path in played.path), strict=True)
-        held = torch.from_numpy(played.localized)[..., None]  # (B, T, 1)
+        held = torch.from_numpy(played.released)[..., None]  # (B, T, 1)
         here = torch.from_numpy(played.target)[:, :, None]  # (B, T, 1, 3)
         return cls(
             looks=torch.cat(list(looks), dim=1),

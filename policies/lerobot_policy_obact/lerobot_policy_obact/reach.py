@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-CLOSING_FRAMES = 8
-"""Fingers close over at most this many frames."""
 CONTACT_M = 0.03
 """The fingers must be closed when the target comes this close to the palm's centre."""
 CLOSED_EARLY_FRAMES = 1
@@ -30,11 +28,13 @@ class Reach:
         palm_step_m: of the palm [m].
         joint_step_rad: of each joint [rad].
         spare_frames: fingers are closed this long before the target is expected within reach of them.
+        closing_frames: fingers close over at most this many frames.
     """
 
     palm_step_m: float
     joint_step_rad: float
     spare_frames: int
+    closing_frames: int
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,6 @@ def close_in_time(joints: Tensor, closed: Tensor, contact: Tensor, n_steps: int,
     for done in range(n_steps):
         left = (contact - reach.spare_frames - done)[:, None]  # (B, 1)
         turn = ((closed - joints) / left.clamp_min(1)).clamp(-reach.joint_step_rad, reach.joint_step_rad)
-        joints = torch.where(left > CLOSING_FRAMES, joints, joints + turn)
+        joints = torch.where(left > reach.closing_frames, joints, joints + turn)
         steps.append(joints)
     return torch.stack(steps, dim=1)

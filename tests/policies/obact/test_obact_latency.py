@@ -11,7 +11,7 @@ from lerobot_policy_obact.heads.intercept import continued, delayed
 from lerobot_policy_obact.reach import Reach, executed
 from obact_helpers import make_policy, make_step, randomise
 
-REACH = Reach(palm_step_m=0.025, joint_step_rad=1.0, spare_frames=4)
+REACH = Reach(palm_step_m=0.025, joint_step_rad=1.0, spare_frames=4, closing_frames=8)
 INTERCEPTING = {
     "backbone": "eye",
     "backbone_options": {"channels": 8, "fovea": 8, "embedding": 4},

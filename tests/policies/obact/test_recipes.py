@@ -20,6 +20,7 @@ from lerobot.policies.factory import get_policy_class, make_policy, make_pre_pos
 from lerobot.utils.import_utils import register_third_party_plugins
 from torch.utils.data import default_collate
 
+from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import control_class_of
 from dynahoi_lerobot.evaluate import command as evaluate_command
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
@@ -27,7 +28,7 @@ from dynahoi_lerobot.sampling.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[3] / "recipes"
 STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in yaml.safe_load(path.read_text()))
-ON_POLICY = {RECIPES / "train" / f"{name}.yaml" for name in ("standard", "late", "unlimited")}
+ON_POLICY = {RECIPES / "train" / f"{name}.yaml" for name in ("standard", "late", "unlimited", "contact")}
 EYE = RECIPES / "train" / "eye.yaml"
 TRAINING = sorted(
     [
@@ -69,7 +70,9 @@ def test_a_recipe_in_memory_is_read_and_its_policy_keeps_to_the_control_class(pa
     config = draccus.decode(PreTrainedConfig, recipe.policy | {"backbone_options": {}})
     control = control_class_of(recipe.episodes.control_class)
     assert config.latency_frames == control.latency_frames
-    assert config.head_options["palm_speed_m_s"] == control.palm_speed_m_s
+    fastest = CAPTURES[recipe.episodes.capture].palm_speed_m_s(control)
+    assert config.head_options["palm_speed_m_s"] <= fastest
+    assert recipe.episodes.capture == "contact" or config.head_options["palm_speed_m_s"] == fastest
     assert read_recipe(EyeRecipe, EYE).episodes.image_size == recipe.episodes.image_size == config.image_size
     standard = yaml.safe_load((RECIPES / "train" / "standard.yaml").read_text())["policy"]
     changed = {key for key in standard if recipe.policy.get(key) != standard[key]}

@@ -30,7 +30,10 @@ class InterceptHead(ForecastHead):
         spec: sizes of the head and of its inputs.
         palm_speed_m_s: the palm's greatest speed.
         joint_speed_rad_s: that of each finger joint.
-        spare_frames: fingers are closed this long before the target is expected within reach of them.
+        spare_frames: fingers are closed this long before the target is expected within reach of them. A target that
+            nothing attaches would bounce off them: there it is 0.
+        closing_frames: fingers close over at most this many frames.
+        squeeze_rad: each joint is commanded this far beyond where it touches, so that it presses.
     """
 
     accepts_prefix = True
@@ -44,9 +47,12 @@ class InterceptHead(ForecastHead):
         palm_speed_m_s: float = 0.5,
         joint_speed_rad_s: float = 20.0,
         spare_frames: int = 4,
+        closing_frames: int = 8,
+        squeeze_rad: float = 0.0,
     ) -> None:
         super().__init__(spec)
-        self.reach = Reach(palm_speed_m_s / spec.fps, joint_speed_rad_s / spec.fps, spare_frames)
+        self.reach = Reach(palm_speed_m_s / spec.fps, joint_speed_rad_s / spec.fps, spare_frames, closing_frames)
+        self.squeeze_rad = squeeze_rad
         width, n_knots, n_joints = spec.width, len(KNOTS), spec.action_dim - PALM_DIM
         self.sizes = [3 * n_knots, n_knots, n_knots, n_joints]
         self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
@@ -109,7 +115,8 @@ class InterceptHead(ForecastHead):
         turn = (forecast.closed - joints).abs().amax(-1)
         palm = palm_path(path, earliest_meeting(path, turn, self.reach), self.reach)
         n_steps = self.spec.horizon - self.spec.latency_frames
-        fingers = close_in_time(joints, forecast.closed, first_contact(palm, path), n_steps, self.reach)
+        closed = forecast.closed + self.squeeze_rad
+        fingers = close_in_time(joints, closed, first_contact(palm, path), n_steps, self.reach)
         moves = torch.cat([palm[:, 1 : n_steps + 1] + origin, fingers], dim=-1)
         return continued(prefix, moves)
 
