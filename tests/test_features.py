@@ -15,7 +15,8 @@ from dynahoi_lerobot.cli.listing import LISTS, markdown_table
 from dynahoi_lerobot.dataset import read_episodes, store, write_episodes
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import FEATURES, Feature
+from dynahoi_lerobot.feature import Feature
+from dynahoi_lerobot.features import FEATURES
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout import recorder

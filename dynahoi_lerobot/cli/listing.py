@@ -10,7 +10,8 @@ from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.features import FEATURES, Feature, image_feature
+from dynahoi_lerobot.feature import Feature
+from dynahoi_lerobot.features import FEATURES, image_feature
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS

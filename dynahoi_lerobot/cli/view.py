@@ -128,7 +128,8 @@ def _clip(episode: Episode, view: str, agent: str) -> Clip:
 
 def _from_dataset(args: argparse.Namespace) -> Clip:
     """Read an episode of a dataset with LeRobot."""
-    from dynahoi_lerobot.features import FEATURES, IMAGE_PREFIX
+    from dynahoi_lerobot.feature import IMAGE_PREFIX
+    from dynahoi_lerobot.features import FEATURES
 
     dataset = _open_dataset(args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:

@@ -12,7 +12,7 @@ import pyarrow as pa
 from PIL import Image
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
-from dynahoi_lerobot.features import IMAGE_PREFIX, Feature
+from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 Features = dict[str, dict[str, Any]]

@@ -16,7 +16,8 @@ import pyarrow as pa
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, bookkeeping_arrays, image_keys, numeric_keys
 from dynahoi_lerobot.dataset.statistics import LEVELS, NAMES, Stats, table_stats
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.features import Feature, episode_features
+from dynahoi_lerobot.feature import Feature
+from dynahoi_lerobot.features import episode_features
 
 EpisodeRow = dict[str, Any]
 

@@ -22,7 +22,8 @@ from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDE
 from dynahoi_lerobot.dataset.tables import read_tasks
 from dynahoi_lerobot.dataset.video import decode
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX
+from dynahoi_lerobot.feature import EPISODE_TABLE_PREFIX, IMAGE_PREFIX
+from dynahoi_lerobot.features import CAMERA_KEY
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 

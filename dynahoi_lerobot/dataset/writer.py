@@ -25,7 +25,7 @@ from dynahoi_lerobot.dataset.statistics import (
 from dynahoi_lerobot.dataset.tables import MIB, RollingParquet
 from dynahoi_lerobot.dataset.video import VideoWriter
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import Feature
+from dynahoi_lerobot.feature import Feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 

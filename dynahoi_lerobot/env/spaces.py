@@ -9,7 +9,8 @@ import numpy as np
 from gymnasium import spaces
 
 from dynahoi_lerobot.agent import Observation
-from dynahoi_lerobot.features import FEATURES, PIXELS, Feature
+from dynahoi_lerobot.feature import Feature
+from dynahoi_lerobot.features import FEATURES, PIXELS
 
 
 def observation_space(features: Sequence[Feature]) -> spaces.Dict:

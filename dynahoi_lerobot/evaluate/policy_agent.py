@@ -17,7 +17,8 @@ from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.env.spaces import as_gym
 from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, REMEDY, PolicyError, trusted_checkpoint
 from dynahoi_lerobot.evaluate.frame_history import note_frame, queued_frame
-from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX
+from dynahoi_lerobot.feature import IMAGE_PREFIX
+from dynahoi_lerobot.features import CAMERA_KEY
 from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
 
 

@@ -11,7 +11,8 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import Feature, frame_features
+from dynahoi_lerobot.feature import Feature
+from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
 from dynahoi_lerobot.sampling.salt import sealed

@@ -12,7 +12,8 @@ from dynahoi_lerobot.agent import Meeting, Observation
 from dynahoi_lerobot.captures import CaptureRule, Track
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.features import FEATURES, Feature, frame_features
+from dynahoi_lerobot.feature import Feature
+from dynahoi_lerobot.features import FEATURES, frame_features
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.rollout.constants import episode_constants
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK

@@ -9,7 +9,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features
-from dynahoi_lerobot.features import FEATURES, IMAGE_PREFIX, Feature, episode_features, image_feature
+from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
+from dynahoi_lerobot.features import FEATURES, episode_features, image_feature
 
 LEROBOTS = {
     "timestamp": ("s", "time of the frame in its episode"),

@@ -13,7 +13,8 @@ from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, info_features
 from dynahoi_lerobot.dataset.episode_table import row_schema
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, ROBOT_TYPE, TASKS_PATH, VIDEO_PATH
-from dynahoi_lerobot.features import CAMERA_KEY, IMAGE_PREFIX, frame_features
+from dynahoi_lerobot.feature import IMAGE_PREFIX
+from dynahoi_lerobot.features import CAMERA_KEY, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 

@@ -13,7 +13,8 @@ from lerobot.envs.configs import EnvConfig
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
-from dynahoi_lerobot.features import Feature, frame_features
+from dynahoi_lerobot.feature import Feature
+from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
