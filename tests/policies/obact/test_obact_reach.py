@@ -12,7 +12,7 @@ from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADI
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
-REACH = Reach(palm_step_m=0.025, joint_step_rad=1.0, spare_frames=2)
+REACH = Reach(palm_step_m=0.025, joint_step_rad=1.0, spare_frames=2, closing_frames=8)
 
 
 def still(x: float, frames: int = 20) -> torch.Tensor:
@@ -77,3 +77,10 @@ def test_between_knots_the_path_is_straight():
     knots = torch.tensor(KNOTS, dtype=torch.float32)
     torch.testing.assert_close(interpolation(KNOTS) @ knots, torch.arange(KNOTS[-1] + 1.0))
     assert (interpolation(KNOTS)[list(KNOTS)] - torch.eye(len(KNOTS))).abs().max() < 1e-6
+
+
+def test_fingers_that_nothing_attaches_close_at_contact_and_not_before():
+    reach = Reach(palm_step_m=0.025, joint_step_rad=1.0, spare_frames=0, closing_frames=1)
+    joints, closed = torch.zeros(1, 1), torch.ones(1, 1)
+    steps = close_in_time(joints, closed, torch.tensor([3]), 4, reach)[0, :, 0]
+    assert steps.tolist() == [0.0, 0.0, 1.0, 1.0]
