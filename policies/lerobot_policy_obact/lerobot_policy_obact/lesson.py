@@ -15,6 +15,9 @@ from .heads.intercept import KNOTS
 if TYPE_CHECKING:
     from dynahoi_lerobot.onpolicy.rounds import Round
 
+IN_HAND_M = 0.15
+"""A target that the hand has touched stays there as long as it is so near."""
+
 
 @dataclass(frozen=True)
 class Lesson:
@@ -48,20 +51,22 @@ class Lesson:
     def of(cls, played: Round, looks: Sequence[Tensor], proprioception: Sequence[Tensor]) -> Lesson:
         """Put the labels of a round beside what was seen in each of its frames, ``(B, 1, ...)`` each.
 
-        A target that was caught or touched stays where it is; of its untouched path nothing can be seen any more.
+        A target that was caught or touched stays where it is; of its untouched path nothing can be seen any more. Where
+        one that bounced off the hand will be is not known.
         """
         n_frames = played.playing.shape[1]
         paths, known = zip(*(path_ahead(path, n_frames) for path in played.path), strict=True)
-        held = torch.from_numpy(played.released)[..., None]  # (B, T, 1)
-        here = torch.from_numpy(played.target)[:, :, None]  # (B, T, 1, 3)
+        released = torch.from_numpy(played.released)[..., None]  # (B, T, 1)
+        target, state = torch.from_numpy(played.target), torch.from_numpy(played.state)
+        near = (target - state[..., :3]).norm(dim=-1, keepdim=True) < IN_HAND_M  # (B, T, 1)
         return cls(
             looks=torch.cat(list(looks), dim=1),
             proprioception=torch.cat(list(proprioception), dim=1),
-            state=torch.from_numpy(played.state),
+            state=state,
             keep=torch.from_numpy(played.playing),
             watching=torch.from_numpy(played.watching),
-            path=torch.where(held[..., None], here, torch.from_numpy(np.stack(paths))),
-            known=torch.from_numpy(np.stack(known)) | held,
+            path=torch.where(released[..., None], target[:, :, None], torch.from_numpy(np.stack(paths))),
+            known=torch.where(released, near, torch.from_numpy(np.stack(known))),
             closed=torch.from_numpy(played.closed)[:, None].expand(-1, n_frames, -1),
             arrival=torch.from_numpy(played.arrival),
             texts=list(played.tasks),
