@@ -164,7 +164,7 @@ class ChunkAgent(Agent):
     accepts_guidance: bool = False
     accepts_prefix: bool = False
 
-    def enable_guidance(self) -> None:  # noqa: B027 - an agent may need no preparation
+    def enable_guidance(self) -> None:
         """Prepare for guidance, which ``accepts_guidance``."""
 
     def watch(self, observation: Observation) -> None:

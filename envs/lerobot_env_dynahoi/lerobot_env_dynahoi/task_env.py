@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.env import DynahoiVectorEnv
+from dynahoi_lerobot.env.vector_env import ONE_EPISODE_OPTION
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
-from dynahoi_lerobot.env.vector_env import ONE_EPISODE_OPTION
 from dynahoi_lerobot.rollout.stepwise_inference import StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
 from lerobot_env_dynahoi.played_policy import policy_name
@@ -60,8 +60,8 @@ class ResultsLog:
 class TaskEnv(DynahoiVectorEnv):
     """A vector env of one kind of motion that reports its episodes to a log, and may let inference take time.
 
-    With a timing of inference a step is a call of the policy. After some of them the world stands still: the observation
-    is the one before, and nothing ends.
+    With a timing of inference a step is a call of the policy. After some of them the world stands still: the
+    observation is the one before, and nothing ends.
     """
 
     def __init__(
@@ -81,9 +81,8 @@ class TaskEnv(DynahoiVectorEnv):
         """
         if self._inference is not None:
             if not (options or {}).get(ONE_EPISODE_OPTION):
-                raise ValueError(
-                    f"with inference async all worlds begin together; reset with options={{{ONE_EPISODE_OPTION!r}: True}}"
-                )
+                option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
+                raise ValueError(f"with inference async all worlds begin together; reset with {option}")
             self._inference.reset()
         self._seen = super().reset(seed=seed, options=options)
         return self._seen
