@@ -1,10 +1,10 @@
 """What inference that takes time costs: S_loc and Q_line of checkpoints against latency, one inference at a time.
 
-python benchmarks/latency.py CHECKPOINT [CHECKPOINT ...] [--latencies 0 50 150 370] [--split test_small] [--out outputs/latency]
+python benchmarks/latency.py CHECKPOINT [CHECKPOINT ...] [--latencies 0 50 150 370] [--split test_small] [--out FOLDER]
 
-Writes `latency.csv` and `latency.png` into `--out`, beside a result folder for each checkpoint and latency. What has been
-played is not played again, so the same command goes on after an interruption, and further checkpoints or latencies add
-to what is there. At a latency of 0 the world waits for the policy, which plays as `dynahoi evaluate` does by default.
+Writes `latency.csv` and `latency.png` into the folder, beside a result folder for each checkpoint and latency. What has
+been played is not played again, so the same command goes on after an interruption, and further checkpoints or latencies
+add to what is there. At a latency of 0 the world waits for the policy, as it does in `dynahoi evaluate` by default.
 """
 
 from __future__ import annotations
