@@ -4,6 +4,9 @@ benchmarks:
   - benchmark: "dynahoi_lerobot.adapters.vla_eval:DynahoiBenchmark"
     episodes_per_task: 5
     params: {split: test_small, image_size: 224}
+
+With ``inference: async``, ``latency_ms: 150`` and the server's ``n_action_steps`` the world moves on while the server
+infers, one inference at a time. What the requests really take counts in vla-eval's own live mode, with ``hz: 20``.
 """
 
 from __future__ import annotations
@@ -16,14 +19,19 @@ from vla_eval.specs import DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
-from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
+from dynahoi_lerobot.env.late_env import LateVectorEnv
+from dynahoi_lerobot.env.vector_env import ONE_EPISODE_OPTION
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
+from dynahoi_lerobot.rollout.inference import SYNC, Inference
+from dynahoi_lerobot.rollout.stepwise_inference import QueuedPolicy, StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
+
+LONGEST_FRAMES = 256
 
 
 class DynahoiBenchmark(StepBenchmark):
@@ -47,6 +55,9 @@ class DynahoiBenchmark(StepBenchmark):
         protocol: str = DEFAULT_PROTOCOL,
         control_class: str = DEFAULT_CONTROL_CLASS,
         send_state: bool = True,
+        inference: str = SYNC,
+        latency_ms: float = 0.0,
+        n_action_steps: int = 1,
     ) -> None:
         """Configure the benchmark.
 
@@ -56,8 +67,15 @@ class DynahoiBenchmark(StepBenchmark):
             kinds: names of the motions; all of the split if None.
             capture, protocol, control_class: see ``Recipe``.
             send_state: whether observations contain the hand's state.
+            inference, latency_ms: ``async`` and how long an inference of the server takes [ms], see `Inference`.
+            n_action_steps: how many actions of a chunk the server hands out before it infers again.
+
+        Raises:
+            ValueError: for a timing that there is not, or that cannot be had with such a server.
         """
         super().__init__()
+        timing, server = Inference(inference, latency_ms), QueuedPolicy("the model server", n_action_steps)
+        self._inference = None if inference == SYNC else StepwiseInference(server, timing)
         self._split, self._kinds, self._send_state = split, kinds, send_state
         self._options: dict[str, Any] = {
             "split": split,
@@ -66,7 +84,7 @@ class DynahoiBenchmark(StepBenchmark):
             "protocol": protocol,
             "control_class": control_class,
         }
-        self._env: DynahoiVectorEnv | None = None
+        self._env: LateVectorEnv | None = None
         self._episode: Episode | None = None
 
     def get_tasks(self) -> list[Task]:
@@ -78,13 +96,15 @@ class DynahoiBenchmark(StepBenchmark):
         """Start episode ``episode_idx`` of the task; return the first observation."""
         if self._env is None or self._env.kind != task["name"]:
             self.cleanup()
-            self._env = DynahoiVectorEnv(1, kind=task["name"], on_episode=self._keep, **self._options)
+            self._env = LateVectorEnv(
+                1, kind=task["name"], on_episode=self._keep, inference=self._inference, **self._options
+            )
         self._episode = None
-        observation, _ = self._env.reset(seed=[int(task.get("episode_idx", 0))])
+        observation, _ = self._env.reset(seed=[int(task.get("episode_idx", 0))], options={ONE_EPISODE_OPTION: True})
         return observation
 
     def step(self, action: Action) -> StepResult:
-        """Advance by one frame, 0.05 s."""
+        """Advance by one frame, 0.05 s, or by one call of a server whose inference takes time."""
         assert self._env is not None, "start an episode first"
         command = np.asarray(action.get("actions", action.get("action")), np.float64).reshape(1, -1)
         observation, reward, terminated, truncated, info = self._env.step(command)
@@ -111,8 +131,9 @@ class DynahoiBenchmark(StepBenchmark):
         return dict.fromkeys(("success", *METRICS.names()), "mean")
 
     def get_metadata(self) -> dict[str, Any]:
-        """Return the length of the longest episode [frames], window included, and the size of an action."""
-        return {"max_steps": 256, "action_dim": HAND_DOF}
+        """Return the most steps of an episode, window included, and the size of an action."""
+        steps = LONGEST_FRAMES if self._inference is None else self._inference.calls(LONGEST_FRAMES)
+        return {"max_steps": steps, "action_dim": HAND_DOF}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
         """Return the action space: palm position [m], absolute in the home frame, and joint angles [rad]."""

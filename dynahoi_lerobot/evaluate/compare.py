@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.intervals import bootstrap_means
+from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
+
+CROSSABLE = ("protocol", "control_class", "inference")
+"""Conditions that may be what is compared: the same episodes, played under others."""
+
+CONDITIONS = ("capture", *CROSSABLE)
+"""What must be equal for two evaluations to be paired, unless it is what is compared."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,34 @@ def paired_values(rows_a: Sequence[Row], rows_b: Sequence[Row], metric: str) -> 
     other = {_identity(row): row[metric] for row in rows_b}
     pairs = ((row[metric], other.get(_identity(row))) for row in rows_a)
     return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
+
+
+def unequal_conditions(a: Results, b: Results, across: Collection[str] = ()) -> list[str]:
+    """Return the conditions in which two evaluations differ, without those that are compared, ``across``."""
+    return [name for name in CONDITIONS if name not in across and getattr(a, name) != getattr(b, name)]
+
+
+def compare_results(
+    a: Results, b: Results, metric: str, *, across: Collection[str] = (), allow_version_mismatch: bool = False
+) -> Comparison:
+    """Compare two evaluations as `compare` does, if they were played under equal conditions.
+
+    Args:
+        a: evaluation A.
+        b: evaluation B.
+        metric: name of a registered metric.
+        across: conditions that may differ, of ``CROSSABLE``: what is compared.
+        allow_version_mismatch: see `compare`.
+
+    Raises:
+        MixedError: if another condition differs, naming both values.
+        ValueError: as `compare`.
+    """
+    for name in unequal_conditions(a, b, across):
+        found = [(result.folder, getattr(result, name)) for result in (a, b)]
+        remedy = f"add --across {name} to compare exactly that" if name in CROSSABLE else "evaluate both under one"
+        refuse_to_mix(name, found, remedy)
+    return compare(a.rows, b.rows, metric, allow_version_mismatch=allow_version_mismatch)
 
 
 def compare(

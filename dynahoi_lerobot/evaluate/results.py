@@ -15,6 +15,7 @@ from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.result_files import ResultsError
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
+from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -83,6 +84,16 @@ class Results:
     def protocol(self) -> str:
         """The protocol of its episodes."""
         return ", ".join(sorted({row["protocol"] for row in self.rows}))
+
+    @property
+    def capture(self) -> str:
+        """The capture rule of its episodes."""
+        return self.info.capture
+
+    @property
+    def inference(self) -> str:
+        """How long inference took: ``sync`` if the world waited for it, else such as ``async 150 ms``."""
+        return self.info.extra.get("inference") or SYNC
 
     def summary(self) -> Summary:
         """Return every metric with its interval over all episodes."""

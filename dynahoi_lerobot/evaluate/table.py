@@ -15,7 +15,7 @@ CONTACT_COLUMNS = ("S_hold", *PAPER_COLUMNS)
 """The columns if any evaluation uses the capture rule contact."""
 
 
-LABELS = ("policy", "split", "protocol", "capture", "control", "benchmark")
+LABELS = ("policy", "split", "protocol", "capture", "control", "inference", "benchmark")
 """Titles of what is said about an evaluation in front of its numbers."""
 
 
@@ -64,7 +64,9 @@ def printed_parts(estimate: Estimate) -> tuple[str, str]:
 def labels(result: Results) -> list[str]:
     """Return what ``LABELS`` says about an evaluation: under other conditions its numbers do not compare."""
     info = result.info
-    return [info.policy, info.split, result.protocol, info.capture, result.control_class, info.benchmark]
+    return [
+        info.policy, info.split, result.protocol, info.capture, result.control_class, result.inference, info.benchmark
+    ]  # fmt: skip
 
 
 def _cells(summary: Summary, columns: Sequence[str]) -> list[str]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from itertools import combinations
 from pathlib import Path
 
+from dynahoi_lerobot.evaluate.compare import CROSSABLE, unequal_conditions
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.foundation.arguments import path
@@ -16,12 +18,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi report``."""
     parser.add_argument("folders", type=path, nargs="+", help="result folders, as `dynahoi evaluate` writes them")
     parser.add_argument(ALLOW_MISMATCH, action="store_true", help="take results of different versions of the benchmark")
+    parser.add_argument(
+        "--across",
+        action="append",
+        choices=CROSSABLE,
+        default=[],
+        help="pair evaluations that differ in this condition, to compare exactly that; may be repeated",
+    )
     parser.add_argument("--out", type=path, default=Path("report.html"), help="the page to write")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the page and print the table; return the exit code."""
-    page = render_report(args.folders, args.out, allow_version_mismatch=args.allow_version_mismatch)
-    print(results_table([read_results(folder) for folder in args.folders]))
+    page = render_report(args.folders, args.out, across=args.across, allow_version_mismatch=args.allow_version_mismatch)
+    results = [read_results(folder) for folder in args.folders]
+    print(results_table(results))
+    for name in CROSSABLE:
+        if any(name in unequal_conditions(a, b, args.across) for a, b in combinations(results, 2)):
+            print(f"not paired: evaluations of different {name}; add --across {name} to compare exactly that")
     print(f"report: {page}")
     return 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,15 @@ from dynahoi_lerobot.report.tables import (
 FILE_NAME = "report.html"
 
 
-def render_report(folders: Sequence[Path], out: Path, *, allow_version_mismatch: bool = False) -> Path:
+def render_report(
+    folders: Sequence[Path], out: Path, *, across: Collection[str] = (), allow_version_mismatch: bool = False
+) -> Path:
     """Write the report of ``folders`` as one self-contained HTML page.
 
     Args:
         folders: result folders; one that is named twice counts once.
         out: the file to write, or an existing folder in which ``report.html`` is written.
+        across: conditions under which paired evaluations may differ, of ``CROSSABLE``.
         allow_version_mismatch: take results of different versions of the benchmark.
 
     Returns:
@@ -40,13 +43,13 @@ def render_report(folders: Sequence[Path], out: Path, *, allow_version_mismatch:
     if not folders:
         raise ValueError("a report needs at least one result folder, got none")
     entries = read_entries(folders, allow_version_mismatch=allow_version_mismatch)
-    html = _template().render(**page_content(entries))
+    html = _template().render(**page_content(entries, across))
     page = Path(out) / FILE_NAME if Path(out).is_dir() else Path(out)
     write_atomically({page: lambda path: path.write_text(html, encoding="utf-8")})
     return page
 
 
-def page_content(entries: Sequence[Entry]) -> dict[str, Any]:
+def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict[str, Any]:
     """Return what the template shows."""
     figures = [(figure, figure.render(entries)) for figure in in_order()]
     return {
@@ -54,7 +57,7 @@ def page_content(entries: Sequence[Entry]) -> dict[str, Any]:
         "episodes": len(distinct_episodes(entries)),
         "leaderboard": leaderboard(entries),
         "other_metrics": other_metrics(entries),
-        "comparisons": comparison_tables(entries),
+        "comparisons": comparison_tables(entries, across),
         "figures": [(figure, address) for figure, address in figures if address],
         "per_kind": stratum_tables(entries, "kind"),
         "glossary": glossary(),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from dynahoi_lerobot.evaluate.compare import Comparison, compare, paired_values
+from dynahoi_lerobot.evaluate.compare import Comparison, compare_results, paired_values, unequal_conditions
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary
 from dynahoi_lerobot.evaluate.table import LABELS, columns_for, heading, labels, printed_parts
 from dynahoi_lerobot.metrics import METRICS
@@ -78,9 +78,12 @@ def glossary() -> Table:
     return Table("What every number means.", ("metric", "unit", "better", "episodes", "definition"), rows)
 
 
-def comparison_tables(entries: Sequence[Entry]) -> list[Table]:
-    """Return a matrix for each compared metric: row minus column on the episodes both played; none without pairs."""
-    tables = [_matrix(entries, name) for name in COMPARED]
+def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) -> list[Table]:
+    """Return a matrix for each compared metric: row minus column on the episodes both played; none without pairs.
+
+    Only evaluations under equal conditions are paired, except for those that are compared, ``across``.
+    """
+    tables = [_matrix(entries, name, across) for name in COMPARED]
     return [table for table in tables if table is not None]
 
 
@@ -126,8 +129,8 @@ def _stratum_table(entry: Entry, stratum: str) -> Table:
     return Table(entry.label, (stratum, "n", *map(heading, names)), rows)
 
 
-def _matrix(entries: Sequence[Entry], name: str) -> Table | None:
-    cells = [[_compared(row, column, name) for column in entries] for row in entries]
+def _matrix(entries: Sequence[Entry], name: str, across: Collection[str]) -> Table | None:
+    cells = [[_compared(row, column, name, across) for column in entries] for row in entries]
     if not any(cell.key is not None for line in cells for cell in line):
         return None
     rows = tuple((Cell(entry.label), *line) for entry, line in zip(entries, cells, strict=True))
@@ -135,13 +138,15 @@ def _matrix(entries: Sequence[Entry], name: str) -> Table | None:
     return Table(caption, ("row − column", *(entry.label for entry in entries)), rows)
 
 
-def _compared(row: Entry, column: Entry, name: str) -> Cell:
-    if row is column or row.results.info.capture != column.results.info.capture:
+def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> Cell:
+    if unequal := unequal_conditions(row.results, column.results, across):
+        return Cell("–", f"other {' and '.join(unequal)}")
+    if row is column:
         return Cell("–")
     if len(paired_values(row.results.rows, column.results.rows, name)) == 0:
         return Cell("–")
-    result = compare(
-        row.results.rows, column.results.rows, name, allow_version_mismatch=True
+    result = compare_results(
+        row.results, column.results, name, across=across, allow_version_mismatch=True
     )  # asked for, if they differ
     estimate = Estimate(result.difference, result.low, result.high, METRICS[name].unit, result.n)
     difference, ends = printed_parts(estimate)

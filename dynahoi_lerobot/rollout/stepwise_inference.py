@@ -1,7 +1,7 @@
 """One inference at a time for a policy that is asked for one action a call, as LeRobot's evaluation loop does.
 
-``select_action`` infers in one call and answers the next ones from a queue. So the world can stand still while the queue
-is read, and move on only in the last calls of each queue:
+``select_action`` infers in one call and answers the next ones from a queue. So the world can stand still while the
+queue is read, and move on only in the last calls of each queue:
 
     frame seen     0 0 0 0 1 2   3 3 3 3 4 5   6 ...      latency of 3 frames, queue of 6 actions
     action read    0 1 2 3 4 5   3 4 5 6 7 8   6 ...      each for the frame of this number

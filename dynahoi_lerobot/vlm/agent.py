@@ -57,9 +57,16 @@ class VlmAgent(ChunkAgent):
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
     ) -> Plan:
-        """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took."""
-        decisions = self._decisions(observation, worlds.tolist())
-        return Plan(np.stack([commands for commands, _ in decisions]), np.array([seconds for _, seconds in decisions]))
+        """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took.
+
+        Nobody is asked about worlds whose episode has ended, which are black.
+        """
+        shown = [i for i in worlds.tolist() if observation.images[EGO_VIEW][i].any()]
+        actions = np.repeat(observation.state[:, None].astype(np.float64), HORIZON, axis=1)
+        seconds = np.zeros(len(observation.state))
+        for i, (commands, took) in zip(shown, self._decisions(observation, shown), strict=True):
+            actions[i], seconds[i] = commands, took
+        return Plan(actions[worlds], seconds[worlds])
 
     def _decisions(self, observation: Observation, worlds: Sequence[int]) -> list[tuple[np.ndarray, float]]:
         """Ask for a chunk (10, 18) for each of ``worlds``, several at a time; also return the seconds each took."""

@@ -88,10 +88,20 @@ def parsed(html: str) -> Page:
 def test_every_evaluation_is_a_row_with_its_values(parsed: Page):
     head = next(row for row in parsed.rows if row[0] == "policy")
     metrics = "S_loc % ↑,E_loc u ↓,S_gra % ↑,E_gra u ↓,Q_smooth ↑,Q_line ↑,R_time ↑,S_joint % ↑"
-    assert head == ["policy", "split", "protocol", "capture", "control", "benchmark", "n", *metrics.split(",")]
+    assert head == [
+        "policy",
+        "split",
+        "protocol",
+        "capture",
+        "control",
+        "inference",
+        "benchmark",
+        "n",
+        *metrics.split(","),
+    ]
     expert = next(row for row in parsed.rows if row[0] == "expert")
-    played = ["test_small", "observe_before_act", "attach", "standard", BENCHMARK.version, "22"]
-    assert expert[1:8] == [*played, "100.0 [85.1, 100.0]"]
+    played = ["test_small", "observe_before_act", "attach", "standard", "sync", BENCHMARK.version, "22"]
+    assert expert[1:9] == [*played, "100.0 [85.1, 100.0]"]
     assert len(expert) == len(head)
 
 
