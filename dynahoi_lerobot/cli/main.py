@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +30,8 @@ COMMANDS = {
 
 BAD_INPUT = 2
 STOPPED = 130
+VERBOSE_LOGGERS = ("lerobot.utils.import_utils",)
+"""Loggers whose warnings are no news here: that torchcodec cannot be used, in 90 lines; `dynahoi doctor` says it."""
 LONGEST = 800
 """Characters of a message; the longest that names no value of the user's lists 24 motions."""
 
@@ -43,6 +46,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 done, 1 failed, 2 bad input, 130 stopped."""
+    for name in VERBOSE_LOGGERS:
+        logging.getLogger(name).setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
     commands = parser.add_subparsers(dest="command", required=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +23,9 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 CHECKPOINT, LOG, STATE = "pretrained_model", "log.jsonl", "state.pt"
 SCORES = ("S_loc", "S_gra", "S_joint")
+PLAYED_SHARE = 0.5
+"""Of a round's progress, what stands for playing; the updates are the rest."""
+Progress = Callable[[float], object]
 
 
 class Dagger:
@@ -46,11 +49,15 @@ class Dagger:
         if (recipe.out / STATE).exists():
             self._resume()
 
-    def run(self) -> Iterator[dict[str, Any]]:
-        """Play and learn until all rounds are done; yield a line of the log after each."""
+    def run(self, progress: Progress = lambda _: None) -> Iterator[dict[str, Any]]:
+        """Play and learn until all rounds are done; yield a line of the log after each.
+
+        Args:
+            progress: called with the rounds done so far, parts of them included.
+        """
         while self.round < self.recipe.rounds:
             start = time.process_time()
-            line = self._round()
+            line = self._round(progress)
             self.processor_s += time.process_time() - start
             line["processor_minutes"] = round(self.processor_s / 60, 3)
             if self._due(self.recipe.validate_every):
@@ -60,15 +67,27 @@ class Dagger:
                 self._save()
             yield line
 
-    def _round(self) -> dict[str, Any]:
+    def _round(self, progress: Progress) -> dict[str, Any]:
         """Play a round and learn from all that are kept."""
         recipe = self.recipe
         share = recipe.teacher_share if self.round else 1.0
-        played = play_round(self._batch, self.learner, self._next_specs(), self._rng, share)
+
+        def show(played: float) -> None:
+            progress(self.round + PLAYED_SHARE * played)
+
+        played = play_round(self._batch, self.learner, self._next_specs(), self._rng, share, show)
         self.learner.study(played)
-        loss = self.learner.learn(recipe.updates)
+        loss = self._learn(progress)
         self.round += 1
         return {"round": self.round, "loss": round(loss, 4), "train": scores(played.episodes)}
+
+    def _learn(self, progress: Progress) -> float:
+        """Update the policy and return the mean loss."""
+        updates, losses = self.recipe.updates, []
+        for done in range(1, updates + 1):
+            losses.append(self.learner.learn(1))
+            progress(self.round + PLAYED_SHARE + (1 - PLAYED_SHARE) * done / updates)
+        return float(np.mean(losses))
 
     def _next_specs(self) -> list[EpisodeSpec]:
         """Return the episodes of the next round: new ones as long as there are any, then a draw from all."""
