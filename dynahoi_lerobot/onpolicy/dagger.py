@@ -75,7 +75,7 @@ class Dagger:
         def show(played: float) -> None:
             progress(self.round + PLAYED_SHARE * played)
 
-        played = play_round(self._batch, self.learner, self._next_specs(), self._rng, share, show)
+        played = play_round(self._batch, self.learner, self._next_specs(), self._rng, share, progress=show)
         self.learner.study(played)
         loss = self._learn(progress)
         self.round += 1

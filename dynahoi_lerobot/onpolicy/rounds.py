@@ -58,6 +58,7 @@ def play_round(
     specs: Sequence[EpisodeSpec],
     rng: np.random.Generator,
     teacher_share: float = 0.0,
+    *,
     progress: Callable[[float], object] = lambda _: None,
 ) -> Round:
     """Play one episode in every world of a batch.
