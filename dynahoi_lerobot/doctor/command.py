@@ -1,0 +1,43 @@
+"""``dynahoi doctor``: look at every part of this machine and say what follows."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from dynahoi_lerobot.doctor.parts.base import Fact, examine
+from dynahoi_lerobot.foundation.arguments import path
+
+SOUND, MISSING = 0, 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi doctor``."""
+    parser.add_argument("--folder", type=path, default=Path(), help="where output would go; its disk is looked at")
+    parser.add_argument("--json", type=path, help="write the facts there as well")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what is there and what follows; return the exit code: 0 nothing is missing, 1 something is."""
+    facts = []
+    for fact in examine(args.folder):
+        print(_line(fact), flush=True)
+        facts.append(fact)
+    if args.json:
+        args.json.write_text(json.dumps([asdict(fact) for fact in facts], indent=2) + "\n", encoding="utf-8")
+    return _conclude(facts)
+
+
+def _line(fact: Fact) -> str:
+    mark = "MISSING " if fact.missing else ""
+    follows = f"  -> {fact.follows}" if fact.follows else ""
+    return f"{fact.name:<24} {mark}{fact.found}{follows}"
+
+
+def _conclude(facts: Sequence[Fact]) -> int:
+    missing = [fact.name for fact in facts if fact.missing]
+    print(f"missing: {', '.join(missing)}" if missing else "nothing is missing")
+    return MISSING if missing else SOUND
