@@ -24,7 +24,7 @@ COMMANDS = {
     "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),
     "push": ("dynahoi_lerobot.hub.command", "upload a dataset, checkpoint, results or environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "write an episode as GIF, MP4 or web page"),
-    "doctor": ("dynahoi_lerobot.doctor.command", "say what this machine has, what is missing, and what follows"),
+    "doctor": ("dynahoi_lerobot.doctor.command", "say what this machine has, what is wrong, and what follows"),
     "list": ("dynahoi_lerobot.cli.listing", "list motions, objects, metrics and other registered names"),
 }
 """Command: module with ``add_arguments`` and ``run``, and one line of help. A module is imported when it is used."""

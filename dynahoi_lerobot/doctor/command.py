@@ -6,24 +6,29 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 
 from dynahoi_lerobot.doctor.parts.base import Fact, examine
+from dynahoi_lerobot.doctor.reference import compare
 from dynahoi_lerobot.foundation.arguments import path
 
-SOUND, MISSING = 0, 1
+SOUND, PROBLEMS = 0, 1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi doctor``."""
     parser.add_argument("--folder", type=path, default=Path(), help="where output would go; its disk is looked at")
+    parser.add_argument(
+        "--reference", action="store_true", help="also play 44 episodes and compare them with ours, bit for bit"
+    )
     parser.add_argument("--json", type=path, help="write the facts there as well")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what is there and what follows; return the exit code: 0 nothing is missing, 1 something is."""
+    """Print what is there and what follows; return the exit code: 0 no problems, 1 problems."""
     facts = []
-    for fact in examine(args.folder):
+    for fact in chain(examine(args.folder), compare() if args.reference else ()):
         print(_line(fact), flush=True)
         facts.append(fact)
     if args.json:
@@ -32,12 +37,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _line(fact: Fact) -> str:
-    mark = "MISSING " if fact.missing else ""
+    mark = "PROBLEM: " if fact.problem else ""
     follows = f"  -> {fact.follows}" if fact.follows else ""
     return f"{fact.name:<24} {mark}{fact.found}{follows}"
 
 
 def _conclude(facts: Sequence[Fact]) -> int:
-    missing = [fact.name for fact in facts if fact.missing]
-    print(f"missing: {', '.join(missing)}" if missing else "nothing is missing")
-    return MISSING if missing else SOUND
+    problems = [fact.name for fact in facts if fact.problem]
+    print(f"problems: {', '.join(problems)}" if problems else "no problems")
+    return PROBLEMS if problems else SOUND

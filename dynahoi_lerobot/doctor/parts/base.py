@@ -17,13 +17,13 @@ class Fact:
         name: what was looked at.
         found: what is there, with units.
         follows: what that means for the commands; empty if nothing.
-        missing: whether something that the installed commands need is not there.
+        problem: whether something that the installed commands need is not there or not as it should be.
     """
 
     name: str
     found: str
     follows: str = ""
-    missing: bool = False
+    problem: bool = False
 
 
 Look = Callable[[Path], Iterator[Fact]]
@@ -38,7 +38,7 @@ def part(name: str) -> Callable[[Look], Look]:
 
 
 def examine(folder: Path) -> Iterator[Fact]:
-    """Yield the facts of every part, by name of the part; a part that cannot be looked at is a missing one.
+    """Yield the facts of every part, by name of the part; a part that cannot be looked at is a problem.
 
     Args:
         folder: where output would go.
@@ -47,4 +47,4 @@ def examine(folder: Path) -> Iterator[Fact]:
         try:
             yield from look(folder)
         except Exception as error:  # whatever a broken installation raises is what the user wants to know
-            yield Fact(name, f"cannot be looked at: {type(error).__name__}: {error}", missing=True)
+            yield Fact(name, f"cannot be looked at: {type(error).__name__}: {error}", problem=True)

@@ -31,7 +31,7 @@ def _pyav() -> Fact:
     held = [name for name, encoder in wanted.items() if encoder in av.codec.codecs_available]
     default = Encoding.codec in held
     follows = f"`dynahoi generate` writes {Encoding.codec}" if default else "only `--codec images` works"
-    return Fact("PyAV", f"{version('av')}, writes {', '.join(held) or 'no video'}", follows, missing=not default)
+    return Fact("PyAV", f"{version('av')}, writes {', '.join(held) or 'no video'}", follows, problem=not default)
 
 
 def _torchcodec() -> Fact:

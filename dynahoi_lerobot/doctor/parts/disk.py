@@ -26,7 +26,7 @@ def disk(folder: Path) -> Iterator[Fact]:
     episodes = int(free_gb * 1e9 / (FRAME_BYTES * EPISODE_FRAMES))
     enough = free_gb >= LEAST_GB
     room = f"room for about {_rounded(episodes):,} episodes at 128 px" if enough else f"{LEAST_GB} GB are needed"
-    yield Fact("disk", f"{free_gb:.1f} GB free in {place}", room, missing=not enough)
+    yield Fact("disk", f"{free_gb:.1f} GB free in {place}", room, problem=not enough)
     if enough:
         yield Fact("write speed", f"{write_speed_mb_s(place):.0f} MB/s")
 

@@ -25,4 +25,6 @@ def plugins(folder: Path) -> Iterator[Fact]:
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             import_plugin(entry)
-        yield Fact(f"plugin {entry.name}", entry.value, *[str(warning.message) for warning in told][:1], missing=bool(told))
+        yield Fact(
+            f"plugin {entry.name}", entry.value, *[str(warning.message) for warning in told][:1], problem=bool(told)
+        )

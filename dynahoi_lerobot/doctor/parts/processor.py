@@ -22,7 +22,7 @@ def processor(folder: Path) -> Iterator[Fact]:
     workers = max(1, min(count, int(memory_gb / WORKER_GB)))
     yield Fact("cores", f"{count}, {platform.machine()}", f"`dynahoi generate --workers {workers}`")
     enough = memory_gb >= WORKER_GB
-    yield Fact("memory", f"{memory_gb:.1f} GB", "" if enough else f"a worker needs {WORKER_GB} GB", missing=not enough)
+    yield Fact("memory", f"{memory_gb:.1f} GB", "" if enough else f"a worker needs {WORKER_GB} GB", problem=not enough)
 
 
 def cores() -> int:

@@ -52,9 +52,9 @@ def _library(name: str, wanted: list[Requirement]) -> Fact | None:
     if found is None:
         if not wanted:
             return Fact(name, "none", OPTIONAL[name]) if name in OPTIONAL else None
-        return Fact(name, "none", f"install it: pip install {str(wanted[0])!r}", missing=True)
+        return Fact(name, "none", f"install it: pip install {str(wanted[0])!r}", problem=True)
     if any(not requirement.specifier.contains(found, prereleases=True) for requirement in wanted):
-        return Fact(name, found, f"needs {bounds}: pip install {str(wanted[0])!r}", missing=True)
+        return Fact(name, found, f"needs {bounds}: pip install {str(wanted[0])!r}", problem=True)
     return Fact(name, found) if name in (CORE, *PLUGINS, *SHOWN) else None
 
 
