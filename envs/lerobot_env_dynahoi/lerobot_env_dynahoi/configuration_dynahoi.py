@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field, fields
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from lerobot.envs.configs import EnvConfig
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.env.rewards import SPARSE, check_reward
 from dynahoi_lerobot.features import Feature, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.hands import HANDS
@@ -20,6 +21,7 @@ from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
+from lerobot_env_dynahoi.command_line import new_results_folder
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 RECIPE_FIELDS = {field.name for field in fields(Recipe)}
@@ -44,7 +46,8 @@ class DynahoiEnvConfig(EnvConfig):
         hand: embodiment, one of ``dynahoi list hands``; the capture rule's own if empty.
         renderer: one of ``dynahoi list renderers``.
         instructions: ``reveal``, ``neutral`` or ``mixed``.
-        results_dir: where the metrics go; a new folder under ``outputs/dynahoi`` if None.
+        reward: ``sparse`` or ``dense``, see `dynahoi_lerobot.env.rewards`.
+        results_dir: where the metrics go; a new folder below ``dynahoi`` in LeRobot's ``--output_dir`` if None.
     """
 
     task: str | None = None
@@ -59,12 +62,15 @@ class DynahoiEnvConfig(EnvConfig):
     hand: str = ""
     renderer: str = DEFAULT_RENDERER
     instructions: str = "mixed"
+    reward: str = SPARSE
     results_dir: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in ``features`` (by Gymnasium key) and ``features_map`` (Gymnasium to policy key); check all names.
+        """Fill in ``features`` (by Gymnasium key, images by dataset key) and ``features_map``; check all names.
+
+        LeRobot's recording of evaluations looks for images under dataset keys, and for all else under Gymnasium's.
 
         Raises:
             ValueError: for an unknown name, naming the ones there are.
@@ -72,9 +78,10 @@ class DynahoiEnvConfig(EnvConfig):
         recipe = self._recipe()
         kinds_of(self.task, recipe.motion_names)
         _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
+        check_reward(self.reward)
         contact_sensors = CAPTURES[self.capture].uses_contact_sensors
         shown = {
-            feature.gym_key: feature
+            feature.key if feature.is_image else feature.gym_key: feature
             for feature in frame_features(self.image_size, self.views, contact_sensors=contact_sensors)
             if feature.gym_key is not None
         }
@@ -95,7 +102,7 @@ class DynahoiEnvConfig(EnvConfig):
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
-            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **self.gym_kwargs)
+            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, reward=self.reward, **self.gym_kwargs)
         return suites
 
     def _recipe(self) -> Recipe:
@@ -104,7 +111,7 @@ class DynahoiEnvConfig(EnvConfig):
     def _results_folder(self) -> Path:
         if self.results_dir is not None:
             return Path(self.results_dir)
-        return Path("outputs") / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
+        return new_results_folder(sys.argv)
 
 
 def _type(feature: Feature) -> FeatureType:

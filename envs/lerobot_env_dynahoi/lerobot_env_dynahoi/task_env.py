@@ -6,9 +6,7 @@ files that ``dynahoi evaluate`` writes.
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.sampling.recipe import Recipe
+from lerobot_env_dynahoi.command_line import policy_name
 
 
 class ResultsLog:
@@ -69,13 +68,3 @@ class TaskEnv(DynahoiVectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         """Write what has been played so far."""
         self._log.write()
-
-
-def policy_name(argv: Sequence[str]) -> str:
-    """Return what LeRobot's command line says is being played: the policy's type, its path, or just ``policy``."""
-    given = dict(word.lstrip("-").split("=", 1) for word in argv if word.startswith("--policy.") and "=" in word)
-    path = given.get("policy.path") or given.get("policy.pretrained_path")
-    config = Path(path or "") / "config.json"
-    if path and config.is_file():
-        return str(json.loads(config.read_text()).get("type", path))
-    return path or given.get("policy.type", "policy")
