@@ -61,7 +61,8 @@ class Reference:
     def read(cls, path: Path = REFERENCE) -> Reference:
         """Read it from a file."""
         with np.load(path, allow_pickle=False) as held:
-            return cls(**{name: held[name] for name in held.files} | {"machine": str(held["machine"])})
+            arrays = {name: held[name] for name in ("motions", "pictures", "poses", "images")}
+            return cls(str(held["machine"]), **arrays)
 
 
 def play(count: int = EPISODES) -> Reference:
