@@ -20,9 +20,10 @@ import pytest
 import yaml
 
 from dynahoi_lerobot.evaluate.results import write_results
-from dynahoi_lerobot.hub import benchmark_repo, leaderboard_data
+from dynahoi_lerobot.hub import benchmark_repo
 from dynahoi_lerobot.hub.leaderboards import SPLITS, directions, eval_yaml, leaderboards
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.report import leaderboard_data
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.hub.conftest import Push

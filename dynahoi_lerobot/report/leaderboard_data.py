@@ -1,6 +1,6 @@
 """What the leaderboard page shows.
 
-``python -m dynahoi_lerobot.hub.leaderboard_data RESULTS ... --out envs/leaderboard/results.json`` writes it.
+``python -m dynahoi_lerobot.report.leaderboard_data RESULTS ... --out envs/leaderboard/results.json`` writes it.
 """
 
 from __future__ import annotations
