@@ -34,6 +34,7 @@ ROOMS = (
     "hub",
     "adapters",
     "report",
+    "doctor",
     "cli",
 )
 """``nouns`` are the modules beside the folders, such as episode, agent and control_class."""

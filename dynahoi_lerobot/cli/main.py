@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,12 +24,15 @@ COMMANDS = {
     "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),
     "push": ("dynahoi_lerobot.hub.command", "upload a dataset, checkpoint, results or environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "write an episode as GIF, MP4 or web page"),
+    "doctor": ("dynahoi_lerobot.doctor.command", "say what this machine has, what is wrong, and what follows"),
     "list": ("dynahoi_lerobot.cli.listing", "list motions, objects, metrics and other registered names"),
 }
 """Command: module with ``add_arguments`` and ``run``, and one line of help. A module is imported when it is used."""
 
 BAD_INPUT = 2
 STOPPED = 130
+VERBOSE_LOGGERS = ("lerobot.utils.import_utils",)
+"""Loggers whose warnings are no news here: that torchcodec cannot be used, in 90 lines; `dynahoi doctor` says it."""
 LONGEST = 800
 """Characters of a message; the longest that names no value of the user's lists 24 motions."""
 
@@ -43,6 +47,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 done, 1 failed, 2 bad input, 130 stopped."""
+    for name in VERBOSE_LOGGERS:
+        logging.getLogger(name).setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
     commands = parser.add_subparsers(dest="command", required=True)

@@ -1,4 +1,4 @@
-"""Merge datasets that this project wrote: videos are hard-linked, tables renumbered, no picture decoded."""
+"""Merge datasets that this project wrote: videos are joined, tables renumbered, no picture decoded."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
-from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.dataset.files import link, temporary_sibling
+from dynahoi_lerobot.dataset.files import temporary_sibling
+from dynahoi_lerobot.dataset.joined_videos import JoinedVideos
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.features import CAMERA_KEY
 from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 
 
@@ -54,24 +53,13 @@ def merge(
     yields: Counter[str] = Counter()
     with temporary_sibling(root) as folder:
         assembly = Assembly(folder, stores[0], limits or FileLimits())
+        videos = JoinedVideos(assembly, stores, manifests)
         for store, manifest in zip(stores, manifests, strict=True):
-            _append(assembly, store, manifest)
+            _append(assembly, store, videos)
             yields.update(manifest.yields)
         return assembly.finish(provenance or {}, dict(yields))
 
 
-def _append(assembly: Assembly, store: Store, manifest: Manifest) -> None:
-    places: dict[Path, EpisodeRow] = {}
-    """By the video file of the hand's camera; those of other views are divided alike."""
+def _append(assembly: Assembly, store: Store, videos: JoinedVideos) -> None:
     for row, table in stored_episodes(store):
-        place: EpisodeRow = {}
-        if store.has_video:
-            first = store.video_path(row, CAMERA_KEY)
-            if first not in places:
-                for key, target in assembly.next_videos().items():
-                    source = store.video_path(row, key)
-                    link(source, target)
-                    assembly.set_known_hash(target, manifest.files[source.relative_to(store.root).as_posix()])
-                places[first] = assembly.video_place()
-            place = places[first]
-        assembly.add(row | place, table)
+        assembly.add(row | videos.place(store, row), table)

@@ -5,14 +5,8 @@ LeRobot's own tools re-encode a video file that loses an episode, and drop the p
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Collection
-from fractions import Fraction
 from pathlib import Path
-from typing import cast
-
-import av
-from av.video.stream import VideoStream
 
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns
@@ -20,6 +14,7 @@ from dynahoi_lerobot.dataset.files import reading, temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.video_copy import VideoCopy
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 
@@ -60,15 +55,12 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
 
 
 class _Cutter:
-    """Copies the video packets of episodes; each set of source files with kept episodes gives one set of new files.
-
-    An episode begins with a key frame and no codec here reorders frames, so its packets stand alone.
-    """
+    """Copies the video packets of episodes; each set of source files with kept episodes gives one set of new files."""
 
     def __init__(self, assembly: Assembly, store: Store) -> None:
         self._assembly, self._store = assembly, store
         self._sources: dict[str, Path] = {}
-        self._copies: dict[str, _Copy] = {}
+        self._copies: dict[str, VideoCopy] = {}
 
     def cut(self, row: EpisodeRow) -> EpisodeRow:
         """Copy one episode's packets; return the columns that say where they went."""
@@ -76,7 +68,9 @@ class _Cutter:
         if sources != self._sources:
             self.close()
             targets = self._assembly.next_videos()
-            self._copies = {key: _Copy(source, targets[key]) for key, source in sources.items()}
+            self._copies = {key: VideoCopy(target) for key, target in targets.items()}
+            for key, source in sources.items():
+                self._copies[key].open(source)
             self._sources = sources
         times: EpisodeRow = {}
         for key, copy in self._copies.items():
@@ -90,39 +84,3 @@ class _Cutter:
         """Finish the current files."""
         for copy in self._copies.values():
             copy.close()
-
-
-class _Copy:
-    """A video file that takes over some of the frames of another."""
-
-    def __init__(self, source: Path, target: Path) -> None:
-        self._source = source
-        stream = (container := av.open(str(source))).streams.video[0]
-        self._packets = (packet for packet in container.demux(stream) if packet.size)
-        self._output = av.open(str(target), "w", options={"fflags": "+bitexact"})
-        self._stream = cast(VideoStream, self._output.add_stream_from_template(stream, opaque=True))
-        self._stream.time_base = Fraction(1, CONTROL_HZ)
-        self._read = self._written = 0
-
-    def frames(self, start: int, count: int) -> tuple[int, int]:
-        """Copy ``count`` frames from the source's frame ``start`` on; return where they begin and end here.
-
-        Raises:
-            ValueError: if the source is shorter than that.
-        """
-        begin = self._written
-        for packet in itertools.islice(self._packets, start - self._read, start - self._read + count):
-            packet.stream = self._stream
-            packet.time_base = Fraction(1, CONTROL_HZ)
-            packet.pts = packet.dts = self._written
-            packet.duration = 1
-            self._output.mux(packet)
-            self._written += 1
-        if self._written - begin < count:
-            raise ValueError(f"{self._source} ends before frame {start + count}")
-        self._read = start + count
-        return begin, self._written
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._output.close()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from dynahoi_lerobot.env.rewards import DENSE, SPARSE, Progress
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.metrics import measure
@@ -25,9 +26,10 @@ class RunningEpisodes(Session):
         longest: (N,) int, longest length of each world's episode [frames].
     """
 
-    def __init__(self, batch: WorldBatch, on_episode: EpisodeListener | None) -> None:
-        """Record what ``batch`` plays and hand every finished Episode to ``on_episode``."""
+    def __init__(self, batch: WorldBatch, on_episode: EpisodeListener | None, reward: str = SPARSE) -> None:
+        """Record what ``batch`` plays, hand every finished Episode to ``on_episode`` and give a ``reward``."""
         super().__init__(batch, record_images=False)
+        self._progress = Progress(batch) if reward == DENSE else None
         self._on_episode = on_episode
         self._success = np.zeros(batch.size, bool)
         self.longest = np.zeros(batch.size, int)
@@ -38,6 +40,20 @@ class RunningEpisodes(Session):
         self.begin(ids, jobs)
         self.longest[ids] = [job.frames for job in jobs]
         self._success[ids] = False
+        if self._progress is not None:
+            self._progress.take()
+
+    def rewards(self, ending: np.ndarray) -> np.ndarray:
+        """Return (N,) the reward of the step that was just made; episodes of worlds ``ending`` (N,) bool end with it.
+
+        Call it after ``infos``, and before the next episodes begin.
+        """
+        rewards = (self._success & ending).astype(np.float64)
+        if self._progress is None or self.observation is None:
+            return rewards
+        acted = self.observation.phase[:, 0] > 0.5
+        playing = np.isin(np.arange(self.batch.size), self.playing) | ending
+        return rewards + self._progress.advance(acted & playing)
 
     def infos(self, ending: np.ndarray) -> dict[str, Any]:
         """End the episodes of worlds ``ending`` (n,) and return what is told after a step.

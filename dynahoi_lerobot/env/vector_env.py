@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.env.checks import RENDER_MODES, check_open, check_render_mode, check_seed, episode_numbers
+from dynahoi_lerobot.env.rewards import SPARSE, check_reward
 from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisodes
 from dynahoi_lerobot.env.spaces import as_gym, observation_space
 from dynahoi_lerobot.features import frame_features
@@ -64,7 +65,7 @@ class DynahoiVectorEnv(VectorEnv):
         (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It takes effect at once,
         or after 150 ms (``late``).
     Reward:
-        1 at the frame at which the episode ends in success, else 0.
+        1 at the frame at which the episode ends in success, else 0 (``sparse``); see `rewards.py` for ``dense``.
     Episode end:
         Terminated when the capture rule's verdict falls, half a second (``attach``) after localisation; truncated
         after L control steps and one more, whose action has no consequence: it records what the last one led to.
@@ -101,6 +102,7 @@ class DynahoiVectorEnv(VectorEnv):
         renderer: str = DEFAULT_RENDERER,
         instructions: str = "mixed",
         salt: str = "",
+        reward: str = SPARSE,
         threads: int = 0,
         render_mode: str | None = "rgb_array",
         on_episode: EpisodeListener | None = None,
@@ -115,6 +117,7 @@ class DynahoiVectorEnv(VectorEnv):
             images: whether observations contain images; without them nothing is rendered.
             views: views besides ``ego``, such as ``side``; see `renderers/camera_views.py`.
             appearance, protocol, control_class, capture, hand, renderer, instructions, salt: see ``Recipe``.
+            reward: ``sparse`` or ``dense``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
@@ -123,6 +126,7 @@ class DynahoiVectorEnv(VectorEnv):
             ValueError: for an unknown name or a value out of range, naming those allowed.
         """
         check_render_mode(render_mode)
+        check_reward(reward)
         self.num_envs, self.kind, self.split, self.render_mode = num_envs, kind, split, render_mode
         self.recipe = Recipe(
             split=seed_stream(split),
@@ -138,10 +142,10 @@ class DynahoiVectorEnv(VectorEnv):
             salt=salt,
             motions=() if kind is None or kind in Recipe(split=seed_stream(split)).motion_names else (kind,),
         )
-        self._images, self._threads, self._on_episode = images, threads, on_episode
+        self._images, self._threads, self._on_episode, self.reward = images, threads, on_episode, reward
         self._batch = make_batch(self.recipe, num_envs, threads)
         self._set_spaces()
-        self._episodes = RunningEpisodes(self._batch, on_episode)
+        self._episodes = RunningEpisodes(self._batch, on_episode, reward)
         self._ended, self._numbers = np.zeros(num_envs, bool), np.zeros(num_envs, int)
         self._one_episode = False
 
@@ -193,7 +197,7 @@ class DynahoiVectorEnv(VectorEnv):
         restarting = np.flatnonzero(self._ended)
         terminated, truncated = (np.isin(np.arange(self.num_envs), ids) for ids in (ended.settled, ended.full))
         infos = self._episodes.infos(ended.worlds)
-        reward = (infos["is_success"] & (terminated | truncated)).astype(np.float64)
+        reward = self._episodes.rewards(terminated | truncated)
         if restarting.size and not self._one_episode:
             self._numbers[restarting] = (self._numbers[restarting] + self.num_envs) % SEED_LIMIT
             self._begin(restarting)
@@ -241,7 +245,7 @@ class DynahoiVectorEnv(VectorEnv):
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy is made from: the constructor's arguments."""
         options = {name: getattr(self.recipe, name) for name in RECIPE_OPTIONS}
-        options |= {name: getattr(self, name) for name in ("num_envs", "kind", "split", "render_mode")}
+        options |= {name: getattr(self, name) for name in ("num_envs", "kind", "split", "render_mode", "reward")}
         options |= {"images": self._images, "threads": self._threads, "on_episode": self._on_episode}
         return {"options": options, "spec": self.spec}
 

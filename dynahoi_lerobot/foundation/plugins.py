@@ -32,10 +32,11 @@ def load_plugins() -> None:
         return
     _loaded = True
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
-        _load(entry)
+        import_plugin(entry)
 
 
-def _load(entry: EntryPoint) -> None:
+def import_plugin(entry: EntryPoint) -> None:
+    """Import a plugin's module; one that fails is named in a warning."""
     try:
         entry.load()
     except Exception as error:  # whatever a stranger's module raises

@@ -147,7 +147,7 @@ def _executor(args: argparse.Namespace, plan: GenerationPlan, record: Record) ->
 
 
 def _generate(plan: GenerationPlan, args: argparse.Namespace, record: Record) -> Manifest:
-    with tqdm(total=plan.episodes, unit="episode", smoothing=0.05, disable=None) as bar:
+    with tqdm(total=plan.episodes, desc="generating", unit="episode", smoothing=0.05, disable=None) as bar:
 
         def show(done: int) -> None:
             bar.update(done - bar.n)

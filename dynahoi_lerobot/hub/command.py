@@ -7,9 +7,11 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.hub.contents import (
     Contents,
+    benchmark_contents,
     checkpoint_contents,
     dataset_contents,
     environment_contents,
@@ -17,6 +19,7 @@ from dynahoi_lerobot.hub.contents import (
     results_contents,
 )
 from dynahoi_lerobot.hub.failures import RESUME, HubError
+from dynahoi_lerobot.hub.leaderboards import why_unranked
 from dynahoi_lerobot.hub.repository import Repository
 from dynahoi_lerobot.verify.runner import verify
 
@@ -26,7 +29,9 @@ DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi push``."""
     parser.add_argument(
-        "folder", type=path, help="a dataset, a pretrained_model folder, results of evaluate, or envs/hub"
+        "folder",
+        type=path,
+        help="a dataset, a pretrained_model folder, results of evaluate, envs/hub, or the benchmark's dataset",
     )
     parser.add_argument("repo", help="USER/NAME on the Hub; of the checkpoint, if results are pushed")
     parser.add_argument("--private", action="store_true", help="make a private repository")
@@ -57,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return _say(f"stopped; {RESUME}", STOPPED)
     print(f"{kind} pushed to {address}" + (f", tagged {', '.join(contents.tags)}" if contents.tags else ""))
+    if kind == "results" and (reason := why_unranked(read_results(args.folder))):
+        print(f"no leaderboard lists it: {reason}")
     return DONE
 
 
@@ -75,6 +82,8 @@ def _contents(kind: str, args: argparse.Namespace, stage: Path, endpoint: str) -
         return checkpoint_contents(args.folder, args.repo)
     if kind == "environment":
         return environment_contents(args.folder)
+    if kind == "benchmark":
+        return benchmark_contents(args.folder)
     leaderboard = args.leaderboard or f"{args.repo.partition('/')[0]}/dynahoi"
     return results_contents(args.folder, stage, args.repo, leaderboard, endpoint)
 

@@ -14,12 +14,20 @@ from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, M
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.hub.checkpoint_card import checkpoint_card
 from dynahoi_lerobot.hub.eval_results import EVAL_RESULTS, eval_results_yaml, variant
+from dynahoi_lerobot.hub.leaderboards import EVAL_FILE, why_unranked
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 ENV_FILE = "env.py"
 """What LeRobot's ``make_env("user/name")`` runs."""
 RESULTS = "results"
 """Folder of a checkpoint's repository with the result folders, whose action logs ``dynahoi certify`` replays."""
-KIND_FILES = {"dataset": INFO_PATH, "results": METRICS_FILE, "checkpoint": CONFIG, "environment": ENV_FILE}
+KIND_FILES = {
+    "dataset": INFO_PATH,
+    "results": METRICS_FILE,
+    "checkpoint": CONFIG,
+    "environment": ENV_FILE,
+    "benchmark": EVAL_FILE,
+}
 """What may be pushed, and the file by which it is known."""
 HUB_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
 """Files that every repository may have, whoever wrote them."""
@@ -96,8 +104,13 @@ def environment_contents(folder: Path) -> Contents:
     return Contents(folder, "model", ignored=("**/__pycache__/**", "__pycache__/**", ".cache/**"))
 
 
+def benchmark_contents(folder: Path) -> Contents:
+    """Return the benchmark's dataset, as ``hub.benchmark_repo`` writes it, tagged with the benchmark's version."""
+    return Contents(folder, "dataset", tags=(f"dynahoi-{BENCHMARK.version}",), ignored=(".cache/**",))
+
+
 def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpoint: str) -> Contents:
-    """Return a result folder as evaluation results of the checkpoint's repository, and the folder itself.
+    """Return a result folder for the checkpoint's repository and, if it is ranked, its evaluation results.
 
     Args:
         folder: what ``dynahoi evaluate`` wrote.
@@ -112,8 +125,10 @@ def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpo
     results = read_results(folder)
     name = variant(results)
     source = f"{endpoint}/{repo}/tree/main/{RESULTS}/{name}"
-    (stage / EVAL_RESULTS).mkdir()
-    (stage / EVAL_RESULTS / f"{name}.yaml").write_text(eval_results_yaml(results, benchmark, source), encoding="utf-8")
+    if not why_unranked(results):
+        (stage / EVAL_RESULTS).mkdir()
+        entries = eval_results_yaml(results, benchmark, source)
+        (stage / EVAL_RESULTS / f"{name}.yaml").write_text(entries, encoding="utf-8")
     (stage / RESULTS / name).mkdir(parents=True)
     for file in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
         shutil.copyfile(folder / file, stage / RESULTS / name / file)
@@ -121,7 +136,7 @@ def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpo
 
 
 def kind_of(folder: Path) -> str:
-    """Return what a folder holds: ``dataset``, ``results``, ``checkpoint`` or ``environment``.
+    """Return what a folder holds: a key of ``KIND_FILES``.
 
     Raises:
         ValueError: if it is none of them.

@@ -13,6 +13,7 @@ import yaml
 
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.summary import Estimate
+from dynahoi_lerobot.hub.leaderboards import Leaderboard, ranking_metrics
 
 EVAL_RESULTS = ".eval_results"
 
@@ -26,27 +27,32 @@ def variant(results: Results) -> str:
 
 
 def eval_results_yaml(results: Results, benchmark: str, source: str) -> str:
-    """Return one entry per metric that any episode meets the condition of.
+    """Return one entry per metric by which such results are ranked and that any episode meets the condition of.
 
     Args:
         results: an evaluation.
         benchmark: the dataset's repository whose leaderboard lists them; its ``eval.yaml`` defines the tasks.
         source: address of the result folder.
     """
+    info, summary = results.info, results.summary()
+    boards = [
+        Leaderboard(info.split, info.capture, results.control_class, name)
+        for name in ranking_metrics(info.split, info.capture, results.control_class)
+    ]
     entries = [
-        _entry(results, name, estimate, benchmark) | {"source": {"url": source, "name": "Metrics and action log"}}
-        for name, estimate in results.summary().items()
-        if estimate.value is not None
+        _entry(results, board, summary[board.metric], benchmark)
+        | {"source": {"url": source, "name": "Metrics and action log"}}
+        for board in boards
+        if summary[board.metric].value is not None
     ]
     return yaml.safe_dump(entries, sort_keys=False)
 
 
-def _entry(results: Results, metric: str, estimate: Estimate, benchmark: str) -> dict[str, Any]:
+def _entry(results: Results, board: Leaderboard, estimate: Estimate, benchmark: str) -> dict[str, Any]:
     info, conditions = results.info, results.info.conditions
     notes = (
         f"unit {estimate.unit}, 95 % interval [{estimate.low:.4g}, {estimate.high:.4g}], {estimate.n} episodes of "
         f"{info.split}, capture rule {info.capture}, control class {results.control_class}, "
         f"inference {conditions['inference']}, settings {conditions['settings']}, benchmark {info.benchmark}"
     )
-    task = f"{info.split}_{info.capture}_{results.control_class}_{metric}"
-    return {"dataset": {"id": benchmark, "task_id": task}, "value": estimate.value, "notes": notes}
+    return {"dataset": {"id": benchmark, "task_id": board.task_id}, "value": estimate.value, "notes": notes}

@@ -7,11 +7,15 @@ import importlib
 import sys
 from typing import Any
 
+from tqdm import tqdm
+
 from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.onpolicy.dagger import CHECKPOINT, Dagger
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, read_recipe
 
 FAILED = 1
+BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
+"""Of a progress in fractions of rounds, which nobody wants to read."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,13 +30,19 @@ def run(args: argparse.Namespace) -> int:
     recipe = read_recipe(DaggerRecipe, args.recipe, **changes)
     dagger = Dagger(recipe, learner_module(recipe.policy).make_learner(recipe))
     try:
-        for line in dagger.run():
-            print(_told(line, recipe.rounds), flush=True)
+        _run(dagger, recipe.rounds)
     except FloatingPointError as error:
         print(f"dynahoi dagger: {error}; the last save is in {recipe.out}", file=sys.stderr)
         return FAILED
     print(f"{recipe.out / CHECKPOINT}")
     return 0
+
+
+def _run(dagger: Dagger, rounds: int) -> None:
+    """Train, with a progress bar, and print a line a round."""
+    with tqdm(total=rounds, initial=dagger.round, desc="training", bar_format=BAR, disable=None) as bar:
+        for line in dagger.run(lambda done: bar.update(done - bar.n)):
+            bar.write(_told(line, rounds))
 
 
 def learner_module(policy: dict[str, Any]) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -25,6 +25,9 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 CHECKPOINT = "pretrained_model"
 SCORES = ("S_loc", "S_gra", "S_joint", "S_hold")
+PLAYED_SHARE = 0.5
+"""Of a round's progress, what stands for playing; the updates are the rest."""
+Progress = Callable[[float], object]
 
 
 class Dagger:
@@ -48,11 +51,15 @@ class Dagger:
         if state := self._folder.restore():
             self._resume(state)
 
-    def run(self) -> Iterator[dict[str, Any]]:
-        """Play and learn until all rounds are done; yield a line of the log after each."""
+    def run(self, progress: Progress = lambda _: None) -> Iterator[dict[str, Any]]:
+        """Play and learn until all rounds are done; yield a line of the log after each.
+
+        Args:
+            progress: called with the rounds done so far, parts of them included.
+        """
         while self.round < self.recipe.rounds:
             start = time.process_time()
-            line = self._round()
+            line = self._round(progress)
             self.processor_s += time.process_time() - start
             line["processor_minutes"] = round(self.processor_s / 60, 3)
             if self._due(self.recipe.validate_every):
@@ -62,17 +69,30 @@ class Dagger:
                 self._save()
             yield line
 
-    def _round(self) -> dict[str, Any]:
+    def _round(self, progress: Progress) -> dict[str, Any]:
         """Play a round and learn from all that are kept."""
         recipe = self.recipe
         share = recipe.teacher_share if self.round else 1.0
+
+        def show(played: float) -> None:
+            progress(self.round + PLAYED_SHARE * played)
+
         student = acting_student(self.learner, recipe.inference, self._rng)
-        played = play_round(self._batch, student, self._curriculum.episodes(self.round), self._rng, share)
+        specs = self._curriculum.episodes(self.round)
+        played = play_round(self._batch, student, specs, self._rng, share, progress=show)
         self._curriculum.note(played.episodes)
         self.learner.study(played)
-        loss = self.learner.learn(recipe.updates)
+        loss = self._learn(progress)
         self.round += 1
         return {"round": self.round, "loss": round(loss, 4), "train": scores(played.episodes)}
+
+    def _learn(self, progress: Progress) -> float:
+        """Update the policy and return the mean loss."""
+        updates, losses = self.recipe.updates, []
+        for done in range(1, updates + 1):
+            losses.append(self.learner.learn(1))
+            progress(self.round + PLAYED_SHARE + (1 - PLAYED_SHARE) * done / updates)
+        return float(np.mean(losses))
 
     def _validate(self) -> dict[str, float | None]:
         """Play episodes of ``val`` without a teacher."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +58,8 @@ def play_round(
     specs: Sequence[EpisodeSpec],
     rng: np.random.Generator,
     teacher_share: float = 0.0,
+    *,
+    progress: Callable[[float], object] = lambda _: None,
 ) -> Round:
     """Play one episode in every world of a batch.
 
@@ -67,9 +69,12 @@ def play_round(
         specs: an episode for each world.
         rng: which episodes the teacher leads instead, and how it is disturbed there.
         teacher_share: share of those.
+        progress: called after every frame with the share of the longest episode that is played.
     """
     session, teacher = Session(batch, record_images=False), Intercept()
-    session.begin(np.arange(batch.size), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
+    jobs = [Job.evaluation(i, spec) for i, spec in enumerate(specs)]
+    session.begin(np.arange(batch.size), jobs)
+    longest = max(job.frames for job in jobs)
     student.reset(batch.size)
     led = rng.random(batch.size) < teacher_share
     columns: list[dict[str, np.ndarray]] = []
@@ -82,6 +87,7 @@ def play_round(
         for i in session.step(commands).worlds:
             episode = session.finish(int(i), "student")
             episodes += [] if led[i] else [episode]
+        progress(len(columns) / longest)
     return Round(
         **{name: np.stack([frame[name] for frame in columns], axis=1) for name in columns[0]},
         path=tuple((spec.oracle_path - spec.home_pos_w).astype(np.float32) for spec in specs),

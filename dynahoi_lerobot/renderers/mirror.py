@@ -8,6 +8,8 @@ import numpy as np
 import warp as wp
 from mujoco.batch import Batch
 
+from dynahoi_lerobot.renderers import start_warp  # noqa: F401 - before anything uses Warp
+
 
 class Mirror:
     """Device arrays that are refreshed from arrays of the batch.

@@ -52,7 +52,7 @@ class OpenGLRenderer(Renderer):
         self._camera = mujoco.MjvCamera()
         self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self.camera
         self._rectangle = mujoco.MjrRect(0, 0, image_size, image_size)
-        self._platform, self._context = _open(self._model, image_size)
+        self._platform, self._context = open_context(self._model, image_size)
         weakref.finalize(self, _close, self._platform, self._context)
 
     def rgb(self, ids: np.ndarray) -> np.ndarray:
@@ -106,7 +106,7 @@ class OpenGLRenderer(Renderer):
         return ids[numbers]
 
 
-def _open(model: mujoco.MjModel, image_size: int) -> tuple[Any, mujoco.MjrContext]:
+def open_context(model: mujoco.MjModel, image_size: int) -> tuple[Any, mujoco.MjrContext]:
     """Return a current platform context and MuJoCo's resources in it.
 
     Raises:

@@ -14,15 +14,13 @@ import numpy as np
 import warp as wp
 from mujoco.batch import Batch
 
-wp.config.log_level = wp.LOG_WARNING  # before warp is initialised
-
-from dynahoi_lerobot.hands.base import EGO_CAMERA  # noqa: E402
-from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
-from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields  # noqa: E402
-from dynahoi_lerobot.renderers.raycast.pipeline import Pipeline  # noqa: E402
-from dynahoi_lerobot.renderers.raycast.shapes import GEOM_TYPES  # noqa: E402
-from dynahoi_lerobot.scene.model import SHOWN_GROUPS  # noqa: E402
-from dynahoi_lerobot.scene.scene import Scene  # noqa: E402
+from dynahoi_lerobot.hands.base import EGO_CAMERA
+from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
+from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields
+from dynahoi_lerobot.renderers.raycast.pipeline import Pipeline
+from dynahoi_lerobot.renderers.raycast.shapes import GEOM_TYPES
+from dynahoi_lerobot.scene.model import SHOWN_GROUPS
+from dynahoi_lerobot.scene.scene import Scene
 
 APPEARANCE_FIELDS = {
     "geom_size": wp.vec3,

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import functools
 
+import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from mujoco.batch import Batch
 
-wp.config.log_level = wp.LOG_WARNING  # before mujoco_warp initialises it
-
-import mujoco_warp as mjw  # noqa: E402
-
-from dynahoi_lerobot.hands.base import EGO_CAMERA  # noqa: E402
-from dynahoi_lerobot.renderers.base import RENDERERS, Renderer  # noqa: E402
-from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields  # noqa: E402
-from dynahoi_lerobot.scene.model import SHOWN_GROUPS  # noqa: E402
-from dynahoi_lerobot.scene.scene import Scene  # noqa: E402
+from dynahoi_lerobot.hands.base import EGO_CAMERA
+from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
+from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields
+from dynahoi_lerobot.scene.model import SHOWN_GROUPS
+from dynahoi_lerobot.scene.scene import Scene
 
 APPEARANCE_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
 """Model fields that differ between worlds and that the ray caster reads."""

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,6 +20,7 @@ from dynahoi_lerobot.cli import quickstart
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.benchmark import MOTIONS
+from tests.report.example_runs import example_run
 
 SHORT = ["--episodes", "4", "--rounds", "1", "--evaluation-episodes", "1"]
 
@@ -45,3 +54,44 @@ def test_it_leaves_a_dataset_a_checkpoint_results_and_a_report(
     capsys.readouterr()
     assert main(["quickstart", "--out", str(out), *SHORT]) == 0
     assert capsys.readouterr().out.count("already done") == 4, "a second run must find everything there"
+
+
+def on_a_terminal(command: list[str]) -> tuple[int, str]:
+    """Run a command on a terminal of 120 columns; return its exit code and what it wrote there."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    said = b""
+    with suppress(OSError):  # which a closed terminal raises
+        while chunk := os.read(ours, 65536):
+            said += chunk
+    os.close(ours)
+    return process.wait(), said.decode()
+
+
+@pytest.mark.slow
+def test_every_stage_shows_a_bar_with_the_time_left_and_nothing_else_speaks(tmp_path: Path) -> None:
+    program = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"]
+    code, said = on_a_terminal([*program, "--out", str(tmp_path / "tiny")])
+    assert code == 0, said
+    stages = said.split("[1/4]")[1].replace("[2/4]", "[3/4]").replace("[4/4]", "[3/4]").split("[3/4]")
+    for stage, unit in zip(stages, ("generating", "training", "evaluating", "hold on test_small"), strict=True):
+        bars = [part for part in stage.replace("\n", "\r").split("\r") if part.strip().startswith(unit)]
+        assert any("100%|" in bar for bar in bars), (unit, stage)
+        assert all("<" in bar for bar in bars), "elapsed<remaining"
+    assert not [word for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec") if word in said]
+    last = said.strip().splitlines()[-1].strip()
+    assert last == f"python -m webbrowser {(tmp_path / 'tiny' / 'report.html').as_uri()}"
+
+
+def test_open_opens_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    for name in ("obact", *quickstart.BASELINES):
+        example_run(tmp_path / "results" / name, name, skill=0.5)
+    monkeypatch.setattr(quickstart.webbrowser, "open", opened.append)
+    monkeypatch.setattr(quickstart, "_run_stages", lambda *_: None)
+    assert main(["quickstart", "--out", str(tmp_path)]) == 0
+    assert not opened
+    assert main(["quickstart", "--out", str(tmp_path), "--open"]) == 0
+    assert opened == [(tmp_path / "report.html").as_uri()]

@@ -8,6 +8,7 @@ import draccus
 import pytest
 import torch
 from lerobot.configs import PreTrainedConfig
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import close_envs, env_to_policy_features, preprocess_observation
@@ -15,8 +16,8 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.processor import PolicyProcessorPipeline
 from lerobot.scripts.lerobot_eval import eval_policy_all
 from lerobot.utils.import_utils import register_third_party_plugins
+from lerobot_env_dynahoi.command_line import new_results_folder, policy_name
 from lerobot_env_dynahoi.configuration_dynahoi import kinds_of
-from lerobot_env_dynahoi.task_env import policy_name
 
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.motions import CATEGORIES
@@ -69,13 +70,14 @@ class StandStill(PreTrainedPolicy):
         return batch["observation.state"]
 
 
-def evaluate_with_lerobot(config: EnvConfig, episodes: int) -> dict:
+def evaluate_with_lerobot(config: EnvConfig, episodes: int, **recording: Any) -> dict:
     envs = make_env(config, n_envs=2)
     nothing = PolicyProcessorPipeline(steps=[])
     same = {"policy": StandStill(StandStillConfig()), "env_preprocessor": nothing, "env_postprocessor": nothing}
     plain = PolicyProcessorPipeline(steps=[], to_transition=lambda x: x, to_output=lambda x: x)
     try:
-        return eval_policy_all(envs, preprocessor=plain, postprocessor=plain, n_episodes=episodes, start_seed=0, **same)
+        same |= {"preprocessor": plain, "postprocessor": plain, **recording}
+        return eval_policy_all(envs, n_episodes=episodes, start_seed=0, **same)
     finally:
         close_envs(envs)
 
@@ -172,3 +174,33 @@ def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
     assert policy_name(["lerobot-eval", f"--policy.path={tmp_path}"]) == "act"
     assert policy_name(["lerobot-train", "--policy.type=obact"]) == "obact"
     assert policy_name(["somebody's script"]) == "policy"
+    assert policy_name(["lerobot-eval", "--policy.path", "me/policy"]) == "me/policy"
+
+
+@pytest.mark.parametrize(
+    "words", [["--output_dir=out/run"], ["--seed", "1", "--output_dir", "out/run", "--env.fps=20"]]
+)
+def test_results_go_below_lerobots_output_folder(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert new_results_folder(["lerobot-eval", *words]).parent == Path("out/run/dynahoi")
+    assert new_results_folder(["lerobot-eval"]).parent == Path("outputs/dynahoi")
+
+
+def test_an_evaluation_without_a_results_folder_leaves_its_metrics_with_lerobots(
+    config_class: type[EnvConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--output_dir={tmp_path}"])
+    evaluate_with_lerobot(config_class(task="constant", **SMALL), episodes=1)
+    (folder,) = (tmp_path / "dynahoi").iterdir()
+    assert len(read_results(folder).rows) == 2
+
+
+def test_lerobot_records_what_the_policy_saw(config_class: type[EnvConfig], tmp_path: Path) -> None:
+    config = config_class(task="constant", results_dir=str(tmp_path / "results"), **SMALL)
+    evaluate_with_lerobot(config, episodes=1, recording_dir=tmp_path / "recorded", env_features=config.features)
+    (root,) = (tmp_path / "recorded").glob("*/env_0")
+    recorded = LeRobotDataset("me/recorded", root=root, video_backend="pyav")
+    assert recorded.num_episodes == 1
+    sample = recorded[0]
+    assert sample["observation.images.ego"].shape == (3, 32, 32)
+    assert {"agent_pos", "fingertips", "phase", "action", "next.reward", "next.done"} <= set(sample)
+    assert 0.2 < sample["observation.images.ego"].mean() < 0.9, "a picture, not black"

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import importlib
 import re
+import shutil
+import subprocess
 import tomllib
-from importlib.metadata import version
+from importlib.metadata import metadata, version
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,9 @@ PROJECTS = sorted(
     [ROOT / "pyproject.toml", *ROOT.glob("envs/*/pyproject.toml"), *ROOT.glob("policies/*/pyproject.toml")]
 )
 TYPED = ("dynahoi_lerobot", "lerobot_env_dynahoi")
+CORE = "dynahoi_lerobot"
+NO_EXTRAS_OF_LEROBOT = {"lerobot", "scale", "vla-eval", "vlm", "openvla"}
+"""Extras for what LeRobot has no extra for; all others are named as its own are."""
 
 
 def project(path: Path) -> dict[str, Any]:
@@ -50,3 +55,52 @@ def test_distributions_bound_lerobot_alike() -> None:
     ]
     assert len(words) >= 4
     assert len({re.sub(r"^lerobot(\[.*\])?", "", word) for word in words}) == 1, words
+
+
+def versions(root: Path) -> set[str]:
+    """Return the versions of all distributions below ``root``, and those of the core that they ask for."""
+    tables = [project(root / path.relative_to(ROOT)) for path in PROJECTS]
+    pinned = [word for table in tables for word in table["dependencies"] if word.startswith(CORE)]
+    assert pinned
+    return {table["version"] for table in tables} | {word.removeprefix(f"{CORE}==") for word in pinned}
+
+
+def test_versions_are_in_step() -> None:
+    assert len(versions(ROOT)) == 1
+
+
+def test_one_command_sets_all_versions(tmp_path: Path) -> None:
+    for path in (*PROJECTS, ROOT / ".ci" / "version"):
+        copy = tmp_path / path.relative_to(ROOT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
+    done = subprocess.run([tmp_path / ".ci" / "version", "9.8.7rc1"], capture_output=True, text=True, check=True)
+    assert len(done.stdout.splitlines()) == len(PROJECTS)
+    assert versions(tmp_path) == {"9.8.7rc1"}
+    assert {project(path)["requires-python"] for path in tmp_path.rglob("*.toml")} == {">=3.12,<3.14"}
+
+    refused = subprocess.run([tmp_path / ".ci" / "version", "9.8"], capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert refused.stderr == "name a version such as 0.2.0 or 0.2.0rc1, got '9.8'\n"
+    assert versions(tmp_path) == {"9.8.7rc1"}
+
+
+@pytest.mark.parametrize("path", PROJECTS, ids=lambda path: project(path)["name"])
+def test_metadata_are_complete(path: Path) -> None:
+    table = project(path)
+    for key in ("description", "keywords", "classifiers", "urls"):
+        assert table[key], key
+    minors = {f"Programming Language :: Python :: 3.{minor}" for minor in (12, 13)}
+    assert minors <= set(table["classifiers"])
+    assert not [word for word in table["classifiers"] if word.startswith("License ::")], "replaced by the expression"
+    assert (table["license"], table["license-files"]) == ("Apache-2.0", ["LICENSE"])
+    assert (path.parent / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
+    readme = (path.parent / table["readme"]).read_text()
+    assert table["name"].split("_")[0] in readme
+
+
+def test_extras_are_named_as_lerobots_are() -> None:
+    theirs = set(metadata("lerobot").get_all("Provides-Extra"))
+    ours = {name for path in PROJECTS for name in project(path).get("optional-dependencies", {})}
+    assert ours - NO_EXTRAS_OF_LEROBOT <= theirs
+    assert not NO_EXTRAS_OF_LEROBOT & theirs

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field, fields
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from lerobot.envs.configs import EnvConfig
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.env.rewards import SPARSE, check_reward
 from dynahoi_lerobot.feature import Feature
 from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
@@ -23,6 +24,7 @@ from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.stepwise_inference import StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
+from lerobot_env_dynahoi.command_line import new_results_folder
 from lerobot_env_dynahoi.played_policy import queued_policy
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
@@ -52,7 +54,8 @@ class DynahoiEnvConfig(EnvConfig):
             time (`stepwise_inference.py`).
         latency_ms: time from an observation to the chunk that answers it [ms].
         n_action_steps: the policy's, where LeRobot's command line does not name the policy; else leave it 0.
-        results_dir: where the metrics go; a new folder under ``outputs/dynahoi`` if None.
+        reward: ``sparse`` or ``dense``, see `dynahoi_lerobot.env.rewards`.
+        results_dir: where the metrics go; a new folder below ``dynahoi`` in LeRobot's ``--output_dir`` if None.
     """
 
     task: str | None = None
@@ -70,12 +73,15 @@ class DynahoiEnvConfig(EnvConfig):
     inference: str = SYNC
     latency_ms: float = 0.0
     n_action_steps: int = 0
+    reward: str = SPARSE
     results_dir: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in ``features`` (by Gymnasium key) and ``features_map`` (Gymnasium to policy key); check all names.
+        """Fill in ``features`` (by Gymnasium key, images by dataset key) and ``features_map``; check all names.
+
+        LeRobot's recording of evaluations looks for images under dataset keys, and for all else under Gymnasium's.
 
         Raises:
             ValueError: for an unknown name, naming the ones there are.
@@ -83,9 +89,10 @@ class DynahoiEnvConfig(EnvConfig):
         recipe = self._recipe()
         kinds_of(self.task, recipe.motion_names)
         _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
+        check_reward(self.reward)
         contact_sensors = CAPTURES[self.capture].uses_contact_sensors
         shown = {
-            feature.gym_key: feature
+            feature.key if feature.is_image else feature.gym_key: feature
             for feature in frame_features(self.image_size, self.views, contact_sensors=contact_sensors)
             if feature.gym_key is not None
         }
@@ -110,7 +117,8 @@ class DynahoiEnvConfig(EnvConfig):
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
-            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, inference=self._stepwise_inference(), **self.gym_kwargs)
+            options = {"reward": self.reward, "inference": self._stepwise_inference(), **self.gym_kwargs}
+            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **options)
         return suites
 
     def _recipe(self) -> Recipe:
@@ -128,7 +136,7 @@ class DynahoiEnvConfig(EnvConfig):
     def _results_folder(self) -> Path:
         if self.results_dir is not None:
             return Path(self.results_dir)
-        return Path("outputs") / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
+        return new_results_folder(sys.argv)
 
 
 def _type(feature: Feature) -> FeatureType:

@@ -2,25 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import draccus
 from lerobot.configs import PreTrainedConfig, parser
 
 from dynahoi_lerobot.rollout.stepwise_inference import QueuedPolicy
-
-
-def policy_name(argv: Sequence[str]) -> str:
-    """Return what LeRobot's command line says is being played: the policy's type, its path, or just ``policy``."""
-    given = dict(word.lstrip("-").split("=", 1) for word in argv if word.startswith("--policy.") and "=" in word)
-    path = given.get("policy.path") or given.get("policy.pretrained_path")
-    config = Path(path or "") / "config.json"
-    if path and config.is_file():
-        return str(json.loads(config.read_text()).get("type", path))
-    return path or given.get("policy.type", "policy")
 
 
 def queued_policy(n_action_steps: int) -> QueuedPolicy:

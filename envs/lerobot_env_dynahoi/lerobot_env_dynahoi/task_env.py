@@ -15,7 +15,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.sampling.recipe import Recipe
-from lerobot_env_dynahoi.played_policy import policy_name
+from lerobot_env_dynahoi.command_line import policy_name
 
 
 class ResultsLog:

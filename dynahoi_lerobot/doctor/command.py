@@ -1,0 +1,48 @@
+"""``dynahoi doctor``: look at every part of this machine and say what follows."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+
+from dynahoi_lerobot.doctor.parts.base import Fact, examine
+from dynahoi_lerobot.doctor.reference import compare
+from dynahoi_lerobot.foundation.arguments import path
+
+SOUND, PROBLEMS = 0, 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi doctor``."""
+    parser.add_argument("--folder", type=path, default=Path(), help="where output would go; its disk is looked at")
+    parser.add_argument(
+        "--reference", action="store_true", help="also play 44 episodes and compare them with ours, bit for bit"
+    )
+    parser.add_argument("--json", type=path, help="write the facts there as well")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what is there and what follows; return the exit code: 0 no problems, 1 problems."""
+    facts = []
+    for fact in chain(examine(args.folder), compare() if args.reference else ()):
+        print(_line(fact), flush=True)
+        facts.append(fact)
+    if args.json:
+        args.json.write_text(json.dumps([asdict(fact) for fact in facts], indent=2) + "\n", encoding="utf-8")
+    return _conclude(facts)
+
+
+def _line(fact: Fact) -> str:
+    mark = "PROBLEM: " if fact.problem else ""
+    follows = f"  -> {fact.follows}" if fact.follows else ""
+    return f"{fact.name:<24} {mark}{fact.found}{follows}"
+
+
+def _conclude(facts: Sequence[Fact]) -> int:
+    problems = [fact.name for fact in facts if fact.problem]
+    print(f"problems: {', '.join(problems)}" if problems else "no problems")
+    return PROBLEMS if problems else SOUND

@@ -1,0 +1,1 @@
+"""The parts of a machine that ``dynahoi doctor`` looks at, one file each."""

@@ -1,0 +1,36 @@
+"""What LeRobot's command line says, which it does not tell its environments."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+
+def given(argv: Sequence[str]) -> dict[str, str]:
+    """Return the options of a command line, ``--name=value`` or ``--name value``, by name."""
+    options: dict[str, str] = {}
+    for word, following in zip(argv, [*argv[1:], "--"], strict=True):
+        name, equals, value = word.removeprefix("--").partition("=")
+        if word.startswith("--") and (equals or not following.startswith("--")):
+            options[name] = value if equals else following
+    return options
+
+
+def policy_name(argv: Sequence[str]) -> str:
+    """Return what is being played: the policy's type, its path, or just ``policy``."""
+    options = given(argv)
+    path = options.get("policy.path") or options.get("policy.pretrained_path")
+    config = Path(path or "") / "config.json"
+    if path and config.is_file():
+        return str(json.loads(config.read_text()).get("type", path))
+    return path or options.get("policy.type", "policy")
+
+
+def new_results_folder(argv: Sequence[str]) -> Path:
+    """Return a folder for an evaluation that begins now: below ``--output_dir``, or ``outputs`` if that is not given.
+
+    A training evaluates several times, so each evaluation has a folder of its own.
+    """
+    return Path(given(argv).get("output_dir", "outputs")) / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
