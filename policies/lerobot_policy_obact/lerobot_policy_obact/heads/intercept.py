@@ -34,11 +34,13 @@ class InterceptHead(ForecastHead):
             nothing attaches would bounce off them: there it is 0.
         closing_frames: fingers close over at most this many frames.
         squeeze_rad: each joint is commanded this far beyond where it touches, so that it presses.
+        seat_m: where the target should be in the hand, from the palm's centre.
     """
 
     accepts_prefix = True
     ahead_s: Tensor
     between: Tensor
+    seat_m: Tensor
 
     def __init__(
         self,
@@ -49,10 +51,12 @@ class InterceptHead(ForecastHead):
         spare_frames: int = 4,
         closing_frames: int = 8,
         squeeze_rad: float = 0.0,
+        seat_m: tuple[float, ...] = (0.0, 0.0, 0.0),
     ) -> None:
         super().__init__(spec)
         self.reach = Reach(palm_speed_m_s / spec.fps, joint_speed_rad_s / spec.fps, spare_frames, closing_frames)
         self.squeeze_rad = squeeze_rad
+        self.register_buffer("seat_m", torch.tensor(seat_m), persistent=False)
         width, n_knots, n_joints = spec.width, len(KNOTS), spec.action_dim - PALM_DIM
         self.sizes = [3 * n_knots, n_knots, n_knots, n_joints]
         self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
@@ -111,7 +115,7 @@ class InterceptHead(ForecastHead):
         forecast, prefix = self.forecast(condition), self._prefix(condition)
         start = executed(self._here(condition), prefix.actions, prefix.length, self.reach)
         joints, origin = start[:, PALM_DIM:], start[:, None, :PALM_DIM]
-        path = delayed(self.between @ forecast.path, prefix.length) - origin  # (B, F + 1, 3)
+        path = delayed(self.between @ forecast.path, prefix.length) - origin - self.seat_m  # (B, F + 1, 3)
         turn = (forecast.closed - joints).abs().amax(-1)
         palm = palm_path(path, earliest_meeting(path, turn, self.reach), self.reach)
         n_steps = self.spec.horizon - self.spec.latency_frames
