@@ -1,7 +1,7 @@
 """The target's track: sightings from a moving hand, put together in one frame that does not move.
 
 A sighting is an offset from the palm. Added to where the palm was, the sightings of many frames are points of one path;
-a weighted straight line through the latest of them says where the target is, and how fast it goes:
+a weighted straight line through the latest of them says where the target is, and how fast it goes::
 
     minimise over p, v   sum_i w_i |q_i - p + v age_i|^2 + (|v| / V)^2,     w_i = exp(-age_i / A) / sigma_i^2
 """
