@@ -21,6 +21,8 @@ extensions = [
     "docs.extensions.api_pages",
     "docs.extensions.gallery",
     "docs.extensions.mathml",
+    "docs.extensions.no_requests",
+    "docs.extensions.notebook_pages",
     "docs.extensions.repository_files",
 ]
 exclude_patterns = ["_build", "scripts", "extensions"]

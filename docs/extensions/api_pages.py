@@ -6,9 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx.util.logging import getLogger
 
 from docs.extensions.generated import write_pages
+from docs.extensions.public_names import public_names, wrapped_definitions
 
+logger = getLogger(__name__)
 ROOT = Path(__file__).parents[2]
 PACKAGES = {
     "dynahoi_lerobot": ROOT / "dynahoi_lerobot",
@@ -30,6 +34,13 @@ def modules(package: str) -> dict[str, list[str]]:
         name = folder if parts[-1] == "__init__" else f"{folder}.{parts[-1]}"
         folders.setdefault(folder, []).append(name)
     return {folder: sorted(names, key=lambda name: (name != folder, name)) for folder, names in folders.items()}
+
+
+def source_of(module: str) -> Path:
+    """Return the source file of a module of the packages."""
+    package, *parts = module.split(".")
+    path = PACKAGES[package].joinpath(*parts)
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
 
 
 def folder_of(path: Path) -> str | None:
@@ -61,7 +72,7 @@ def _page(folder: str, names: list[str]) -> str:
 
 def _section(folder: str, name: str) -> str:
     title = "" if name == folder else _title(name.removeprefix(folder + "."), "-")
-    return f"{title}.. automodule:: {name}\n"
+    return f"{title}.. automodule:: {name}\n{wrapped_definitions(name, source_of(name))}"
 
 
 def _title(text: str, line: str) -> str:
@@ -70,12 +81,25 @@ def _title(text: str, line: str) -> str:
 
 def _index() -> str:
     trees = "\n".join(
-        f"```{{toctree}}\n:caption: {package}\n:maxdepth: 1\n\n{'\n'.join(modules(package))}\n```" for package in PACKAGES
+        f"```{{toctree}}\n:caption: {package}\n:maxdepth: 1\n\n{'\n'.join(modules(package))}\n```"
+        for package in PACKAGES
     )
     return f"# API reference\n\nEvery public docstring, by package and folder.\n\n{trees}\n"
 
 
+def missing(documented: set[str]) -> list[str]:
+    """Return the public names with a docstring that are not among the ``documented`` ones."""
+    names = [name for package in PACKAGES for group in modules(package).values() for name in group]
+    return sorted(set().union(*(public_names(name, source_of(name)) for name in names)) - documented)
+
+
+def _check(app: Sphinx, env: BuildEnvironment) -> None:
+    for name in missing(set(env.domains.python_domain.objects)):
+        logger.warning("the reference lacks %s", name)
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Write the pages when a build begins."""
+    """Write the pages when a build begins; warn of docstrings that none of them has."""
     app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir), "api", pages()))
+    app.connect("env-check-consistency", _check)
     return {"parallel_read_safe": True}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-"""A block of code: language and body."""
+FENCE = re.compile(r"^```(\w*|\{[\w-]+\}.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+"""A block of code, or a directive of MyST: language, or name and argument, and body."""
 
 LINK = re.compile(r"\[([^\[\]]*)\]\(([^()\s]+)\)")
 """A link or a picture: text and target."""

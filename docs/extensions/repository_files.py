@@ -6,6 +6,7 @@ files with their syntax in colour, folders as a list. So the site needs no addre
 
 from __future__ import annotations
 
+import functools
 import os
 from pathlib import Path
 
@@ -23,7 +24,7 @@ ALWAYS = [ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
 TESTED = ("motions", "objects", "hands", "renderers", "sampling", "metrics")
 """Folders of the tests that the gallery's pages link to."""
 
-GENERATED = ("api", "gallery", FOLDER, "_build")
+GENERATED = ("api", "gallery", "notebooks", FOLDER, "_build")
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".toml": "toml", ".json": "json", ".sh": "bash", ".svg": "xml"}
 PICTURES = (".gif", ".png", ".jpg", ".svg")
 
@@ -33,6 +34,7 @@ def written_pages() -> list[Path]:
     return [path for path in sorted(DOCS.rglob("*.md")) if path.relative_to(DOCS).parts[0] not in GENERATED]
 
 
+@functools.cache
 def linked_files() -> list[Path]:
     """Return the files and folders that need a page: what the pages lead to outside of themselves, and what those do.
 

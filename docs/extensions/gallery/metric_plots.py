@@ -13,7 +13,12 @@ from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
-BASELINES = {"expert": "intercept", "constant velocity": "constant_velocity", "pursuit": "pursuit", "never moves": "hold"}
+BASELINES = {
+    "expert": "intercept",
+    "constant velocity": "constant_velocity",
+    "pursuit": "pursuit",
+    "never moves": "hold",
+}
 """Name of the baseline, by what the plots call it; the same ones in every plot, from best to worst."""
 COLOR, MEAN_COLOR = "#7aa6d6", "#c44e52"
 Values = dict[str, list[float]]
@@ -28,9 +33,7 @@ def draw_metrics(folder: Path) -> None:
         for label, name in BASELINES.items()
     }
     for name, metric in METRICS.items():
-        values = {
-            label: [value for row in rows if (value := row[name]) is not None] for label, rows in played.items()
-        }
+        values = {label: [value for row in rows if (value := row[name]) is not None] for label, rows in played.items()}
         _save(folder / "metrics" / f"{name}.svg", metric, values)
 
 
@@ -42,7 +45,7 @@ def _save(path: Path, metric: Metric, values: Values) -> None:
     with matplotlib.rc_context({"svg.hashsalt": metric.name, "font.size": 9}):
         figure = Figure(figsize=(6, 0.5 * len(values) + 0.8), layout="constrained")
         axes = figure.subplots()
-        for row, (label, numbers) in enumerate(values.items()):
+        for row, numbers in enumerate(values.values()):
             _draw_row(axes, -row, numbers)
         axes.set_yticks([-row for row in range(len(values))], [f"{label} ({len(n)})" for label, n in values.items()])
         axes.set_xlabel(f"{metric.name} [{metric.unit}], {metric.direction} is better")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from docs.extensions.api_pages import reference
 from docs.extensions.gallery import scores
 from docs.extensions.gallery.pictures import can_be_drawn
 from docs.extensions.gallery.ranges import DRAWS, Range, object_ranges, parameter_ranges
-from docs.extensions.gallery.theory_tests import sentence, tests_about, tests_of_all
+from docs.extensions.gallery.theory_tests import sentence, named_tests, sweeping_tests
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
@@ -20,9 +21,11 @@ from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 
 FOLDER = "gallery"
 TOP = Path(__file__).parents[3]
+ORPHAN = "---\norphan: true\n---\n\n"
+"""Head of a page that the cards of its section lead to: in the contents of every page it would be too much."""
 INTRODUCTIONS = {
-    "motions": "How targets move. The hand's camera is on the left, the side camera on the right; the border is grey in "
-    "the observation window and green once the target is localised. Half of the frames are shown.",
+    "motions": "How targets move. The hand's camera is on the left, the side camera on the right. The border is grey "
+    "in the observation window and green once the target is localised. Every second frame is shown.",
     "objects": "What is caught. Size, mass and friction are drawn anew in every episode.",
     "hands": "What catches. All hands have the same 18 degrees of freedom, so datasets and policies keep their shapes.",
     "views": "What cameras record: colour, depth or segmentation, from the hand or from the side.",
@@ -40,10 +43,11 @@ def pages() -> dict[str, str]:
     found = {f"{FOLDER}/index.md": _front()}
     for section, entries in sections().items():
         found[f"{FOLDER}/{section}/index.md"] = _index(section, list(entries))
-        found |= {f"{FOLDER}/{section}/{name}.md": text for name, text in entries.items()}
+        found |= {f"{FOLDER}/{section}/{name}.md": ORPHAN + text for name, text in entries.items()}
     return found
 
 
+@functools.cache
 def sections() -> dict[str, dict[str, str]]:
     """Return the text of the page of every entry, by section and name."""
     order = sorted(MOTIONS.names(), key=lambda kind: (list(CATEGORIES).index(MOTIONS[kind].category), kind))
@@ -123,7 +127,7 @@ def _appearance(name: str) -> str:
         name,
         f"![four episodes as they are, and below with {name}]({name}.png)",
         f"{inspect.getdoc(RANDOMIZATIONS[name])} Above: the default; below: the same episodes with `{name}`.",
-        _tests("sampling", {name}),
+        _tests("sampling", {name, "RANDOMIZATIONS"}),
         f"## Try it\n\n```bash\ndynahoi generate --root data/{name} --episodes 8 --appearance {name}\n```",
     )
 
@@ -134,8 +138,8 @@ def _metric(name: str) -> str:
     return _page(
         name,
         metric.doc,
-        f"Unit `{metric.unit}`, {metric.bounds[0]:g} to {metric.bounds[1]:g}; {metric.direction} is better; tables give "
-        f"the {metric.aggregation} of {metric.condition or 'all episodes'}.",
+        f"Unit `{metric.unit}`, {metric.bounds[0]:g} to {metric.bounds[1]:g}; {metric.direction} is better; "
+        f"tables give the {metric.aggregation} of {metric.condition or 'all episodes'}.",
         f"![{name} of privileged baselines]({name}.svg)",
         f"## Scores of privileged baselines\n\n{_table(table)}\n\n{SOURCE}" if table else "",
         _tests("metrics", {name}),
@@ -153,7 +157,7 @@ def _scores(category: str) -> str:
 
 def _tests(room: str, words: set[str]) -> str:
     """Return the section that names the tests of an entry."""
-    found = tests_about(room, words) | tests_of_all(room)
+    found = named_tests(room, words) | sweeping_tests(room)
     return "## Tests\n\n" + "\n".join(
         f"- {_link(path)}: {'; '.join(map(sentence, names))}" for path, names in found.items()
     )
@@ -172,7 +176,9 @@ def _objects_of(kind: str) -> str:
 
 def _ranges(rows: list[tuple[str, str, list[Range]]]) -> str:
     table = [["", "meaning", f"{DRAWS} draws"]]
-    table += [[f"`{name}`", text, ", ".join(f"{low:.3g} to {high:.3g}" for low, high in spans)] for name, text, spans in rows]
+    table += [
+        [f"`{name}`", text, ", ".join(f"{low:.3g} to {high:.3g}" for low, high in spans)] for name, text, spans in rows
+    ]
     return _table(table)
 
 
@@ -207,12 +213,14 @@ def _front() -> str:
 
 
 def _index(section: str, names: list[str]) -> str:
-    picture = {"appearances": "png", "metrics": "svg"}.get(section, "png")
-    cards = "\n".join(f"- [![]({name}.{picture})<br>{name}]({name}.md)" for name in names)
-    tree = "\n".join(names)
     return _page(
         section.capitalize(),
         INTRODUCTIONS[section],
-        f"{{.gallery}}\n{cards}",
-        f"```{{toctree}}\n:hidden:\n\n{tree}\n```",
+        "{.gallery}\n" + "\n".join(_card(section, name) for name in names),
     )
+
+
+def _card(section: str, name: str) -> str:
+    suffix = "svg" if section == "metrics" else "png"
+    picture = "" if section == "hands" and not can_be_drawn(name) else f"![]({name}.{suffix})<br>"
+    return f"- [{picture}{name}]({name}.md)"

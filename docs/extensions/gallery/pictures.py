@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
+from docs.extensions.gallery.concept_plots import draw_concepts
 from docs.extensions.gallery.metric_plots import draw_metrics
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
@@ -34,7 +35,8 @@ SKIP = 2
 ANY_OBJECT_KIND = "constant"
 """A motion that every object can make."""
 APPEARANCE_KINDS = ("lob", "planar", "struck", "vertical_circle")
-HERO = {"captured_frames": 12, "frames": 44, "columns": 4, "size_px": 96}
+FRAMES_AFTER_CATCH = 12
+HERO_FRAMES, HERO_COLUMNS = 44, 4
 
 
 def draw_missing(folder: Path) -> None:
@@ -42,7 +44,7 @@ def draw_missing(folder: Path) -> None:
     stamp, digest = folder / ".drawn", _digest()
     if stamp.is_file() and stamp.read_text() == digest:
         return
-    for draw in (draw_motions, draw_objects, draw_hands, draw_views, draw_appearances, draw_metrics):
+    for draw in (draw_motions, draw_objects, draw_hands, draw_views, draw_appearances, draw_metrics, draw_concepts):
         draw(folder)
     stamp.write_text(digest)
 
@@ -112,9 +114,7 @@ def _spec(motion: str = "", object: str = "") -> EpisodeSpec:
     return sample_specs(recipe, [0])[0]
 
 
-def _played(
-    specs: list[EpisodeSpec], *, hand: str = "", views: tuple[str, ...] = ("side",)
-) -> Iterator[Episode]:
+def _played(specs: list[EpisodeSpec], *, hand: str = "", views: tuple[str, ...] = ("side",)) -> Iterator[Episode]:
     """Yield the expert's episodes with images."""
     recipe = Recipe(split="test", image_size=SIZE_PX, views=views, hand=hand)
     return evaluate(make_batch(recipe, len(specs)), EXPERTS[recipe.expert](), specs, images=True)
@@ -124,8 +124,10 @@ def _write(stem: Path, episode: Episode, views: Iterable[str] = ("ego", "side"))
     """Write an episode as a GIF, its views side by side, and the moment of the catch as a PNG."""
     stem.parent.mkdir(parents=True, exist_ok=True)
     frames = np.concatenate([episode.images[view] for view in views], axis=2)  # (T, H, n W, 3)
-    last = _catch(episode) + HERO["captured_frames"]
-    write_gif(stem.with_suffix(".gif"), frames[:last:SKIP], fps=CONTROL_HZ / SKIP, phases=phases_of(episode)[:last:SKIP])
+    last = _catch(episode) + FRAMES_AFTER_CATCH
+    write_gif(
+        stem.with_suffix(".gif"), frames[:last:SKIP], fps=CONTROL_HZ / SKIP, phases=phases_of(episode)[:last:SKIP]
+    )
     picture = episode.images[next(iter(views))][min(_catch(episode) + SKIP, len(episode) - 1)]
     Image.fromarray(picture).save(stem.with_suffix(".png"), optimize=True)
 
@@ -133,16 +135,14 @@ def _write(stem: Path, episode: Episode, views: Iterable[str] = ("ego", "side"))
 def _write_hero(path: Path, episodes: list[Episode]) -> None:
     """Write one GIF of several episodes that are caught at the same moment."""
     clips = np.stack([_around_catch(episode) for episode in episodes])  # (N, T, H, W, 3)
-    rows = [np.concatenate(list(clips[i : i + HERO["columns"]]), axis=2) for i in range(0, len(clips), HERO["columns"])]
+    rows = [np.concatenate(list(clips[i : i + HERO_COLUMNS]), axis=2) for i in range(0, len(clips), HERO_COLUMNS)]
     write_gif(path, np.concatenate(rows, axis=1), fps=CONTROL_HZ / SKIP)
 
 
 def _around_catch(episode: Episode) -> np.ndarray:
     """Return the frames that end soon after the catch; the first and the last one stand still where there are none."""
-    end = _catch(episode) + HERO["captured_frames"]
-    frames = np.clip(np.arange(end - HERO["frames"], end, SKIP), 0, len(episode) - 1)
-    half = slice(None, None, SIZE_PX // HERO["size_px"])
-    return episode.images["ego"][frames][:, half, half]
+    end = _catch(episode) + FRAMES_AFTER_CATCH
+    return episode.images["ego"][np.clip(np.arange(end - HERO_FRAMES, end, SKIP), 0, len(episode) - 1)]
 
 
 def _catch(episode: Episode) -> int:

@@ -39,7 +39,10 @@ def of_metric(name: str) -> Rows:
         classes = _control_classes(header)
         columns = [i for i, title in enumerate(header) if f"{name} " in f"{title} " and classes[i]]
         if columns:
-            return [["", *(f"{name} %, {classes[i]}" for i in columns)], *([row[0], *(row[i] for i in columns)] for row in rows)]
+            return [
+                ["", *(f"{name} %, {classes[i]}" for i in columns)],
+                *([row[0], *(row[i] for i in columns)] for row in rows),
+            ]
     return []
 
 

@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import ast
+import functools
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
 
 
-def tests_about(room: str, words: set[str]) -> dict[Path, list[str]]:
+def named_tests(room: str, words: set[str]) -> dict[Path, list[str]]:
     """Return the tests in ``tests/<room>`` that mention one of ``words``, by file; those of every entry are left out.
 
     Args:
         room: name of the folder.
         words: names of classes, of functions or in quotes. A test mentions what its helpers mention, too.
     """
-    paths = set((ROOT / "tests" / room).glob("test_*.py")) - set(tests_of_all(room))
+    paths = set((ROOT / "tests" / room).glob("test_*.py")) - set(sweeping_tests(room))
     found = {path: _tests(path, words) for path in sorted(paths)}
     return {path: names for path, names in found.items() if names}
 
 
-def tests_of_all(room: str) -> dict[Path, list[str]]:
+def sweeping_tests(room: str) -> dict[Path, list[str]]:
     """Return the tests in ``tests/<room>`` that run for every registered entry, by file."""
-    folder = ROOT / "tests" / room
-    return {path: _tests(path) for name in ("test_any_*.py", "test_registry.py") for path in folder.glob(name)}
+    names = ("test_any_*.py", "test_registry.py", f"test_{room.removesuffix('s')}.py")
+    return {path: _tests(path) for name in names for path in (ROOT / "tests" / room).glob(name)}
 
 
 def sentence(test: str) -> str:
@@ -33,11 +34,16 @@ def sentence(test: str) -> str:
 
 def _tests(path: Path, words: set[str] | None = None) -> list[str]:
     """Return the tests in a file, or those that mention one of ``words`` directly or through what they use."""
-    mentions = {name: _mentions(node) for node in ast.parse(path.read_text()).body for name in _defined(node)}
+    mentions = _mentions_by_definition(path)
     reached = {name for name, said in mentions.items() if words is None or said & words}
     while more := {name for name, said in mentions.items() if said & reached} - reached:
         reached |= more
     return [name for name in mentions if name in reached and name.startswith("test_")]
+
+
+@functools.cache
+def _mentions_by_definition(path: Path) -> dict[str, set[str]]:
+    return {name: _mentions(node) for node in ast.parse(path.read_text()).body for name in _defined(node)}
 
 
 def _defined(node: ast.stmt) -> list[str]:
@@ -50,4 +56,6 @@ def _defined(node: ast.stmt) -> list[str]:
 def _mentions(node: ast.stmt) -> set[str]:
     """Return the names that a definition uses, and its strings."""
     names = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
-    return names | {part.value for part in ast.walk(node) if isinstance(part, ast.Constant) and isinstance(part.value, str)}
+    return names | {
+        part.value for part in ast.walk(node) if isinstance(part, ast.Constant) and isinstance(part.value, str)
+    }

@@ -1,0 +1,54 @@
+"""Sphinx extension: no page of the site may make a browser ask another host for anything."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.util.logging import getLogger
+
+logger = getLogger(__name__)
+LOADING = {"src", "srcset", "poster", "data"}
+"""Attributes whose value a browser loads by itself."""
+LINKED = {"stylesheet", "icon", "preload", "prefetch", "preconnect", "dns-prefetch", "modulepreload", "manifest"}
+"""Kinds of <link> that a browser follows by itself."""
+ELSEWHERE = re.compile(r"^\s*(?:\w+:)?//")
+IN_STYLE = re.compile(r"(?:url\(|@import)\s*['\"]?((?:\w+:)?//[^'\")\s]+)")
+
+
+class _Requests(HTMLParser):
+    """Collects what a page would load from elsewhere."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {name: value or "" for name, value in attrs}
+        loaded = [value for name, value in values.items() if name in LOADING]
+        if tag == "link" and LINKED & set(values.get("rel", "").split()):
+            loaded.append(values.get("href", ""))
+        self.found += [value for value in loaded if ELSEWHERE.match(value)]
+        self.found += IN_STYLE.findall(values.get("style", ""))
+
+
+def requests_of(text: str) -> list[str]:
+    """Return the addresses on other hosts that the browser loads for a page of HTML or for a style sheet."""
+    parser = _Requests()
+    parser.feed(text)
+    return parser.found + IN_STYLE.findall(text)
+
+
+def _check(app: Sphinx, error: Exception | None) -> None:
+    if error is None:
+        for path in sorted(Path(app.outdir).rglob("*")):
+            for address in requests_of(path.read_text()) if path.suffix in (".html", ".css") else ():
+                logger.warning("%s would load %s", path.relative_to(app.outdir), address)
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Look at every page when a build has finished."""
+    app.connect("build-finished", _check)
+    return {"parallel_read_safe": True}
