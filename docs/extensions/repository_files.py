@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -25,6 +26,8 @@ TESTED = ("motions", "objects", "hands", "renderers", "sampling", "metrics")
 """Folders of the tests that the gallery's pages link to."""
 
 GENERATED = ("api", "gallery", "notebooks", FOLDER, "_build")
+CARD_DATA = re.compile(r"\A---\n.*?^---\n", re.MULTILINE | re.DOTALL)
+"""What the Hub reads at the beginning of a card."""
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".toml": "toml", ".json": "json", ".sh": "bash", ".svg": "xml"}
 PICTURES = (".gif", ".png", ".jpg", ".svg")
 
@@ -104,7 +107,7 @@ def _page_of(path: Path) -> Path:
 def _text(path: Path) -> str:
     head = "" if path in ALWAYS else "---\norphan: true\n---\n\n"
     if path.suffix == ".md":
-        return head + relinked(path.read_text(), path, _page_of(path))
+        return head + relinked(CARD_DATA.sub("", path.read_text()), path, _page_of(path))
     head += f"# {path.relative_to(ROOT)}\n\n"
     return head + ("\n".join(map(_item, _children(path))) if path.is_dir() else _listing(path)) + "\n"
 

@@ -10,7 +10,7 @@ from docs.extensions.api_pages import reference
 from docs.extensions.gallery import scores
 from docs.extensions.gallery.pictures import can_be_drawn
 from docs.extensions.gallery.ranges import DRAWS, Range, object_ranges, parameter_ranges
-from docs.extensions.gallery.theory_tests import sentence, named_tests, sweeping_tests
+from docs.extensions.gallery.theory_tests import named_tests, sentence, sweeping_tests
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
