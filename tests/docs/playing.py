@@ -15,7 +15,7 @@ SIZE = 32
 FILES = ("recipes", "envs", "checkpoints")
 """Folders of the repository that commands name."""
 VALUES = {
-    "dynahoi generate": {"--episodes": 2, "--image-size": SIZE},
+    "dynahoi generate": {"--episodes": 2, "--image-size": SIZE, "--workers": 1},
     "dynahoi evaluate": {"--episodes": 2},
     "dynahoi view": {},
     "lerobot-train": {"--steps": 2, "--batch_size": 2, "--env_eval_freq": 2, "--env.image_size": SIZE},

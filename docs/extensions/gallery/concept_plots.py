@@ -69,7 +69,9 @@ def _distance(axes: Axes, episodes: Episodes) -> None:
     nearest = pursuit.control.start + int(pursuit.palm_distance[pursuit.control].argmin())
     place = (nearest * CONTROL_DT, pursuit.palm_distance[nearest] / UNIT_M)
     axes.plot(*place, "o", color=COLORS["pursuit"])
-    axes.annotate("$E_{loc}$ of pursuit", place, xytext=(-2, 28), textcoords="offset points")
+    axes.annotate(
+        "$E_{loc}$ of pursuit", place, xytext=(4, 44), textcoords="offset points", arrowprops={"arrowstyle": "-"}
+    )
     ends = _start_s(expert), (expert.first_localized or 0) * CONTROL_DT
     axes.annotate("", (ends[1], -0.25), (ends[0], -0.25), arrowprops={"arrowstyle": "<->", "color": COLORS["expert"]})
     axes.text(np.mean(ends), -0.3, "$t^* - t_c$ of the expert", ha="center", va="top")
