@@ -24,6 +24,7 @@ class _Requests(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
+        self.in_style = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         values = {name: value or "" for name, value in attrs}
@@ -32,19 +33,29 @@ class _Requests(HTMLParser):
             loaded.append(values.get("href", ""))
         self.found += [value for value in loaded if ELSEWHERE.match(value)]
         self.found += IN_STYLE.findall(values.get("style", ""))
+        self.in_style = tag == "style"
+
+    def handle_data(self, data: str) -> None:
+        if self.in_style:
+            self.found += IN_STYLE.findall(data)
+
+    def handle_endtag(self, tag: str) -> None:
+        self.in_style = False
 
 
-def requests_of(text: str) -> list[str]:
-    """Return the addresses on other hosts that the browser loads for a page of HTML or for a style sheet."""
+def requests_of(text: str, suffix: str = ".html") -> list[str]:
+    """Return the addresses on other hosts that a browser loads by itself for a page, or for a style sheet (``.css``)."""
+    if suffix == ".css":
+        return IN_STYLE.findall(text)
     parser = _Requests()
     parser.feed(text)
-    return parser.found + IN_STYLE.findall(text)
+    return parser.found
 
 
 def _check(app: Sphinx, error: Exception | None) -> None:
     if error is None:
         for path in sorted(Path(app.outdir).rglob("*")):
-            for address in requests_of(path.read_text()) if path.suffix in (".html", ".css") else ():
+            for address in requests_of(path.read_text(), path.suffix) if path.suffix in (".html", ".css") else ():
                 logger.warning("%s would load %s", path.relative_to(app.outdir), address)
 
 

@@ -90,7 +90,7 @@ def _resolved(origin: Path, target: str) -> Path:
 def _needs_page(path: Path) -> bool:
     """Tell whether the site shows ``path`` only if a page is made for it here."""
     if path.is_relative_to(DOCS):
-        return path.is_dir()
+        return path.is_dir() or path.suffix == ".py"
     return path.suffix not in PICTURES and folder_of(path) is None
 
 
@@ -98,7 +98,7 @@ def _page_of(path: Path) -> Path:
     """Return the site's page for a file or a folder."""
     if api := folder_of(path):
         return DOCS / "api" / f"{api}.rst"
-    if path.is_relative_to(DOCS) and path.is_file():
+    if path.is_relative_to(DOCS) and not _needs_page(path):
         return path
     relative = path.relative_to(ROOT)
     return DOCS / FOLDER / (relative if path.suffix == ".md" else relative.with_name(f"{relative.name}.md"))

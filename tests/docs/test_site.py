@@ -171,15 +171,21 @@ def test_docstrings_behind_decorators_are_in_the_reference():
         '<link rel="stylesheet" href="https://fonts.example/x.css">',
         '<img srcset="https://cdn.example/x.png 2x">',
         '<div style="background: url(https://cdn.example/x.png)">',
-        '@import "https://fonts.example/x.css";',
+        '<style>@import "https://fonts.example/x.css";</style>',
     ],
 )
 def test_requests_to_other_hosts_are_found(text: str):
-    assert len(set(requests_of(text))) == 1
+    assert len(requests_of(text)) == 1
+
+
+def test_requests_of_style_sheets_are_found():
+    assert requests_of("body { background: url('//x.example/y.png') }", ".css") == ["//x.example/y.png"]
+    assert requests_of("body { background: url(y.png) }", ".css") == []
 
 
 def test_links_that_people_follow_are_no_requests():
     assert requests_of('<a href="https://x.example">x</a><link rel="next" href="https://x"><img src="a.png">') == []
+    assert requests_of("<pre>url(https://cdn.example/x.png)</pre>") == []
 
 
 def test_formulas_are_mathml():
