@@ -44,7 +44,7 @@ class _Requests(HTMLParser):
 
 
 def requests_of(text: str, suffix: str = ".html") -> list[str]:
-    """Return the addresses on other hosts that a browser loads by itself for a page, or for a style sheet (``.css``)."""
+    """Return the addresses on other hosts that a browser loads for a page, or for a style sheet (``.css``)."""
     if suffix == ".css":
         return IN_STYLE.findall(text)
     parser = _Requests()
