@@ -39,8 +39,7 @@ def _definitions(parent: ast.Module | ast.ClassDef) -> list[Definition]:
 
 def _is_wrapped(entry: object) -> bool:
     """Tell whether autodoc would not take an object for the function or the class that it is defined as."""
-    behind = inspect.unwrap(entry) if callable(entry) else entry
-    return not (inspect.isfunction(behind) or inspect.isclass(behind))
+    return not (inspect.isfunction(entry) or inspect.isclass(entry) or hasattr(entry, "cache_info"))
 
 
 def _described(module: str, node: Definition) -> str:

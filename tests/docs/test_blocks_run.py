@@ -21,7 +21,7 @@ DATA = {"json": json.loads, "yaml": yaml.safe_load, "toml": tomllib.loads}
 PROGRAMS = ("python", "bash")
 DRAWN = ("", "{toctree}")
 """Blocks without a language are drawings, or commands whose options are compared with their programs."""
-NEEDS = {"Downloads packages", "Needs GPUs", "Needs an endpoint", "Needs the Hub", "Opens a window"}
+NEEDS = {"Downloads packages", "Needs FFmpeg", "Needs GPUs", "Needs an endpoint", "Needs the Hub", "Opens a window"}
 NEEDS |= {"Runs until it is stopped", "Takes hours", "Takes minutes"}
 
 
