@@ -7,18 +7,49 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+from docs.extensions.markdown import FENCE, LINK, is_local
+from docs.extensions.repository_files import written_pages
 
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *written_pages()]
+
+NEED = re.compile(r"\*((?:Downloads|Needs|Opens|Runs|Takes) [^*]+)\.\*\n\n\Z")
+"""A line before a block of code that says what it needs."""
+SAVED = re.compile(r"[Ss]ave as `([^`]+)`:\n\n\Z")
+"""The end of a sentence before a block of code that is a file."""
 SPAN = re.compile(r"`([^`]+)`")
-LINK = re.compile(r"\[([^\[\]]*)\]\(([^()\s]+)\)")
-CREATED = re.compile(r"Create `([^`]+)`")
+CREATED = re.compile(r"(?:Create|[Ss]ave as) `([^`]+)`")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
-PROGRAMS = ("dynahoi", "lerobot-train", "lerobot-eval", "lerobot-edit-dataset", "python", "pytest", "bash")
+PROGRAMS = (
+    *("dynahoi", "lerobot-train", "lerobot-eval", "lerobot-edit-dataset", "lerobot-dataset-viz"),
+    *("accelerate", "hf", "pip", "python", "pytest", "bash"),
+)
 HUB_FILE = "env.py"
 """The file that an environment on the Hub consists of; not one of this project."""
 CODE_SUFFIXES = (".py", ".yaml", ".md", ".toml")
+
+
+@dataclass(frozen=True)
+class Block:
+    """One block of code.
+
+    Attributes:
+        language: what its fence names, "" if nothing.
+        body: the code.
+        need: what the line before it says that it needs, "" if nothing.
+        file: the file that it shall be saved as, "" if none.
+    """
+
+    language: str
+    body: str
+    need: str
+    file: str
+
+    @property
+    def commands(self) -> list[list[str]]:
+        """The words of every command line, from the program's name on."""
+        lines = self.body.replace("\\\n", " ").splitlines()
+        return [words for line in lines if (words := _command(line))]
 
 
 @dataclass(frozen=True)
@@ -42,9 +73,19 @@ class Page:
         """The text without its code blocks."""
         return FENCE.sub("", self.text)
 
+    @property
+    def all_blocks(self) -> list[Block]:
+        """The blocks of code."""
+        return [self._block(match) for match in FENCE.finditer(self.text)]
+
+    def _block(self, match: re.Match[str]) -> Block:
+        before = self.text[: match.start()]
+        need, file = (found.group(1) if (found := rule.search(before)) else "" for rule in (NEED, SAVED))
+        return Block(match.group(1), match.group(2), need, file)
+
     def blocks(self, *languages: str) -> list[str]:
         """Return the code blocks in the given languages; "" is a block without one."""
-        return [body for language, body in FENCE.findall(self.text) if language in languages]
+        return [block.body for block in self.all_blocks if block.language in languages]
 
     @property
     def spans(self) -> list[str]:
@@ -55,7 +96,7 @@ class Page:
     def links(self) -> list[tuple[str, str]]:
         """The (text, target) of every link and picture to a file or heading of the project."""
         found = [(" ".join(text.split()), target) for text, target in LINK.findall(self.prose)]
-        return [(text, target) for text, target in found if "://" not in target]
+        return [(text, target) for text, target in found if is_local(target) or target.startswith("#")]
 
     @property
     def anchors(self) -> set[str]:
@@ -65,8 +106,8 @@ class Page:
     @property
     def commands(self) -> list[list[str]]:
         """The words of every command line in code blocks and code spans, from the program's name on."""
-        lines = [line for block in self.blocks("", "bash") for line in block.replace("\\\n", " ").splitlines()]
-        return [words for line in (*lines, *self.spans) if (words := _command(line))]
+        shown = [words for block in self.all_blocks if block.language in ("", "bash") for words in block.commands]
+        return shown + [words for span in self.spans if (words := _command(span))]
 
     @property
     def paths(self) -> set[str]:

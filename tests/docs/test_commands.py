@@ -24,6 +24,7 @@ SPANS = sorted({span for page in pages() for span in page.spans if span.startswi
 LEROBOT = {
     "lerobot-train": ("lerobot.configs.train", "TrainPipelineConfig"),
     "lerobot-eval": ("lerobot.configs.eval", "EvalPipelineConfig"),
+    "lerobot-edit-dataset": ("lerobot.scripts.lerobot_edit_dataset", "EditDatasetConfig"),
 }
 PLUGINS = ("lerobot_env_dynahoi", "lerobot_policy_obact", "lerobot_policy_actiontokens", "lerobot.policies.factory")
 PARSER_OPTIONS = ("config_path", "path", "type", "discover_packages_path")
@@ -52,7 +53,7 @@ def test_dynahoi_commands_have_the_options_shown(words: tuple[str, ...]):
 
 
 @pytest.mark.slow  # LeRobot and its policies take long to import
-@pytest.mark.parametrize("words", [*of("lerobot-train"), *of("lerobot-eval")], ids=lambda words: " ".join(words[:3]))
+@pytest.mark.parametrize("words", [words for name in LEROBOT for words in of(name)], ids=" ".join)
 def test_lerobot_commands_have_the_options_shown(words: tuple[str, ...]):
     chosen = dict(word[2:].split("=", 1) for word in words if word.startswith("--"))
     config = _lerobot_config(words[0])
@@ -73,6 +74,24 @@ def test_python_programs_have_the_options_shown(words: tuple[str, ...]):
         assert importlib.util.find_spec(words[2])
     else:
         assert not [option for option in options(words) if option not in _help(words[1])]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", of("accelerate"), ids=" ".join)
+def test_accelerate_starts_lerobots_training_with_options_that_both_have(words: tuple[str, ...]):
+    split = words.index("-m")
+    parser = importlib.import_module("accelerate.commands.launch").launch_command_parser()
+    assert not set(options(words[:split])) - set(parser._option_string_actions)
+    assert words[split + 1] == "lerobot.scripts.lerobot_train"
+    test_lerobot_commands_have_the_options_shown(("lerobot-train", *words[split + 2 :]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", of("lerobot-dataset-viz"), ids=" ".join)
+def test_lerobots_viewer_has_the_options_shown(words: tuple[str, ...]):
+    run = [sys.executable, "-m", "lerobot.scripts.lerobot_dataset_viz", "--help"]
+    told = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    assert not [option for option in options(words) if f"{option} " not in told]
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md"], ids=["README.md"])

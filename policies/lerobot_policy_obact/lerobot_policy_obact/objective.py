@@ -1,7 +1,7 @@
 """The training objective: imitation of the executed actions, and an auxiliary loss on the visual encoder.
 
 For the decisions of a batch that are ever executed, with the head's loss ``l`` of action ``h`` and dimension ``d``,
-dimension weights ``w`` of mean 1, and the position ``p`` that the probe reads off the tokens of frame ``t``:
+dimension weights ``w`` of mean 1, and the position ``p`` that the probe reads off the tokens of frame ``t``::
 
     L = mean over kept actions of mean_d(w_d l_hd)  +  privileged_weight * mean over kept frames of |p_t - target_t|
 """

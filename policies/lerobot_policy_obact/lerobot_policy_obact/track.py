@@ -2,7 +2,7 @@
 
 A sighting is an offset from the palm. Added to where the palm was, the sightings of many frames are points of one path;
 a weighted straight line through the latest of them says where the target is, and how fast it goes, and a parabola
-through more of them how it turns:
+through more of them how it turns::
 
     minimise over p, v      sum_i w_i |q_i - p + v age_i|^2 + (|v| / V)^2,     w_i = exp(-age_i / A) / sigma_i^2
     minimise over p, v, c   sum_i w_i |q_i - p + v age_i - c age_i^2 / 2|^2 + (|v| / V)^2 + (|c| / C)^2

@@ -1,0 +1,56 @@
+"""The scores that the benchmark's page holds, so that no number is written down twice."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+PAGE = Path(__file__).parents[2] / "benchmark.md"
+TABLE = re.compile(r"(?:^\|.*\|\n)+", re.MULTILINE)
+Rows = list[list[str]]
+
+
+def tables() -> list[Rows]:
+    """Return every table of the page as rows of cells, the header first, without the line below it."""
+    found = []
+    for table in TABLE.findall(PAGE.read_text()):
+        rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+        found.append([rows[0], *rows[2:]])
+    return found
+
+
+def of_category(category: str) -> Rows:
+    """Return who scores what S_loc [%] on a category of motions, a column for each control class.
+
+    The first row is the header; empty if the page has no such scores.
+    """
+    title = category.replace("_", " ")
+    found = [table for table in tables() if title in table[0]]
+    if not found:
+        return []
+    header = ["", *(f"S_loc %, {table[0][0].partition(', ')[2]}" for table in found)]
+    columns = [[row[table[0].index(title)] for row in table[1:]] for table in found]
+    return [header, *([row[0], *values] for row, *values in zip(found[0][1:], *columns, strict=True))]
+
+
+def of_metric(name: str) -> Rows:
+    """Return the privileged baselines' values of a metric, a column for each control class that the page has."""
+    for header, *rows in tables():
+        classes = _control_classes(header)
+        columns = [i for i, title in enumerate(header) if f"{name} " in f"{title} " and classes[i]]
+        if columns:
+            return [
+                ["", *(f"{name} %, {classes[i]}" for i in columns)],
+                *([row[0], *(row[i] for i in columns)] for row in rows),
+            ]
+    return []
+
+
+def _control_classes(header: list[str]) -> list[str]:
+    """Return the control class of each column: that in its title, or the last one before."""
+    classes, current = [], ""
+    for title in header:
+        named = re.match(r"`\w+`", title)
+        current = named.group() if named else current
+        classes.append(current)
+    return classes
