@@ -111,7 +111,7 @@ def trajectory_problems(columns: Columns, home_pos_w: np.ndarray, limits: Trajec
 
 
 def executed_key(columns: Columns) -> str:
-    """Return the column of the commands that moved the hand: in on-policy recordings ``action`` is a teacher's label."""
+    """Return the column of the commands that moved the hand; in on-policy recordings ``action`` is a label."""
     return EXECUTED if EXECUTED in columns else "action"
 
 

@@ -61,9 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=path, help="write the summary there as well")
 
 
-def run(
-    args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None, runtime: str = ""
-) -> int:
+def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None, runtime: str = "") -> int:
     """Generate a dataset and print a JSON summary.
 
     Args:

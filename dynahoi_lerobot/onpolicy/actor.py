@@ -89,7 +89,7 @@ def make_actor(seed: int, *, path: str, name: str, trust: bool = False) -> Recor
 
 
 def actor_name(path: str) -> str:
-    """Return ``TYPE@HASH`` of a checkpoint that can be loaded: its policy's type, and 16 digits of its files' sha256."""
+    """Return ``TYPE@HASH`` of a checkpoint that can be loaded: its policy's type, 16 digits of its files' sha256."""
     folder = _folder(path)
     digest = hashlib.sha256()
     for file in sorted({file for part in PARTS for file in folder.glob(part)}):
@@ -112,4 +112,3 @@ def runtime(policy: PolicyAgent) -> str:
 
 def _folder(path: str) -> Path:
     return Path(path) if Path(path).is_dir() else Path(trusted_checkpoint(path))
-

@@ -181,7 +181,9 @@ class Recipe:
         if not 0 <= self.teacher_share <= 1:
             raise ValueError(f"teacher_share must be 0 to 1, got {self.teacher_share}")
         if not self.actor and self.teacher_share not in (0, 1):
-            raise ValueError(f"teacher_share must be 0 or 1 without an actor to lead the rest, got {self.teacher_share}")
+            raise ValueError(
+                f"teacher_share must be 0 or 1 without an actor to lead the rest, got {self.teacher_share}"
+            )
         if self.on_policy:
             self.teacher()
 

@@ -37,7 +37,9 @@ class EpisodeColumns(Check):
         )
         problems = [sentence.format(said, found) for sentence, said, found in facts if said != found]
         if frames != (wanted := _recorded(row, columns)):
-            problems.append(f"length_frames is {row['length_frames']}, so {wanted} frames are recorded; there are {frames}")
+            problems.append(
+                f"length_frames is {row['length_frames']}, so {wanted} frames are recorded; there are {frames}"
+            )
         if abs(row["intercept_frame"] * CONTROL_DT - intercept) > 1e-4:
             problems.append(f"intercept_frame is {row['intercept_frame']}, intercept.time is {intercept:.3f} s")
         keeps_failures = dataset.recipe.keeps_failures if dataset.recipe else EXECUTED in columns

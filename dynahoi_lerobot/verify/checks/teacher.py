@@ -69,7 +69,9 @@ def _labels(recipe: Recipe, motion: PrescribedMotion, row: EpisodeRow, columns: 
         if (earlier := _earlier(path, state, closed, control)) is not None:
             yield f"{frame}: the teacher could arrive {arrival - earlier} frames before teacher.arrival"
             return
-        wanted = np.clip(_towards(path, state[:PALM_DOF], control), *((hand.low - origin)[:3], (hand.high - origin)[:3]))
+        wanted = np.clip(
+            _towards(path, state[:PALM_DOF], control), *((hand.low - origin)[:3], (hand.high - origin)[:3])
+        )
         apart = float(np.abs(columns["action"][frame, :PALM_DOF] - wanted).max())
         if apart > TOLERANCE_M:
             yield f"{frame}: action is {apart:.4f} m from the teacher's way to where the target is at teacher.arrival"
