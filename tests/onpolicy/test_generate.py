@@ -13,6 +13,7 @@ from lerobot.datasets import LeRobotDataset
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.episode import Episode
@@ -20,10 +21,15 @@ from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.onpolicy import generate_command
 from dynahoi_lerobot.onpolicy.actor import RecordedPolicy, actor_name
 from dynahoi_lerobot.verify.runner import verify
-from tests.verify.forgery import Damage, at, forge, row_is, sign
+from tests.verify.forgery import Columns, Damage, at, forge, row_is, sign
 
 SEEDS = 4
 ON_POLICY = ("executed_action", "intervention", "teacher.arrival")
+
+
+def arriving_later(row: EpisodeRow, columns: Columns) -> None:
+    """Let the teacher say, as control starts, that it will arrive later than it can."""
+    columns["teacher.arrival"][row["window_frames"]] += 0.3
 
 
 def words(actor: Path | None, root: Path, *more: object) -> list[str]:
@@ -76,7 +82,7 @@ def test_it_is_verified_and_made_again_without_the_policy(generated: Path):
     ("damage", "told"),
     [
         (at("action", (-30, 0), lambda x: x + 0.02), "m from the teacher's way"),
-        (at("teacher.arrival", -30, lambda x: x + 0.1), "frames before teacher.arrival"),
+        (forge(arriving_later), "the teacher could arrive"),
         (at("teacher.arrival", -30, lambda x: x + 0.01), "no whole number of frames"),
         (at("intervention", slice(None), lambda x: ~x), "seed and teacher_share give"),
         (at("executed_action", (-30, 0), lambda x: x + 0.02), "from where executed_action led"),
@@ -170,6 +176,7 @@ def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: P
     ("more", "told"),
     [
         (["--actor", "nowhere"], "there is no policy 'nowhere'"),
+        (["--actor", "user/name", "--trust"], "--trust needs a folder as the actor, got 'user/name'"),
         (["--teacher-share", "1.5"], "must be a number from 0.0 to 1.0, got 1.5"),
         (["--teacher-share", "0.5"], "teacher_share must be 0 or 1 without an actor to lead the rest, got 0.5"),
         (
