@@ -161,7 +161,7 @@ def test_its_random_numbers_and_threads_are_its_own(actor: Path):
 
 
 def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: Path, tmp_path: Path):
-    assert main(words(None, tmp_path / "first", "--teacher-share", 1)) == 0
+    assert main(words(None, tmp_path / "first", "--teacher-share", 1, "--image-size", 32)) == 0
     merge([tmp_path / "first", generated], tmp_path / "both")
     assert verify(tmp_path / "both") == []
     assert [bool(e.intervention.all()) for e in read_episodes(tmp_path / "first")] == [True] * SEEDS
