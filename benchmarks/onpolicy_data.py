@@ -27,7 +27,7 @@ from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.dataset import write_episodes
 from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.onpolicy.actor import actor_name, make_actor
+from dynahoi_lerobot.onpolicy.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, read_recipe
 from dynahoi_lerobot.onpolicy.rounds import play_round
 from dynahoi_lerobot.rollout.loop import make_batch
@@ -76,10 +76,10 @@ def random_learner(image_size: int, episodes: int) -> ObActLearner:
 def in_memory(learner: ObActLearner, args: Any, folder: Path) -> dict[str, float]:
     """Play a round and learn from it as `dynahoi dagger` does; return processor times by part."""
     recipe = recorded_recipe(args.image_size)
-    specs = sample_specs(recipe, range(args.episodes))
     batch, parts = make_batch(recipe, args.episodes, threads=1), Watch()
     learner.lessons.clear()
     with parts("play"):
+        specs = sample_specs(recipe, range(args.episodes))
         learner.study(play_round(batch, learner, specs, np.random.default_rng(0), SHARE))
     with parts("learn"):
         learner.learn(args.updates)
@@ -92,7 +92,7 @@ def through_a_dataset(learner: ObActLearner, args: Any, folder: Path) -> dict[st
     learner.save_pretrained(folder / "policy")
     path = str(folder / "policy")
     recipe = recorded_recipe(args.image_size, actor=actor_name(path), teacher_share=SHARE)
-    make, parts = partial(make_actor, path=path, name=recipe.actor), Watch()
+    make, parts = partial(make_actor, path=path, name=recipe.actor, on=runtime(open_policy(path))), Watch()
     make(0)  # loading it is not counted
     with parts("play"):
         episodes = list(record_on_policy(recipe, range(args.episodes), make_agent=make, threads=1))

@@ -77,17 +77,22 @@ def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
 
 
 @cache
-def _opened(path: str, name: str, trust: bool) -> PolicyAgent:
-    """Load a policy once in a process, if it is still the one of that name."""
+def _opened(path: str, name: str, on: str, trust: bool) -> PolicyAgent:
+    """Load a policy once in a process, if it is still the one of that name, and this machine acts to the same bits."""
     policy = open_policy(path, trust=trust)
-    if (found := actor_name(path)) != name:
-        raise PolicyError(f"the checkpoint {path} is {found} now; the recording is of {name}")
+    for found, wanted in ((actor_name(path), name), (runtime(policy), on)):
+        if found != wanted:
+            raise PolicyError(f"the checkpoint {path} is {found} here; the recording is of {wanted}")
     return policy
 
 
-def make_actor(seed: int, *, path: str, name: str, trust: bool = False) -> RecordedPolicy:
-    """Return the policy at ``path``, which must be the one of that ``name``, with the random numbers of a seed."""
-    return RecordedPolicy(_opened(path, name, trust), seed)
+def make_actor(seed: int, *, path: str, name: str, on: str, trust: bool = False) -> RecordedPolicy:
+    """Return the policy at ``path`` with the random numbers of a seed.
+
+    Raises:
+        PolicyError: if its ``actor_name`` is not ``name``, or its ``runtime`` here is not ``on``.
+    """
+    return RecordedPolicy(_opened(path, name, on, trust), seed)
 
 
 def actor_name(path: str) -> str:

@@ -61,8 +61,9 @@ def _run_policy(args: argparse.Namespace, recipe: Recipe) -> int:
     if policy.image_size is not None:
         changes["image_size"] = policy.image_size
     changes["views"] = tuple(dict.fromkeys((*recipe.views, *policy.views)))
-    make = partial(make_actor, path=args.actor, name=name, trust=args.trust)
-    return command.run(args, recipe=replace(recipe, **changes), record=_record(args, make), runtime=runtime(policy))
+    on = runtime(policy)
+    make = partial(make_actor, path=args.actor, name=name, on=on, trust=args.trust)
+    return command.run(args, recipe=replace(recipe, **changes), record=_record(args, make), runtime=on)
 
 
 def _record(args: argparse.Namespace, make_agent: MakeAgent | None) -> partial[Any]:

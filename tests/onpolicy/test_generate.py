@@ -17,9 +17,9 @@ from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.onpolicy import generate_command
-from dynahoi_lerobot.onpolicy.actor import RecordedPolicy, actor_name
+from dynahoi_lerobot.onpolicy.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.verify.runner import verify
 from tests.verify.forgery import Columns, Damage, at, forge, row_is, sign
 
@@ -125,7 +125,6 @@ def test_a_stopped_run_goes_on_to_the_same_bytes(
             raise KeyboardInterrupt
         return make_actor(seed, **what)
 
-    make_actor = generate_command.make_actor
     monkeypatch.setattr(generate_command, "make_actor", stopped_in_the_second_shard)
     assert main(words(actor, tmp_path / "d")) == 130
     assert not (tmp_path / "d").exists()
@@ -141,6 +140,15 @@ def test_another_checkpoint_is_another_dataset(
     assert actor_name(str(other)) != actor_name(str(actor))
     assert main(words(other, generated)) == 2
     assert "holds another dataset (other actor)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("other", ["name", "on"])
+def test_a_worker_with_another_checkpoint_or_other_libraries_refuses(actor: Path, other: str):
+    policy = open_policy(str(actor))
+    known = {"name": actor_name(str(actor)), "on": runtime(policy)}
+    assert make_actor(0, path=str(actor), **known).sees_images
+    with pytest.raises(PolicyError, match="here; the recording is of something else"):
+        make_actor(0, path=str(actor), **known | {other: "something else"})
 
 
 def test_its_random_numbers_and_threads_are_its_own(actor: Path):
@@ -161,7 +169,7 @@ def test_its_random_numbers_and_threads_are_its_own(actor: Path):
 
 
 def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: Path, tmp_path: Path):
-    assert main(words(None, tmp_path / "first", "--teacher-share", 1, "--image-size", 32)) == 0
+    assert main(words(None, tmp_path / "first", "--teacher-share", 1, "--image-size", 32, "--seed", 100)) == 0
     merge([tmp_path / "first", generated], tmp_path / "both")
     assert verify(tmp_path / "both") == []
     assert [bool(e.intervention.all()) for e in read_episodes(tmp_path / "first")] == [True] * SEEDS
