@@ -33,6 +33,8 @@ class EpisodeMeta:
         attempts: how many attempts the agent needed, from 1.
         fingerprint: identifies the code and recipe that made the episode.
         benchmark: version of the benchmark that the episode was drawn and played under.
+        actor: the policy whose states the recording is to show, type and hash of its checkpoint (``obact@...``), also
+            where a teacher leads; empty if nobody but an expert ever does.
     """
 
     seed: int
@@ -52,6 +54,7 @@ class EpisodeMeta:
     attempts: int
     fingerprint: str
     benchmark: str
+    actor: str = ""
 
     @property
     def motion_parameters(self) -> dict[str, Any]:
@@ -73,7 +76,8 @@ class Episode:
         state: (T, 18) float32, palm centre position [m] and 15 joint angles [rad].
         fingertips: (T, 30) float32, 5 x (position [m], rotation vector [rad]).
         phase: (T, 1) float32, 0 observing, 1 acting.
-        action: (T, 18) float32, commanded palm position [m] and joint angles [rad] for the next frame.
+        action: (T, 18) float32, commanded palm position [m] and joint angles [rad] for the next frame; in an on-policy
+            recording what the teacher would have commanded.
         target_pose: (T, 7) float32, position [m] and quaternion wxyz of the target.
         target_velocity: (T, 6) float32, linear [m/s] and angular [rad/s] velocity of the target.
         target_contacts: (T, 5) float32, 1 where the finger touches the target.
@@ -104,6 +108,9 @@ class Episode:
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
         touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
             None unless the capture rule ``uses_contact_sensors``.
+        executed_action: (T, 18) float32, the commands that were executed; None if they are ``action``.
+        intervention: (T,) bool, the teacher moved the hand; None unless the recording is on-policy.
+        teacher_arrival: (T,) float32 [s], time until the teacher would meet the target from here; likewise.
     """
 
     meta: EpisodeMeta
@@ -140,10 +147,18 @@ class Episode:
     success: bool
     stage: str
     touch: np.ndarray | None = field(default=None, repr=False)
+    executed_action: np.ndarray | None = field(default=None, repr=False)
+    intervention: np.ndarray | None = field(default=None, repr=False)
+    teacher_arrival: np.ndarray | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return T, the number of frames."""
         return len(self.state)
+
+    @property
+    def executed(self) -> np.ndarray:
+        """(T, 18) the commands that moved the hand: palm positions [m], home frame, and joint angles [rad]."""
+        return self.action if self.executed_action is None else self.executed_action
 
     @property
     def control(self) -> slice:

@@ -28,6 +28,7 @@ class Feature:
         low: least value in the Gymnasium space, in ``unit``; values beyond are clipped.
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
+        on_policy: whether only on-policy recordings have it, see ``rollout.on_policy``.
         constant: whether it has one value per episode; a frame table repeats that value in every row.
         per: what its rows are if it is not constant: ``frame``, or ``attempt`` or ``primitive``, whose number differs
             between episodes; only the episode table can hold those.
@@ -45,6 +46,7 @@ class Feature:
     low: float = -math.inf
     high: float = math.inf
     needs_contact_sensors: bool = False
+    on_policy: bool = False
     constant: bool = False
     per: str = "frame"
     derived: bool = False
@@ -63,6 +65,11 @@ class Feature:
     def privileged(self) -> bool:
         """Whether it is for experts, metrics and auxiliary losses only."""
         return self.gym_key is None
+
+    @property
+    def optional(self) -> bool:
+        """Whether some recordings do not have it."""
+        return self.needs_contact_sensors or self.on_policy
 
     @property
     def is_image(self) -> bool:

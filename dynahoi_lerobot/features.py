@@ -50,7 +50,20 @@ _TABLE = (
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "target for the next frame, after clipping: palm centre position, home frame; joint angles", gym_key="action",
+        "target for the next frame, after clipping: palm centre position, home frame; joint angles; in on-policy "
+        "recordings what the teacher would have commanded", gym_key="action",
+    ),
+    Feature(
+        "executed_action", "executed_action", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "likewise, the command that was executed, whoever gave it", on_policy=True,
+    ),
+    Feature(
+        "intervention", "intervention", (), ("intervention",), "1",
+        "the teacher moved the hand, disturbed, not the policy", dtype="bool", on_policy=True,
+    ),
+    Feature(
+        "teacher_arrival", "teacher.arrival", (), ("time",), "s",
+        "time until the teacher would meet the target from here", on_policy=True,
     ),
     Feature(
         "target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
@@ -179,7 +192,7 @@ def image_feature(view: str, image_size: int) -> Feature:
 
 
 def frame_features(
-    image_size: int | None, views: Sequence[str] = (), *, contact_sensors: bool = False
+    image_size: int | None, views: Sequence[str] = (), *, contact_sensors: bool = False, on_policy: bool = False
 ) -> tuple[Feature, ...]:
     """Return the columns of the frame table, in the dataset's order.
 
@@ -187,9 +200,11 @@ def frame_features(
         image_size: side of the images [px]; None leaves all of them out.
         views: the views besides ``ego``.
         contact_sensors: whether the capture rule ``uses_contact_sensors``.
+        on_policy: whether a teacher labels what somebody else does.
     """
     images = () if image_size is None else tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views))
-    held = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
+    sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
+    held = (f for f in sensed if on_policy or not f.on_policy)
     return (*images, *(feature for feature in held if not feature.in_episode_table))
 
 

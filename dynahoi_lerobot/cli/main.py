@@ -14,7 +14,7 @@ from dynahoi_lerobot.foundation.output import check_output
 
 COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report, on a CPU in minutes"),
-    "generate": ("dynahoi_lerobot.generate.command", "write a LeRobotDataset of expert episodes"),
+    "generate": ("dynahoi_lerobot.onpolicy.generate_command", "write a LeRobotDataset of expert or on-policy episodes"),
     "verify": ("dynahoi_lerobot.verify.command", "check every promise about a dataset on disk"),
     "filter": ("dynahoi_lerobot.verify.filter_command", "copy a dataset without the paper's outliers"),
     "pretrain": ("dynahoi_lerobot.onpolicy.pretrain_command", "train a policy's eye on pictures of random poses"),

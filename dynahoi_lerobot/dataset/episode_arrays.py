@@ -38,8 +38,8 @@ def content_values(table: pa.Table) -> dict[str, Any]:
     Raises:
         KeyError: if a column is missing that every dataset has.
     """
-    every, present = frame_features(None, contact_sensors=True), table.column_names
-    held = (feature for feature in every if feature.key in present or not feature.needs_contact_sensors)
+    every, present = frame_features(None, contact_sensors=True, on_policy=True), table.column_names
+    held = (feature for feature in every if feature.key in present or not feature.optional)
     read = (feature for feature in held if not feature.derived)
     return {feature.name: _value(feature, column_array(table, feature.key)) for feature in read}
 
@@ -65,7 +65,8 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
 
 
 def _held(episode: Episode) -> list[Feature]:
-    return [f for f in frame_features(None, contact_sensors=True) if getattr(episode, f.name) is not None]
+    every = frame_features(None, contact_sensors=True, on_policy=True)
+    return [feature for feature in every if getattr(episode, feature.name) is not None]
 
 
 def _column(feature: Feature, episode: Episode) -> np.ndarray:

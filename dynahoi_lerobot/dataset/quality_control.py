@@ -18,6 +18,8 @@ from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 FASTEST = CONTROL_CLASSES["unlimited"]
 OVERSHOOT, CATCH_UP = 1.2, 2.4
 """Greatest step of a joint and of the palm, in steps of the servo's ramp; see ``TrajectoryLimits``."""
+EXECUTED = "executed_action"
+"""Column of on-policy recordings alone."""
 Columns = Mapping[str, np.ndarray]
 """An episode's numeric columns by key, each (T, D)."""
 
@@ -108,6 +110,11 @@ def trajectory_problems(columns: Columns, home_pos_w: np.ndarray, limits: Trajec
     return [problem for problem in found if problem]
 
 
+def executed_key(columns: Columns) -> str:
+    """Return the column of the commands that moved the hand; in on-policy recordings ``action`` is a label."""
+    return EXECUTED if EXECUTED in columns else "action"
+
+
 def not_finite(columns: Columns) -> str | None:
     """Find NaN and infinity."""
     for key, values in columns.items():
@@ -121,7 +128,7 @@ def out_of_limits(columns: Columns, limits: TrajectoryLimits) -> str | None:
     """Find positions and angles that the hand cannot take."""
     low, high = np.array(limits.palm_range_m).T
     least, most = limits.joint_range_rad
-    for key in ("observation.state", "action"):
+    for key in ("observation.state", *sorted({"action", executed_key(columns)})):
         palm, joints = columns[key][:, :PALM_DOF], columns[key][:, PALM_DOF:]
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
@@ -140,7 +147,7 @@ def jumps(columns: Columns, limits: TrajectoryLimits) -> str | None:
         (slice(0, PALM_DOF), limits.palm_step_m, "m"),
         (slice(PALM_DOF, HAND_DOF), limits.joint_step_rad, "rad"),
     )
-    for key in ("observation.state", "action"):
+    for key in ("observation.state", executed_key(columns)):
         for part, allowed, unit in groups:
             steps = np.abs(np.diff(columns[key][:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
             if steps.size and (worst := float(steps.max())) > allowed:
@@ -163,7 +170,9 @@ def teleports(columns: Columns, limits: TrajectoryLimits) -> str | None:
 
 
 def saturation(columns: Columns, limits: TrajectoryLimits) -> str | None:
-    """Find commands that stay at a limit of the hand through the control phase."""
+    """Find demonstrations that stay at a limit of the hand through the control phase; a policy may well do that."""
+    if EXECUTED in columns:
+        return None
     acting = columns["observation.phase"][:, 0] > 0.5
     commands = columns["action"][acting]
     if not len(commands):
@@ -181,7 +190,7 @@ def saturation(columns: Columns, limits: TrajectoryLimits) -> str | None:
 
 def frozen(columns: Columns, limits: TrajectoryLimits) -> str | None:
     """Find a measured state that stays the same to the last bit while it is commanded elsewhere."""
-    state, action = columns["observation.state"], columns["action"]
+    state, action = columns["observation.state"], columns[executed_key(columns)]
     still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
     away = np.abs(action[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > limits.frozen_gap_m
     run = 0

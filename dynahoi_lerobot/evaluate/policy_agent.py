@@ -23,7 +23,11 @@ from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
 
 
 class PolicyAgent(ChunkAgent):
-    """Acts as ``lerobot-eval`` would with the same checkpoint folder or Hub repository."""
+    """Acts as ``lerobot-eval`` would with the same checkpoint folder or Hub repository.
+
+    Attributes:
+        package: the top-level package of the policy's class.
+    """
 
     def __init__(
         self, path: str, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
@@ -46,6 +50,7 @@ class PolicyAgent(ChunkAgent):
         inputs = self._policy.config.input_features
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
+        self.package = type(self._policy).__module__.partition(".")[0]
         self.views = tuple(view for view in EXTRA_VIEWS if IMAGE_PREFIX + view in inputs)
 
     def reset(self, count: int) -> None:

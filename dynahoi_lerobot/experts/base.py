@@ -62,6 +62,14 @@ class SingleWorldExpert(Expert):
         return commands
 
 
+class Teacher(SingleWorldExpert):
+    """An expert that is a function of the state alone, so that it can label whatever state somebody else gets into."""
+
+    @abstractmethod
+    def arrivals(self, state: WorldState) -> np.ndarray:
+        """Return (N,) int, in how many frames from now it means to meet each target; 0 without an episode."""
+
+
 def views(world: WorldState) -> Iterator[tuple[int, WorldView]]:
     """Yield each world that plays an episode, with its number."""
     for i, spec in enumerate(world.specs):

@@ -8,14 +8,14 @@ from dynahoi_lerobot.agent import Meeting, WorldState
 from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.approach import approach, earliest_arrival
-from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView, views
+from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView, views
 
 SPEED_M_S = 1.0
 """Faster than this it does not go, where it may."""
 
 
 @EXPERTS.register("intercept")
-class Intercept(SingleWorldExpert):
+class Intercept(Teacher):
     """A constant-speed straight approach to the earliest point of the target's path that the hand can reach.
 
     Appendix "Data collection" lets the expert predict an intercept and wait for a planar tolerance; this one knows the
@@ -30,7 +30,7 @@ class Intercept(SingleWorldExpert):
         return approach(world, _path_from(world.spec, world.due_frame), _speed(world.control))
 
     def arrivals(self, state: WorldState) -> np.ndarray:
-        """Return (N,) int, in how many frames from now it means to meet each target; 0 without an episode."""
+        """See `Teacher.arrivals`."""
         frames = np.zeros(len(state.specs), int)
         for i, world in views(state):
             path_w, closed = _path_from(world.spec, world.due_frame), world.spec.reference_joints

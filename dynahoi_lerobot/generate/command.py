@@ -61,13 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=path, help="write the summary there as well")
 
 
-def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None) -> int:
+def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None, runtime: str = "") -> int:
     """Generate a dataset and print a JSON summary.
 
     Args:
         args: the parsed arguments of ``add_arguments``.
         record: plays the expert; ``dynahoi_lerobot.rollout.loop.record`` by default.
         recipe: what the options override; that of ``--recipe``, or the default recipe, by default.
+        runtime: see `GenerationPlan`.
 
     Returns:
         The exit code: 0 done, 1 failed (run it again to go on), 2 bad input, 130 stopped by the user.
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     try:
         check_output(args.root)
         complete = args.root.exists()
-        plan = _plan(args, recipe if recipe is not None else _load_recipe(args.recipe))
+        plan = _plan(args, recipe if recipe is not None else load_recipe(args.recipe), runtime)
         if args.executor is not None:
             executor = _executor(args, plan, record or _record(plan, args.cpus_per_task))
             if args.dry_run or not executor.run():
@@ -100,7 +101,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     return 0
 
 
-def _plan(args: argparse.Namespace, recipe: Any) -> GenerationPlan:
+def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan:
     changes: dict[str, Any] = {}
     if args.image_size:
         changes["image_size"] = args.image_size
@@ -121,13 +122,19 @@ def _plan(args: argparse.Namespace, recipe: Any) -> GenerationPlan:
         args.image_size != 0,
         Encoding(args.codec, args.crf, args.preset, args.gop),
         shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
+        runtime=runtime,
     )
 
 
-def _load_recipe(path: Path | None) -> Any:
-    from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
+def load_recipe(path: Path | None) -> Any:
+    """Return the recipe of a file, the default recipe if there is none.
 
-    return Recipe() if path is None else load_recipe(path)
+    Raises:
+        ValueError: as ``sampling.recipe.load_recipe`` does.
+    """
+    from dynahoi_lerobot.sampling import recipe
+
+    return recipe.Recipe() if path is None else recipe.load_recipe(path)
 
 
 def _record(plan: GenerationPlan, threads: int) -> Record:

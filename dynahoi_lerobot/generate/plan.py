@@ -25,6 +25,11 @@ class Recipe(Protocol):
     views: tuple[str, ...]
     capture: str
 
+    @property
+    def on_policy(self) -> bool:
+        """Whether a teacher labels what somebody else does."""
+        ...
+
 
 class Record(Protocol):
     """Plays the expert: yields the episodes among ``seeds`` that are to be stored, in their order."""
@@ -71,6 +76,7 @@ class GenerationPlan:
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
+        runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
     """
 
     recipe: Recipe
@@ -81,6 +87,7 @@ class GenerationPlan:
     shard_episodes: int = LARGEST_SHARD
     limits: FileLimits = field(default_factory=FileLimits)
     code: str = field(default_factory=code_fingerprint)
+    runtime: str = ""
 
     def __post_init__(self) -> None:
         """Refuse plans that cannot be carried out.
@@ -109,7 +116,9 @@ class GenerationPlan:
     def features(self) -> tuple[Feature, ...]:
         """The columns of the dataset's frame table."""
         contact_sensors = CAPTURES[self.recipe.capture].uses_contact_sensors
-        return frame_features(self.image_size, self.recipe.views, contact_sensors=contact_sensors)
+        return frame_features(
+            self.image_size, self.recipe.views, contact_sensors=contact_sensors, on_policy=self.recipe.on_policy
+        )
 
     @property
     def shards(self) -> int:
@@ -133,5 +142,6 @@ class GenerationPlan:
             "limits": asdict(self.limits),
             "shard_episodes": self.shard_episodes,
             "code": self.code,
+            "runtime": self.runtime,
         }
         return json.loads(json.dumps(content, default=str))

@@ -13,12 +13,10 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.onpolicy.student import Student
+from dynahoi_lerobot.rollout.on_policy import DISTURBANCE_M, DISTURBED_SHARE
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.world.batch import WorldBatch
-
-DISTURBED_SHARE, DISTURBANCE_M = 0.3, 0.03
-"""Of the frames that the teacher leads: how many are disturbed, and by how much along each axis [m]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,10 +127,13 @@ class _Jobs(Iterator[Job]):
 
 def _fresh_jobs(recipe: Recipe, seeds: Sequence[int], threads: int) -> Iterator[Job]:
     for block in range(0, len(seeds), DEFAULT_BATCH):
-        specs = sample_specs(recipe, seeds[block : block + DEFAULT_BATCH], threads=threads)
-        for offset, drawn in enumerate(specs):
-            spec = _shortened(drawn, recipe.hold_frames)
-            yield Job(block + offset, spec, spec.length_frames)
+        specs = sample_shortened(recipe, seeds[block : block + DEFAULT_BATCH], threads)
+        yield from (Job(block + offset, spec, spec.length_frames) for offset, spec in enumerate(specs))
+
+
+def sample_shortened(recipe: Recipe, seeds: Sequence[int], threads: int) -> list[EpisodeSpec]:
+    """Return the episodes of ``seeds`` as they are recorded: over ``recipe.hold_frames`` after the intercept."""
+    return [_shortened(spec, recipe.hold_frames) for spec in sample_specs(recipe, seeds, threads=threads)]
 
 
 def _shortened(spec: EpisodeSpec, hold_frames: int | None) -> EpisodeSpec:

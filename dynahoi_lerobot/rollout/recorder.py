@@ -75,6 +75,7 @@ class WorldRecorder:
     frames: list[dict[str, np.ndarray]] = field(default_factory=list)
     images: dict[str, list[np.ndarray]] = field(default_factory=dict)
     actions: list[np.ndarray] = field(default_factory=list)
+    labels: list[dict[str, np.ndarray]] = field(default_factory=list)
     localized_frames: int = 0
 
     def add_frame(self, columns: dict[str, np.ndarray], i: int, images: dict[str, np.ndarray]) -> None:
@@ -90,9 +91,16 @@ class WorldRecorder:
         for view, pixels in images.items():
             self.images.setdefault(view, []).append(pixels[i])
 
-    def add_action(self, executed: np.ndarray) -> None:
-        """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad]."""
+    def add_action(self, executed: np.ndarray, label: dict[str, np.ndarray] | None = None) -> None:
+        """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad].
+
+        Args:
+            executed: the command.
+            label: what a teacher says of this frame, by name in ``Episode``; its ``action`` is then the episode's.
+        """
         self.actions.append(executed.copy())
+        if label is not None:
+            self.labels.append(label)
 
     def settled(self, rule: CaptureRule) -> bool:
         """Tell whether the episode may end because the rule's verdict has fallen."""
@@ -111,8 +119,8 @@ class WorldRecorder:
         """Return the recording as an Episode of ``actor``, which planned ``meeting`` at control start."""
         spec, rule, columns = self.job.spec, batch.rule, self._columns()
         track = self._track(columns)
-        columns |= episode_constants(batch, spec, meeting) | {
-            "action": np.stack(self.actions),
+        columns |= episode_constants(batch, spec, meeting) | self._commands()
+        columns |= {
             "captured": self._padded(rule.captured(track)),
             "succeeded": next_frames(self._padded(rule.succeeded(track))),
             "intercept_time": spec.intercept_time_s,
@@ -130,8 +138,13 @@ class WorldRecorder:
         return np.concatenate([np.zeros(self.job.spec.window_frames, bool), control])
 
     def _columns(self) -> dict[str, np.ndarray]:
-        """Everything recorded besides images, (T, ...) each."""
-        return {name: np.stack([frame[name] for frame in self.frames]) for name in self.frames[0]}
+        """Everything measured besides images, (T, ...) each."""
+        return _stacked(self.frames)
+
+    def _commands(self) -> dict[str, np.ndarray]:
+        """The commands, and what a teacher says of the frames if there is one, (T, ...) each."""
+        executed = np.stack(self.actions)
+        return {"executed_action": executed, **_stacked(self.labels)} if self.labels else {"action": executed}
 
     def _track(self, columns: dict[str, np.ndarray]) -> Track:
         """What the capture rule judges: the control phase."""
@@ -146,6 +159,10 @@ class WorldRecorder:
             palm_distance=columns["palm_distance"][control],
             palm_pos_h=columns["state"][control, :PALM_DOF],
         )
+
+
+def _stacked(frames: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
 
 
 def next_frames(flags: np.ndarray) -> np.ndarray:

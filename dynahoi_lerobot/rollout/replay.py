@@ -11,7 +11,8 @@ import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.rollout.loop import Job, make_batch, play, record
+from dynahoi_lerobot.rollout.loop import Job, make_batch, play, record, sample_shortened
+from dynahoi_lerobot.rollout.on_policy import play_on_policy
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
@@ -66,6 +67,26 @@ def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
 
     def resimulate(seed: int) -> Episode | None:
         return next(record(played, [seed], images=images), None)
+
+    return resimulate
+
+
+def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode], *, images: bool) -> Resimulate:
+    """Return a function that makes on-policy recordings again: by the executed commands where the policy led.
+
+    All else is computed anew, the teacher's labels included, and where it leads its commands, too.
+
+    Args:
+        recipe: what was recorded.
+        stored: returns the recording of a seed.
+        images: whether to render.
+    """
+
+    def resimulate(seed: int) -> Episode:
+        specs = sample_shortened(recipe, [seed], threads=1)
+        player = Player([ActionLog(seed, stored(seed).executed)])
+        (episode,) = play_on_policy(make_batch(recipe, 1, threads=1), player, specs, recipe, images=images)
+        return episode
 
     return resimulate
 

@@ -61,11 +61,12 @@ class Session:
         self.observation = self.batch.observe(images=images, ids=shown)
         return self.observation
 
-    def step(self, commands: np.ndarray) -> Ended:
+    def step(self, commands: np.ndarray, labels: dict[str, np.ndarray] | None = None) -> Ended:
         """Record what was observed, move the worlds that play by one frame, and tell which have ended.
 
         Args:
             commands: (N, 18) of all worlds; those of worlds that do not play are ignored.
+            labels: (N, ...) what a teacher says of this frame, by name in ``Episode``; None without a teacher.
 
         Raises:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
@@ -80,7 +81,8 @@ class Session:
             recorder.add_frame(columns, i, images)
         self.batch.step(checked[ids], ids)
         for i, recorder in self._recorders.items():
-            recorder.add_action(self.batch.commanded[i])
+            label = None if labels is None else {name: values[i] for name, values in labels.items()}
+            recorder.add_action(self.batch.commanded[i], label)
         settled = [i for i in ids if self._recorders[i].settled(self.batch.rule)]
         full = [i for i in ids if self._recorders[i].full and i not in settled]
         return Ended(np.array(settled, int), np.array(full, int))

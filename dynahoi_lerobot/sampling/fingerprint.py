@@ -45,7 +45,7 @@ def code_fingerprint() -> str:
     """
     digest = hashlib.sha256(platform.machine().encode())
     digest.update(hash_sources(Path(dynahoi_lerobot.__file__).parent))
-    digest.update(hash_plugins())
+    digest.update(hash_packages(plugin_packages()))
     for library in LIBRARIES:
         digest.update(f"{library}={_version(library)}".encode())
     return digest.hexdigest()[:16]
@@ -73,10 +73,10 @@ def hash_sources(package: Path) -> bytes:
     return digest.digest()
 
 
-def hash_plugins() -> bytes:
-    """Return the sha256 of the names and contents of the modules of all installed plugins' packages."""
+def hash_packages(names: Iterable[str]) -> bytes:
+    """Return the sha256 of the names and contents of the modules of top-level packages; those not found are none."""
     digest = hashlib.sha256()
-    for path in sorted({path for name in plugin_packages() for path in _package_sources(name)}):
+    for path in sorted({path for name in names for path in _package_sources(name)}):
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.digest()

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ import draccus
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.experts.base import Teacher
 from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
@@ -29,6 +32,7 @@ from dynahoi_lerobot.sampling.salt import check_salt, sealed, stream_label
 MIN_HOLD_FRAMES = 12
 """The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
 MAX_DISTURBANCE_M = 0.2
+ACTOR = re.compile(r"[a-z0-9_]+@[0-9a-f]{16}")
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,10 @@ class Recipe:
         salt: goes into the random numbers besides split and seed; empty for the public episodes. See ``salt``.
         keep_failures: whether to record the expert's last attempt, with ``success`` false, where all of them failed;
             otherwise another episode takes its place.
+        actor: the policy that moves the hand while the expert labels what it does, as `onpolicy.actor.actor_name` names
+            it by type and content of its checkpoint; empty if the expert demonstrates. Its failures are always kept.
+        teacher_share: share of the episodes that the expert leads, disturbed, in an on-policy recording; without an
+            actor 1 makes such recordings, and 0 ordinary ones.
     """
 
     split: str = "train"
@@ -76,6 +84,8 @@ class Recipe:
     disturbance_m: float = 0.0
     salt: str = field(default="", repr=False)
     keep_failures: bool = False
+    actor: str = ""
+    teacher_share: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every name against what exists.
@@ -107,6 +117,7 @@ class Recipe:
             raise ValueError(f"disturbance_m must be 0 to {MAX_DISTURBANCE_M} m, got {self.disturbance_m}")
         if self.hold_frames is not None and self.hold_frames < MIN_HOLD_FRAMES:
             raise ValueError(f"hold_frames must be at least {MIN_HOLD_FRAMES}, or null, got {self.hold_frames}")
+        self._check_actor()
 
     @property
     def motion_names(self) -> list[str]:
@@ -136,8 +147,45 @@ class Recipe:
         return sealed(dataclasses.asdict(self))
 
     @property
+    def on_policy(self) -> bool:
+        """Whether the expert labels what it or somebody else does, instead of demonstrating."""
+        return bool(self.actor or self.teacher_share)
+
+    @property
+    def keeps_failures(self) -> bool:
+        """Whether failed episodes are stored."""
+        return self.keep_failures or self.on_policy
+
+    def teacher(self) -> Teacher:
+        """Return the expert as a teacher.
+
+        Raises:
+            ValueError: if it cannot label whatever state somebody else gets into.
+        """
+        if isinstance(expert := EXPERTS[self.expert](), Teacher):
+            return expert
+        able = ", ".join(name for name, kind in EXPERTS.items() if issubclass(kind, Teacher))
+        raise ValueError(
+            f"on-policy recordings need an expert that labels any state ({able}), got {self.expert!r} of capture rule "
+            f"{self.capture!r}"
+        )
+
+    @property
     def _split(self) -> Split:
         return BENCHMARK.splits[self.split]
+
+    def _check_actor(self) -> None:
+        """Refuse an actor that is no name of one, and a share that leaves nobody to lead the rest."""
+        if self.actor and not ACTOR.fullmatch(self.actor):
+            raise ValueError(f"actor must be as `dynahoi generate --actor` writes it, TYPE@HASH, got {self.actor!r}")
+        if not 0 <= self.teacher_share <= 1:
+            raise ValueError(f"teacher_share must be 0 to 1, got {self.teacher_share}")
+        if not self.actor and self.teacher_share not in (0, 1):
+            raise ValueError(
+                f"teacher_share must be 0 or 1 without an actor to lead the rest, got {self.teacher_share}"
+            )
+        if self.on_policy:
+            self.teacher()
 
     def _check_split_of(self, noun: str, name: str) -> None:
         """Refuse what the benchmark holds out for another split, and what an ``ood_`` split holds none of."""

@@ -72,9 +72,13 @@ def _refusal(dataset: CheckedDataset) -> str | None:
 
 
 def _simulator(dataset: CheckedDataset) -> Resimulate:
-    from dynahoi_lerobot.rollout.replay import simulator  # compiles the scene
+    from dynahoi_lerobot.rollout.replay import on_policy_simulator, simulator  # compile the scene
 
-    return simulator(dataset.manifest.provenance["recipe"], images=CAMERA_KEY in dataset.features)
+    images, recipe = CAMERA_KEY in dataset.features, dataset.recipe
+    if recipe is None or not recipe.on_policy:
+        return simulator(dataset.manifest.provenance["recipe"], images=images)
+    place = {row["seed"]: index for index, row in enumerate(dataset.rows)}
+    return on_policy_simulator(recipe, lambda seed: dataset.episode(place[seed], images=False), images=images)
 
 
 def _values(made: Episode, stored: Episode) -> Iterator[str]:

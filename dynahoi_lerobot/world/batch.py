@@ -161,9 +161,7 @@ class WorldBatch:
         if not len(chosen):
             return
         previous, acting, origin = self.executed[chosen], self.acting[chosen], self._origin[chosen]
-        # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
-        commanded = self.servo.within_reach(wanted, self._state_when_due()[chosen], origin).astype(np.float32)
-        commanded = np.where(self.accepting[chosen, None], commanded.astype(np.float64), previous)
+        commanded = self._accepted(wanted, chosen)
         due = self._latency.exchange(chosen, commanded) + self._disturbance.offsets(chosen, self.frame[chosen])
         executed = self.servo.within_reach(due, previous, origin)
         force_w = np.stack([self._targets.force(int(i), int(self.frame[i])) for i in chosen])  # (n, 25, 3)
@@ -172,6 +170,13 @@ class WorldBatch:
         self.commanded[chosen], self.executed[chosen] = commanded, executed
         self.frame[chosen] += 1
         self._update_kinematics(chosen)
+
+    def accepted(self, commands: np.ndarray) -> np.ndarray:
+        """Return (N, 18) what commands to all worlds would become now, [m], home frame, and [rad].
+
+        They are cut to what undisturbed hands can meet when they take effect; void ones become holding still.
+        """
+        return self._accepted(self.check(commands), np.arange(self.size))
 
     def check(self, commands: np.ndarray) -> np.ndarray:
         """Return (N, 18) float64 commands for all worlds; raise ValueError as ``step`` would."""
@@ -299,6 +304,13 @@ class WorldBatch:
         for command in self._latency.pending():
             state = self.servo.within_reach(command, state, self._origin)
         return state
+
+    def _accepted(self, wanted: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+        """(n, 18) see ``accepted``, of some worlds."""
+        # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
+        reached = self.servo.within_reach(wanted, self._state_when_due()[chosen], self._origin[chosen])
+        commanded = reached.astype(np.float32).astype(np.float64)
+        return np.where(self.accepting[chosen, None], commanded, self.executed[chosen])
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
         """Fill row ``i`` with an episode that is about to begin."""

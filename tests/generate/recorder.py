@@ -20,6 +20,7 @@ class FakeRecipe:
     image_size: int = 16
     views: tuple[str, ...] = ()
     capture: str = "attach"
+    on_policy: bool = False
     name: str = "fake"
     miss_every: int = 0
     """Every first draw that this divides is missed by the expert; 0 for none."""

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.dataset.quality_control import EXECUTED
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
@@ -28,16 +30,20 @@ class EpisodeColumns(Check):
         frames, window = len(columns["index"]), int((columns["observation.phase"] == 0).sum())
         intercept = float(columns["intercept.time"][0, 0])
         facts = (
-            ("length_frames is {}, the recording has {} frames", row["length_frames"], frames),
             ("{} frames observe by window_frames and control_class, {} by observation.phase", observed(row), window),
             ("palm_distance has {} values for {} frames", len(row["stats/palm_distance"]), frames),
             ("fingertip_distance has {} values for {} frames", len(row["stats/fingertip_distance"]), frames),
             ("attempt_success is {}, success and attempts give {}", row["stats/attempt_success"], _attempts(row)),
         )
         problems = [sentence.format(said, found) for sentence, said, found in facts if said != found]
+        if frames != (wanted := _recorded(row, columns)):
+            problems.append(
+                f"length_frames is {row['length_frames']}, so {wanted} frames are recorded; there are {frames}"
+            )
         if abs(row["intercept_frame"] * CONTROL_DT - intercept) > 1e-4:
             problems.append(f"intercept_frame is {row['intercept_frame']}, intercept.time is {intercept:.3f} s")
-        if not row["success"] and not (dataset.recipe is not None and dataset.recipe.keep_failures):
+        keeps_failures = dataset.recipe.keeps_failures if dataset.recipe else EXECUTED in columns
+        if not row["success"] and not keeps_failures:
             problems.append("success is False, only successes are stored")
         if row["attempts"] < 1:
             problems.append(f"attempts is {row['attempts']}, it is 1 or more")
@@ -46,6 +52,16 @@ class EpisodeColumns(Check):
                 problems.append(f"{key} changes within the episode")
         problems += _parameters(row["parameters"])
         yield from (f"episode {row['episode_index']}: {problem}" for problem in problems)
+
+
+def _recorded(row: EpisodeRow, columns: Columns) -> int:
+    """For how many frames an episode is recorded: an on-policy one as an evaluation is, see ``Job.evaluation``."""
+    length = row["length_frames"]
+    if EXECUTED not in columns:
+        return length
+    localized, settled = columns["localized"][:, 0], CAPTURES[row["capture"]].settle_frames
+    full = row["window_frames"] + length + 1
+    return min(full, int(localized.argmax()) + settled + 1) if localized.any() else full
 
 
 def _attempts(row: EpisodeRow) -> list[bool]:

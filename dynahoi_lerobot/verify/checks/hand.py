@@ -10,6 +10,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.captures.base import Weld
 from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.dataset.quality_control import executed_key
 from dynahoi_lerobot.foundation.conventions import FINGER_DOF, PALM_DOF
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -36,11 +37,12 @@ class HandCheck(Check):
             return
         problems = (
             _fingertips(recipe, columns),
-            _range(recipe, row, columns),
+            _range(recipe, row, "action", columns),
+            _range(recipe, row, executed_key(columns), columns),
             _lag(recipe, columns),
             _open(recipe, row),
         )
-        yield from (f"episode {row['episode_index']}{problem}" for problem in problems if problem)
+        yield from (f"episode {row['episode_index']}{problem}" for problem in dict.fromkeys(problems) if problem)
 
 
 def _fingertips(recipe: Recipe, columns: Columns) -> str | None:
@@ -54,8 +56,8 @@ def _fingertips(recipe: Recipe, columns: Columns) -> str | None:
     return f", frame {frame}: observation.fingertips is {apart[frame]:.2g} m or rad off the kinematics of its state"
 
 
-def _range(recipe: Recipe, row: EpisodeRow, columns: Columns) -> str | None:
-    hand, action = hand_kinematics(recipe.hand), columns["action"]
+def _range(recipe: Recipe, row: EpisodeRow, key: str, columns: Columns) -> str | None:
+    hand, action = hand_kinematics(recipe.hand), columns[key]
     origin = np.concatenate([row["stats/home_position"], np.zeros(FINGER_DOF)])
     low, high = hand.low - origin, hand.high - origin
     beyond = np.maximum(low - action, action - high)  # (T, 18), positive outside
@@ -63,7 +65,7 @@ def _range(recipe: Recipe, row: EpisodeRow, columns: Columns) -> str | None:
     if beyond[frame, axis] <= RANGE_TOLERANCE:
         return None
     allowed = f"commands are clipped to {low[axis]:.2f} to {high[axis]:.2f}"
-    return f", frame {frame}: action[{axis}] is {action[frame, axis]:.3f}; {allowed}"
+    return f", frame {frame}: {key}[{axis}] is {action[frame, axis]:.3f}; {allowed}"
 
 
 def _lag(recipe: Recipe, columns: Columns) -> str | None:
@@ -71,14 +73,15 @@ def _lag(recipe: Recipe, columns: Columns) -> str | None:
     if recipe.disturbance_m:
         return None
     frames = 1 + CONTROL_CLASSES[recipe.control_class].latency_frames  # until a command has been followed
-    apart = np.abs(columns["observation.state"][frames:] - columns["action"][:-frames])  # (T - frames, 18)
+    key = executed_key(columns)
+    apart = np.abs(columns["observation.state"][frames:] - columns[key][:-frames])  # (T - frames, 18)
     groups = [("palm", apart[:, :PALM_DOF], PALM_LAG_M, "m")]
     if isinstance(CAPTURES[recipe.capture].effect, Weld):
         groups.append(("a joint", apart[:, PALM_DOF:], JOINT_LAG_RAD, "rad"))
     for name, gap, tolerance, unit in groups:
         if gap.size and gap.max() > tolerance:
             frame = int(gap.max(axis=1).argmax()) + frames
-            return f", frame {frame}: observation.state has {name} {gap.max():.3f} {unit} from where action led"
+            return f", frame {frame}: observation.state has {name} {gap.max():.3f} {unit} from where {key} led"
     return None
 
 

@@ -8,6 +8,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.protocol import protocol_of
+from dynahoi_lerobot.rollout.on_policy import Lead
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.instructions import NEUTRAL, REVEALING
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -40,19 +41,25 @@ class RecipeCheck(Check):
 def _allowed(recipe: Recipe, row: EpisodeRow, code: str | None) -> dict[str, list[object]]:
     """Return by column the values that the recipe gives an episode of this seed, motion and object."""
     expert, names = EXPERTS[recipe.expert], recipe.motion_names
+    first = 1 if row["success"] else 1 + expert.retries
     phrase = stored_motion(row["motion"], row["parameters"]).phrase
     return {
         "motion": [names[row["seed"] % len(names)]],
         "object": list(recipe.object_names),
         "task": [text.format(object=row["object"], phrase=phrase) for text in STYLES[recipe.instructions]],
-        "agent": [expert.name],
-        "attempts": list(range(1 if row["success"] else 1 + expert.retries, 2 + expert.retries)),
+        "agent": [expert.name if _expert_leads(recipe, row["seed"]) else recipe.actor],
+        "actor": [recipe.actor],
+        "attempts": [1] if recipe.on_policy else list(range(first, 2 + expert.retries)),
         "capture": [recipe.capture],
         "protocol": [recipe.protocol],
         "split": [recipe.split_label],
         "fingerprint": [recipe.fingerprint(code)],
         "benchmark": [BENCHMARK.version],
     }
+
+
+def _expert_leads(recipe: Recipe, seed: int) -> bool:
+    return not recipe.on_policy or Lead.drawn(seed, recipe.teacher_share).led
 
 
 def _lengths(recipe: Recipe, row: EpisodeRow) -> Iterator[str]:

@@ -13,6 +13,7 @@ from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, info_features
 from dynahoi_lerobot.dataset.episode_table import row_schema
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, ROBOT_TYPE, TASKS_PATH, VIDEO_PATH
+from dynahoi_lerobot.dataset.quality_control import EXECUTED
 from dynahoi_lerobot.feature import IMAGE_PREFIX
 from dynahoi_lerobot.features import CAMERA_KEY, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
@@ -69,7 +70,8 @@ class Schema(Check):
         size = None if camera is None else camera["shape"][0]
         encoding = Encoding(codec="h264" if dataset.has_video else "images")
         contact_sensors = CAPTURES[dataset.rows[0]["capture"]].uses_contact_sensors
-        features = frame_features(size, self._views(dataset), contact_sensors=contact_sensors)
+        on_policy = dataset.recipe.on_policy if dataset.recipe else EXECUTED in dataset.features
+        features = frame_features(size, self._views(dataset), contact_sensors=contact_sensors, on_policy=on_policy)
         wanted = info_features(features, encoding)
         for key in sorted(wanted.keys() | dataset.features.keys()):
             found = {name: value for name, value in dataset.features.get(key, {}).items() if name != "info"}

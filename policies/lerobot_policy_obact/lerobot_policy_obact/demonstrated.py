@@ -1,4 +1,8 @@
-"""Labels of a forecast from demonstrations: where the target went, until it was caught, and how the hand closed."""
+"""Labels of a forecast from a dataset: where the target went, until it was caught, and how a hand closes around it.
+
+They are right wherever the hand is: the path of a target that is not held does not depend on it. When the hand meets
+the target does, so on-policy recordings keep what the teacher says of each state.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +17,14 @@ from torch import Tensor
 from .configuration_obact import ObActConfig
 from .heads.base import ActionHead, ForecastHead
 from .heads.intercept import KNOTS, PALM_DIM
-from .privileged import read_column
+from .privileged import read_column, read_episode_column
 
 CAUGHT = "localized"
 """Column that tells whether the target has been caught."""
+ARRIVAL = "teacher.arrival"
+"""Column of on-policy recordings: time until the teacher would meet the target from here [s]."""
+GRASP = "stats/reference_joints"
+"""Column of the episode table: joint angles of the closed hand [rad]."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +34,8 @@ class ForecastLabels:
     Attributes:
         path: position of the target at `KNOTS` after the frame, in the frame of the state [m], ``(n, 3)``.
         known: False where the episode has ended, or the target had been caught, ``(n,)``.
-        closed: joints with which the hand held the target [rad], ``(J,)``.
-        arrival: frames until it was caught, ``()``.
+        closed: joints that close the hand around the target [rad], ``(J,)``.
+        arrival: frames until the demonstrator, or the teacher from this state, meets the target, ``()``.
     """
 
     path: Tensor
@@ -51,7 +59,6 @@ class Demonstrated:
         self.position = torch.from_numpy(read_column(meta, key, PALM_DIM)[:, :PALM_DIM])
         episode = read_column(meta, "episode_index", 1)[:, 0].astype(np.int64)
         caught = read_column(meta, CAUGHT, 1)[:, 0] > 0.5
-        joints = read_column(meta, ACTION, PALM_DIM + 1)[:, PALM_DIM:]
         starts = np.flatnonzero(np.diff(episode, prepend=-1))
         ends = np.append(starts[1:], len(episode))
         spans = list(zip(starts, ends, strict=True))
@@ -59,7 +66,10 @@ class Demonstrated:
         lengths = ends - starts
         self.end = torch.from_numpy(np.repeat(ends, lengths))  # (F,) first frame of the next episode
         self.catch = torch.from_numpy(np.repeat(np.array(catches), lengths))  # (F,) first frame with the target caught
-        self.closed = torch.from_numpy(np.repeat(joints[ends - 1], lengths, axis=0))  # (F, J)
+        self.closed = torch.from_numpy(np.repeat(_grasps(meta, ends), lengths, axis=0))  # (F, J)
+        self.arrival = self.catch - torch.arange(len(episode))  # (F,)
+        if ARRIVAL in meta.features:
+            self.arrival = torch.from_numpy(np.rint(read_column(meta, ARRIVAL, 1)[:, 0] * meta.fps).astype(np.int64))
 
     def __call__(self, index: Tensor, offsets: list[int]) -> ForecastLabels:
         """Return the labels at frames ``index + offsets``, ``(B, K, ...)``.
@@ -74,9 +84,14 @@ class Demonstrated:
         ahead = torch.where(held, frames[..., None], ahead)
         known = (ahead < self.end[frames][..., None]) & (held | (ahead <= self.catch[frames][..., None]))
         path = self.position[ahead.clamp_max(len(self.position) - 1)]
-        arrival = (self.catch[frames] - frames).clamp_min(1)
-        labels = (path, known, self.closed[frames], arrival)
+        labels = (path, known, self.closed[frames], self.arrival[frames].clamp_min(1))
         return ForecastLabels(*(label.to(index.device) for label in labels))
+
+
+def _grasps(meta: Any, ends: np.ndarray) -> np.ndarray:
+    """Return the joints of each episode's grasp, ``(E, J)``: the known one, or else the last that were commanded."""
+    known = read_episode_column(meta, GRASP)
+    return read_column(meta, ACTION, PALM_DIM + 1)[ends - 1, PALM_DIM:] if known is None else known
 
 
 def demonstrated(head: ActionHead, config: ObActConfig, meta: Any | None) -> Demonstrated | None:

@@ -134,11 +134,11 @@ class ImitationObjective:
 
     def _executed(self, batch: Batch) -> Tensor:
         """Return which decisions are ever executed, ``(B, K, 1)``: those after the rise of ``replan_key``."""
-        value, windows = batch.get(self.config.replan_key), self.config.windows
+        value, loaded = batch.get(self.config.replan_key), self.config.observation_delta_indices
         if value is None:
             return torch.ones(1, 1, 1, dtype=torch.bool, device=batch[ACTION].device)
-        value = value.reshape(len(value), len(windows.observation_offsets), -1)  # (B, T, D), or (B, T) of numbers
-        moments = [index[-1] for index in windows.frame_index]
+        value = value.reshape(len(value), len(loaded), -1)  # (B, T, D), or (B, T) of numbers
+        moments = [loaded.index(moment) for moment in self.config.windows.decision_moments]
         return value[:, moments, -1:] >= self._risen_from
 
     def _privileged_error(self, model: ObActModel, batch: Batch, frames: EncodedFrames) -> Tensor:

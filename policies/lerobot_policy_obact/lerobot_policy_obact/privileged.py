@@ -91,6 +91,15 @@ def privileged_labels(config: ObActConfig, meta: Any | None) -> FrameColumn | No
     return FrameColumn(meta, config.privileged_key, config.relative_dims)
 
 
+def read_episode_column(meta: Any, key: str) -> np.ndarray | None:
+    """Return a column of the episode table in the order of its episodes, float32, ``(E, D)``; None if there is none."""
+    files = sorted(Path(meta.root).glob("meta/episodes/*/*.parquet"))
+    if not all(key in pq.read_schema(file).names for file in files):
+        return None
+    rows = [row for file in files for row in pq.read_table(file, columns=["episode_index", key]).to_pylist()]
+    return np.array([row[key] for row in sorted(rows, key=lambda row: row["episode_index"])], np.float32)
+
+
 class PositionProbe(nn.Module):
     """Predicts a position from the tokens of a single frame, by attention pooling.
 

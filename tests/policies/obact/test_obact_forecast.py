@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot_policy_obact.demonstrated import Demonstrated
+from lerobot_policy_obact.demonstrated import GRASP, Demonstrated
 from lerobot_policy_obact.heads.base import heads
 from lerobot_policy_obact.heads.intercept import KNOTS, InterceptHead
 from lerobot_policy_obact.observation import Observation
@@ -57,6 +61,37 @@ def test_labels_follow_the_target_until_it_is_caught(meta: LeRobotDatasetMetadat
     assert labels.known[held, 0].all(), "a target that is held stays in the hand"
     torch.testing.assert_close(labels.path[held, 0], torch.tensor([0.2, 1.0, 0.0]).expand(len(KNOTS), 3))
     torch.testing.assert_close(labels.closed[held, 0], torch.full((15,), 0.02 * (N_FRAMES - 1) + 1))
+
+
+def test_on_policy_the_teacher_says_when_it_would_arrive_and_failures_know_the_grasp(tmp_path: Path):
+    """The hand never comes near, nobody closes it, and the teacher arrives earlier than the episode ends."""
+    features = {key: HAND_FEATURES[key] for key in ("observation.state", "action")}
+    features |= {"target.pose": {"dtype": "float32", "shape": (7,), "names": None}}
+    features |= {key: {"dtype": "bool", "shape": (1,), "names": None} for key in ("localized", "intervention")}
+    features |= {"teacher.arrival": {"dtype": "float32", "shape": (1,), "names": None}}
+    root = tmp_path / "missed"
+    dataset = LeRobotDataset.create("local/missed", fps=FPS, features=features, root=root, use_videos=False)
+    for episode in range(2):
+        for t in range(N_FRAMES):
+            pose = np.array([0.01 * t, episode, 0, 1, 0, 0, 0], np.float32)
+            flags = {"localized": np.array([False]), "intervention": np.array([False])}
+            zero = {key: np.zeros(18, np.float32) for key in ("observation.state", "action")}
+            arrival = np.array([(5 + episode + t % 3) / FPS], np.float32)
+            dataset.add_frame({**zero, **flags, "target.pose": pose, "teacher.arrival": arrival, "task": "catch"})
+        dataset.save_episode()
+    dataset.finalize()
+    for file in root.glob("meta/episodes/*/*.parquet"):
+        table = pq.read_table(file)
+        grasps = pa.array([[0.1 * (1 + episode)] * 15 for episode in range(len(table))])
+        pq.write_table(table.append_column(GRASP, grasps), file)
+    meta = LeRobotDatasetMetadata("local/missed", root=root)
+    labels = Demonstrated(meta, "target.pose")(torch.tensor([10, N_FRAMES + 25]), [0, 1])
+    assert labels.arrival.tolist() == [[6, 7], [7, 8]]
+    ahead = torch.tensor(KNOTS)
+    torch.testing.assert_close(labels.known[0, 0], ahead < N_FRAMES - 10)
+    free = labels.path[0, 0][labels.known[0, 0]]
+    torch.testing.assert_close(free[:, 0], 0.01 * (10 + ahead[ahead < N_FRAMES - 10]))
+    torch.testing.assert_close(labels.closed[:, 0, 0], torch.tensor([0.1, 0.2]))
 
 
 def test_a_policy_learns_them_from_a_batch(meta: LeRobotDatasetMetadata):

@@ -1,0 +1,228 @@
+"""`dynahoi generate --actor`: a policy moves the hand, the expert labels every frame; the dataset is as any other."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lerobot.datasets import LeRobotDataset
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
+from dynahoi_lerobot.onpolicy import generate_command
+from dynahoi_lerobot.onpolicy.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime
+from dynahoi_lerobot.verify.runner import verify
+from tests.verify.forgery import Columns, Damage, at, forge, row_is, sign
+
+SEEDS = 4
+ON_POLICY = ("executed_action", "intervention", "teacher.arrival")
+
+
+def arriving_later(row: EpisodeRow, columns: Columns) -> None:
+    """Let the teacher say, as control starts, that it will arrive later than it can."""
+    columns["teacher.arrival"][row["window_frames"]] += 0.3
+
+
+def words(actor: Path | None, root: Path, *more: object) -> list[str]:
+    """Return the command for four episodes in two shards, of two kinds whose path is prescribed or thrown."""
+    what = ["generate", "--root", root, "--episodes", SEEDS, "--shard-episodes", 2, "--motions", "constant,lob"]
+    what += ["--control-class", "late", "--teacher-share", 0.4]
+    what += [] if actor is None else ["--actor", actor]
+    return [str(word) for word in (*what, *more)]
+
+
+@pytest.fixture(scope="module")
+def generated(actor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("generated") / "d"
+    assert main(words(actor, root)) == 0
+    return root
+
+
+@pytest.fixture(scope="module")
+def episodes(generated: Path) -> list[Episode]:
+    return list(read_episodes(generated))
+
+
+def test_some_episodes_are_led_by_the_teacher_and_failures_are_kept(episodes: list[Episode], actor: Path):
+    name = actor_name(str(actor))
+    led = [bool(episode.intervention.all()) for episode in episodes]
+    assert set(led) == {True, False}
+    for episode, by_teacher in zip(episodes, led, strict=True):
+        assert by_teacher or not episode.intervention.any()
+        assert episode.meta.agent == ("intercept" if by_teacher else name)
+        assert episode.meta.actor == name
+    assert not all(episode.success for episode in episodes)
+
+
+def test_the_executed_commands_move_the_hand_and_the_labels_do_not(episodes: list[Episode]):
+    latency = 3
+    for episode in episodes:
+        acting, frames = slice(episode.meta.window_frames, None), latency + 1
+        arrived = episode.state[frames:][acting] - episode.executed_action[:-frames][acting]
+        labelled = episode.state[frames:][acting] - episode.action[:-frames][acting]
+        assert np.abs(arrived[:, :3]).max() < 2e-3
+        assert np.abs(labelled[:, :3]).max() > 1e-2
+        assert np.array_equal(episode.executed, episode.executed_action)
+
+
+def test_it_is_verified_and_made_again_without_the_policy(generated: Path):
+    assert verify(generated, decoded=None, replayed=SEEDS) == []
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (at("action", (-30, 0), lambda x: x + 0.02), "m from the teacher's way"),
+        (forge(arriving_later), "the teacher could arrive"),
+        (at("teacher.arrival", -30, lambda x: x + 0.01), "no whole number of frames"),
+        (at("intervention", slice(None), lambda x: ~x), "seed and teacher_share give"),
+        (at("executed_action", (-30, 0), lambda x: x + 0.02), "from where executed_action led"),
+        (at("executed_action", (-30, 5), 7.0), "executed_action has joint angles"),
+        (row_is(agent="hold"), "agent is 'hold'"),
+        (row_is(actor="obact@0123456789abcdef"), "actor is 'obact@0123456789abcdef'"),
+        (row_is(length_frames=30), "frames are recorded; there are"),
+    ],
+    ids=str,
+)
+def test_damages_are_found(generated: Path, tmp_path: Path, damage: Damage, told: str):
+    root = shutil.copytree(generated, tmp_path / "d")
+    damage(root)
+    sign(root)
+    assert told in "\n".join(str(finding) for finding in verify(root, decoded=0))
+
+
+@pytest.mark.parametrize("key", ["action", "teacher.arrival"])
+def test_a_replay_finds_labels_that_no_path_explains(generated: Path, tmp_path: Path, key: str):
+    root = shutil.copytree(generated, tmp_path / "d")
+    forge(lambda row, columns: columns[key].__iadd__(0.02 if key == "action" else 0.05), episode=1)(root)  # a lob
+    sign(root)
+    assert f"another {key}" in "\n".join(str(finding) for finding in verify(root, decoded=0, replayed=SEEDS))
+
+
+@pytest.mark.slow  # two processes import torch
+def test_any_number_of_workers_gives_the_same_bytes(generated: Path, actor: Path, tmp_path: Path):
+    assert main(words(actor, tmp_path / "d", "--workers", 2)) == 0
+    assert Manifest.read(tmp_path / "d").files == Manifest.read(generated).files
+
+
+def test_a_stopped_run_goes_on_to_the_same_bytes(
+    generated: Path, actor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    made: list[int] = []
+
+    def stopped_in_the_second_shard(seed: int, **what: object) -> RecordedPolicy:
+        made.append(seed)
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        return make_actor(seed, **what)
+
+    monkeypatch.setattr(generate_command, "make_actor", stopped_in_the_second_shard)
+    assert main(words(actor, tmp_path / "d")) == 130
+    assert not (tmp_path / "d").exists()
+    assert main(words(actor, tmp_path / "d")) == 0
+    assert made == [0, 2, 2], "the first shard was kept"
+    assert Manifest.read(tmp_path / "d").files == Manifest.read(generated).files
+
+
+def test_another_checkpoint_is_another_dataset(
+    generated: Path, actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    other = edited(actor, tmp_path, "config.json", lambda content: content | {"noise_seed": 5})
+    assert actor_name(str(other)) != actor_name(str(actor))
+    assert main(words(other, generated)) == 2
+    assert "holds another dataset (other actor)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("other", ["name", "on"])
+def test_a_worker_with_another_checkpoint_or_other_libraries_refuses(actor: Path, other: str):
+    policy = open_policy(str(actor))
+    known = {"name": actor_name(str(actor)), "on": runtime(policy)}
+    assert make_actor(0, path=str(actor), **known).sees_images
+    with pytest.raises(PolicyError, match="here; the recording is of something else"):
+        make_actor(0, path=str(actor), **known | {other: "something else"})
+
+
+def test_its_random_numbers_and_threads_are_its_own(actor: Path):
+    import torch
+
+    policy = PolicyAgent(str(actor), "cpu")
+    drawn: list[float] = []
+    policy.act = lambda observation: drawn.append(torch.rand(()).item())  # type: ignore[method-assign,assignment]
+    for seed in (3, 3, 4):
+        recorded = RecordedPolicy(policy, seed)
+        for _ in range(2):
+            torch.manual_seed(len(drawn))
+            recorded.act(None)  # type: ignore[arg-type]
+            assert torch.initial_seed() == len(drawn) - 1
+    assert drawn[:2] == drawn[2:4]
+    assert drawn[:2] != drawn[4:]
+    assert len(set(drawn[:2])) == 2
+
+
+def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: Path, tmp_path: Path):
+    assert main(words(None, tmp_path / "first", "--teacher-share", 1, "--image-size", 32, "--seed", 100)) == 0
+    merge([tmp_path / "first", generated], tmp_path / "both")
+    assert verify(tmp_path / "both") == []
+    assert [bool(e.intervention.all()) for e in read_episodes(tmp_path / "first")] == [True] * SEEDS
+    item = LeRobotDataset("local/both", root=tmp_path / "both")[5]
+    assert set(ON_POLICY) <= set(item)
+    card = (generated / "README.md").read_text()
+    assert f"The policy `{actor_name(str(actor))}` moves the hand, but in the\n40 % of the episodes" in card
+    assert "The expert moves the hand, disturbed." in (tmp_path / "first" / "README.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (["--actor", "nowhere"], "there is no policy 'nowhere'"),
+        (["--actor", "user/name", "--trust"], "--trust needs a folder as the actor, got 'user/name'"),
+        (["--teacher-share", "1.5"], "must be a number from 0.0 to 1.0, got 1.5"),
+        (["--teacher-share", "0.5"], "teacher_share must be 0 or 1 without an actor to lead the rest, got 0.5"),
+        (
+            ["--teacher-share", "1", "--capture", "contact"],
+            "need an expert that labels any state (intercept), got 'match'",
+        ),
+    ],
+    ids=str,
+)
+def test_bad_input_is_one_sentence(more: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(words(None, tmp_path / "d", *more)) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_checkpoint_that_could_run_code_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    hostile = edited(actor, tmp_path, "config.json", lambda content: content | {"auto_map": {"x": "y"}})
+    assert main(words(hostile, tmp_path / "d")) == 2
+    error = capsys.readouterr().err
+    assert "has an auto_map" in error
+    assert "give --trust only if" in error
+
+
+def test_a_recipe_that_names_another_actor_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text("actor: obact@0123456789abcdef\n")
+    for given, told in ((None, "give its checkpoint with --actor"), (actor, f"is {actor_name(str(actor))}")):
+        assert main(words(given, tmp_path / "d", "--recipe", recipe)) == 2
+        assert told in capsys.readouterr().err
+    recipe.write_text("actor: me\n")
+    assert main(words(None, tmp_path / "d", "--recipe", recipe)) == 2
+    assert "TYPE@HASH, got 'me'" in capsys.readouterr().err
+
+
+def edited(actor: Path, folder: Path, name: str, change: Callable[[dict], dict]) -> Path:
+    """Return a copy of the checkpoint with another JSON file."""
+    copy = shutil.copytree(actor, folder / "other")
+    (copy / name).write_text(json.dumps(change(json.loads((copy / name).read_text()))))
+    return copy
