@@ -96,7 +96,9 @@ def play_on_policy(
         if agent is not None:
             commands = np.where(led[:, None], commands, agent.act(observation))
         for i in session.step(commands, labels).worlds:
-            _, episode = session.finish(int(i), teacher if led[i] else recipe.actor)
+            job = session.job(int(i))
+            meeting = teacher.first_meeting(job.spec, batch.control, job.attempt) if led[i] else None
+            episode = session.finish(int(i), teacher.name if led[i] else recipe.actor, meeting)
             played[int(i)] = replace(episode, meta=replace(episode.meta, actor=recipe.actor))
     return [played[i] for i in range(batch.size)]
 
