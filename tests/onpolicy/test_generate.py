@@ -91,7 +91,7 @@ def test_it_is_verified_and_made_again_without_the_policy(generated: Path):
         (row_is(actor="obact@0123456789abcdef"), "actor is 'obact@0123456789abcdef'"),
         (row_is(length_frames=30), "frames are recorded; there are"),
     ],
-    ids=str,
+    ids=lambda value: value if isinstance(value, str) else "damage",
 )
 def test_damages_are_found(generated: Path, tmp_path: Path, damage: Damage, told: str):
     root = shutil.copytree(generated, tmp_path / "d")
