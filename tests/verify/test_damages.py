@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from docs.scripts import damage_table
+from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
@@ -18,7 +19,7 @@ from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify import command
 from tests.verify.damages import DAMAGES
-from tests.verify.forgery import sign
+from tests.verify.forgery import OTHER_VIDEO, sign
 
 RECIPE = Recipe(motions=("constant", "lob", "planar"), image_size=32, hold_frames=12)
 MODES = {"unsigned": ["--decode", "0"], "default": ["--decode", "0"], "decode": ["--decode", "all"]}
@@ -29,7 +30,9 @@ MODES["replay"] = ["--decode", "all", "--replay", "2"]
 def intact(tmp_path_factory) -> Path:
     """Six simulated episodes in two video files."""
     root = tmp_path_factory.mktemp("intact") / "d"
-    generate(GenerationPlan(RECIPE, 6, shard_episodes=3), root, record=record)
+    limits = FileLimits(video_s=6.0)  # each shard's three episodes take 5.2 s
+    generate(GenerationPlan(RECIPE, 6, shard_episodes=3, limits=limits), root, record=record)
+    assert (root / OTHER_VIDEO).exists()
     return root
 
 
