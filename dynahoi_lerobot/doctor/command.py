@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import chain
@@ -12,6 +13,7 @@ from pathlib import Path
 from dynahoi_lerobot.doctor.parts.base import Fact, examine
 from dynahoi_lerobot.doctor.reference import compare
 from dynahoi_lerobot.foundation.arguments import path
+from dynahoi_lerobot.foundation.output import check_output
 
 SOUND, PROBLEMS = 0, 1
 
@@ -26,7 +28,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what is there and what follows; return the exit code: 0 no problems, 1 problems."""
+    """Print what is there and what follows; return the exit code: 0 no problems, 1 problems.
+
+    Raises:
+        ValueError: if the folder is not there, or the file could not be written.
+    """
+    if not os.path.isdir(args.folder):
+        raise ValueError(f"--folder must be a folder that is there, got {str(args.folder)!r}")
+    if args.json:
+        check_output(args.json)
     facts = []
     for fact in chain(examine(args.folder), compare() if args.reference else ()):
         print(_line(fact), flush=True)

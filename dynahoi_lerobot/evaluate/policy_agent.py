@@ -110,7 +110,7 @@ class PolicyAgent(ChunkAgent):
         if delays is not None and (executed is not None or self.accepts_prefix):
             left_over = None if executed is None else self._chunk[:, int(executed[0]) :]
             guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
-        with torch.inference_mode():
+        with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
         return Plan(actions, np.full(len(worlds), time.perf_counter() - start))

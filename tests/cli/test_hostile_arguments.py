@@ -27,6 +27,7 @@ REQUIRED = {
     "view": ["--motion", "constant", "--image-size", "16", "--out", "made.gif"],
     "quickstart": ["--out", "file/made"],
     "list": ["hands"],
+    "doctor": [],
 }
 """Arguments with which a command would do little; what is tested is said after them and wins."""
 PATHS = ("file/below", "dangling", "dangling/below", "~nobody-of-that-name/x", "x" * 300, "loop", "a\0b", "")
@@ -39,7 +40,7 @@ def options(command: str) -> Iterator[argparse.Action]:
 
 
 def is_path(action: argparse.Action) -> bool:
-    return action.dest in ("root", "out", "json", "recipe", "dataset", "results")
+    return action.dest in ("root", "out", "json", "recipe", "dataset", "results", "folder")
 
 
 def cases(paths: bool) -> list:
@@ -90,6 +91,7 @@ def forms(number: str) -> list[str]:
 HARMLESS = {
     "generate --image-size": ("0",),
     "generate --seed": ("0",),
+    "generate --teacher-share": ("0",),
     "generate --crf": ("0",),
     "generate --gpus-per-task": ("0",),
     "verify --replay": ("0",),

@@ -10,8 +10,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
-from huggingface_hub import parse_eval_result_entries
 
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
@@ -63,10 +61,7 @@ def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(h
     head = json.loads((results / METRICS_FILE).read_text())
     name = f"{head['split']}_attach_{head['extra']['recipe']['control_class']}"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
-    entries = parse_eval_result_entries(yaml.safe_load(files[f".eval_results/{name}.yaml"]))
-    assert {entry.dataset_id for entry in entries} == {"me/dynahoi"}
-    shown = {entry.task_id.removeprefix(f"{name}_"): entry.value for entry in entries}
-    assert shown == {key: metric["value"] for key, metric in head["metrics"].items() if metric["value"] is not None}
+    assert not [file for file in files if file.startswith(".eval_results")], "two episodes are no whole split"
     assert push(checkpoint, "me/obact")[0] == 0
     elsewhere(hub, tmp_path / "other_home", *words, str(tmp_path / "again"))
     assert json.loads((tmp_path / "again" / METRICS_FILE).read_text())["metrics"] == head["metrics"]

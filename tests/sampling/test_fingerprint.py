@@ -27,7 +27,7 @@ def edit(path: Path) -> None:
     path.write_text(path.read_text() + "\n# edited\n")
 
 
-@pytest.mark.parametrize("room", [room for room in ROOMS if room not in (*READING, "nouns", "generate")])
+@pytest.mark.parametrize("room", [room for room in ROOMS if room not in (*READING, "nouns", "generate", "doctor")])
 def test_an_edit_in_a_deciding_room_changes_the_fingerprint(copy, room):
     before = hash_sources(copy)
     assert before == hash_sources(PACKAGE)
