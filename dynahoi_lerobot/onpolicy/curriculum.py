@@ -9,7 +9,6 @@ import numpy as np
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
@@ -17,6 +16,11 @@ MEMORY = 0.9
 """Share of what is known of a kind that counts after one more round."""
 PRIOR = 1.0
 """A kind counts as having been caught, and as having been missed, so many times more than it was."""
+
+
+def failure_rate[N: (float, np.ndarray)](caught: N, missed: N) -> N:
+    """Return the expected share of misses after so many catches and misses; one half after none."""
+    return (missed + PRIOR) / (caught + missed + 2 * PRIOR)
 
 
 class Curriculum:
@@ -45,17 +49,15 @@ class Curriculum:
         return [self._specs[int(seed)] for seed in seeds]
 
     def note(self, played: Iterable[Episode]) -> None:
-        """Count what the student caught (S_joint) or held (S_hold); older rounds count less and less."""
+        """Count successes and failures of the student; older rounds count less and less."""
         self._caught *= MEMORY
         self._missed *= MEMORY
         for episode in played:
-            kind, scores = self._kinds == episode.meta.motion, measure(episode)
-            success = scores["S_joint"] if scores["S_hold"] is None else scores["S_hold"]
-            (self._caught if success else self._missed)[kind] += 1
+            (self._caught if episode.success else self._missed)[self._kinds == episode.meta.motion] += 1
 
     def failure_rates(self) -> dict[str, float]:
         """Return the expected share of misses by kind of motion."""
-        rates = (self._missed + PRIOR) / (self._caught + self._missed + 2 * PRIOR)
+        rates = failure_rate(self._caught, self._missed)
         return dict(zip(self._kinds.tolist(), rates.tolist(), strict=True))
 
     def state_dict(self) -> dict[str, Any]:

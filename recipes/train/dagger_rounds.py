@@ -25,12 +25,11 @@ import pyarrow.parquet as pq
 import yaml
 
 from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.onpolicy.curriculum import failure_rate
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, read_recipe
 from recipes.study.run import dynahoi, run
 
 LOG, TRAINING = "log.jsonl", "training"
-PRIOR = 1
-"""A kind counts as having been caught, and as having been missed, so many times more than it was."""
 
 
 def main() -> None:
@@ -159,7 +158,7 @@ def allotted(kinds: list[str], played: list[str], caught: list[bool]) -> list[st
         caught: which of them succeeded.
     """
     results = {kind: [success for name, success in zip(played, caught, strict=True) if name == kind] for kind in kinds}
-    rates = np.array([(r.count(False) + PRIOR) / (len(r) + 2 * PRIOR) for r in results.values()])
+    rates = np.array([failure_rate(r.count(True), r.count(False)) for r in results.values()])
     edges = np.cumsum(rates) / rates.sum() * len(kinds)
     return [kinds[int(np.searchsorted(edges, place + 0.5))] for place in range(len(kinds))]
 
