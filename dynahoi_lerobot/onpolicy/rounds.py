@@ -13,10 +13,11 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.onpolicy.student import Student
-from dynahoi_lerobot.rollout.on_policy import DISTURBANCE_M, DISTURBED_SHARE
+from dynahoi_lerobot.rollout.on_policy import DISTURBANCE_M
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.world.batch import WorldBatch
+from dynahoi_lerobot.world.disturbance import DISTURBED_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,6 @@ class Round:
         target: (B, T, 3) float32, its position [m].
         path: B arrays (F, 3) float32, the untouched target's position at every frame [m].
         closed: (B, 15) float32, joint angles of the reference grasp [rad].
-        command: (B, T, 18) float32, what the teacher would have commanded [m], [rad].
         arrival: (B, T) int, in how many frames the teacher would have met the target.
         tasks: B instructions.
         episodes: recordings of those that the student led alone.
@@ -44,7 +44,6 @@ class Round:
     target: np.ndarray
     path: tuple[np.ndarray, ...]
     closed: np.ndarray
-    command: np.ndarray
     arrival: np.ndarray
     tasks: tuple[str, ...]
     episodes: tuple[Episode, ...]
@@ -79,8 +78,9 @@ def play_round(
     episodes: list[Episode] = []
     while session.playing.size:
         observation = session.observe(images=True)
-        columns.append(_labels(session, observation, teacher))
-        command = _disturbed(columns[-1]["command"], rng)
+        world = batch.world_state(observation)
+        columns.append(_labels(session, observation, teacher.arrivals(world)))
+        command = _disturbed(teacher.act(world).astype(np.float32), rng)
         commands = np.where(led[:, None], command, student.act(observation))
         for i in session.step(commands).worlds:
             episode = session.finish(int(i), "student")
@@ -95,18 +95,16 @@ def play_round(
     )
 
 
-def _labels(session: Session, observation: Observation, teacher: Intercept) -> dict[str, np.ndarray]:
+def _labels(session: Session, observation: Observation, arrival: np.ndarray) -> dict[str, np.ndarray]:
     """What a `Round` keeps of one frame, (B, ...) each."""
     batch = session.batch
-    world = batch.world_state(observation)
     return {
         "state": observation.state,
         "watching": observation.phase[:, 0] < 0.5,
         "playing": np.isin(np.arange(batch.size), session.playing),
         "released": batch.released.copy(),
         "target": batch.target_pose[:, :PALM_DOF].astype(np.float32),
-        "command": teacher.act(world).astype(np.float32),
-        "arrival": teacher.arrivals(world),
+        "arrival": arrival,
     }
 
 

@@ -20,12 +20,13 @@ from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
+from dynahoi_lerobot.world.disturbance import DISTURBED_SHARE
 
 GROUP = 32
 """Episodes that a policy plays side by side. A network's rounding may depend on what else is in its batch, so groups
 are consecutive seeds of a shard, whoever records them."""
-DISTURBED_SHARE, DISTURBANCE_M = 0.3, 0.03
-"""Of the frames that the teacher leads: how many are disturbed, and by how much along each axis [m]."""
+DISTURBANCE_M = 0.03
+"""Standard deviation of what the palm of a teacher that leads is disturbed by, along each axis [m]."""
 STREAM = 0x1EAD
 
 MakeAgent = Callable[[int], Agent]

@@ -27,7 +27,6 @@ def played(target_x: list[float], released: list[bool]) -> Round:
         target=target,
         path=(path,),
         closed=np.zeros((1, 15), np.float32),
-        command=np.zeros((1, N_FRAMES, 18), np.float32),
         arrival=np.ones((1, N_FRAMES), int),
         tasks=("catch",),
         episodes=(),
