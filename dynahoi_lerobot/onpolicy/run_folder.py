@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
+
+from dynahoi_lerobot.evaluate.atomic import write_atomically
 
 LOG, STATE = "log.jsonl", "state.pt"
 
@@ -27,9 +28,8 @@ class RunFolder:
         """Write what to go on from, whole or not at all, in place of what was saved before."""
         import torch
 
-        unfinished = self.path / f"{STATE}.unfinished"
-        torch.save(state | {"log": (self.path / LOG).read_text()}, unfinished)
-        os.replace(unfinished, self.path / STATE)
+        whole = state | {"log": (self.path / LOG).read_text()}
+        write_atomically({self.path / STATE: lambda path: torch.save(whole, path)})
 
     def restore(self) -> dict[str, Any] | None:
         """Return what was saved last, None for nothing, and let the log end there."""

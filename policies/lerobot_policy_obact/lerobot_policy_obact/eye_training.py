@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -14,6 +13,7 @@ import draccus
 import torch
 from safetensors.torch import save_file
 
+from dynahoi_lerobot.evaluate.atomic import write_atomically
 from dynahoi_lerobot.onpolicy.run_folder import RunFolder
 
 from .backbones import backbones
@@ -84,9 +84,7 @@ class EyeTraining:
             self._folder.log(line)
             self._save()
             yield line
-        unfinished = self.recipe.out / f"{WEIGHTS}.unfinished"
-        save_file(self.eye.learned_state(), unfinished)
-        os.replace(unfinished, self.recipe.out / WEIGHTS)
+        write_atomically({self.recipe.out / WEIGHTS: lambda path: save_file(self.eye.learned_state(), path)})
 
     def _update(self, shown: Snapshots) -> float:
         recipe, n = self.recipe, self.n_updates
