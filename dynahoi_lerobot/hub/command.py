@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.hub.contents import (
     Contents,
@@ -19,7 +18,6 @@ from dynahoi_lerobot.hub.contents import (
     results_contents,
 )
 from dynahoi_lerobot.hub.failures import RESUME, HubError
-from dynahoi_lerobot.hub.leaderboards import why_unranked
 from dynahoi_lerobot.hub.repository import Repository
 from dynahoi_lerobot.verify.runner import verify
 
@@ -62,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return _say(f"stopped; {RESUME}", STOPPED)
     print(f"{kind} pushed to {address}" + (f", tagged {', '.join(contents.tags)}" if contents.tags else ""))
-    if kind == "results" and (reason := why_unranked(read_results(args.folder))):
-        print(f"no leaderboard lists it: {reason}")
+    if contents.unranked:
+        print(f"no leaderboard lists it: {contents.unranked}")
     return DONE
 
 

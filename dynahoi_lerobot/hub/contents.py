@@ -46,6 +46,7 @@ class Contents:
         ignored: glob patterns of what stays here.
         others: folders of the repository that belong to this content, but come with other pushes.
         adds_to: file without which there is nothing in the repository to add to; empty for content of its own.
+        unranked: of results, why no leaderboard lists them; empty if one does.
     """
 
     folder: Path
@@ -55,6 +56,7 @@ class Contents:
     ignored: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
     adds_to: str = ""
+    unranked: str = ""
 
     def files(self) -> set[str]:
         """Return the paths of all files in the folder."""
@@ -125,14 +127,14 @@ def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpo
     results = read_results(folder)
     name = variant(results)
     source = f"{endpoint}/{repo}/tree/main/{RESULTS}/{name}"
-    if not why_unranked(results):
+    if not (unranked := why_unranked(results)):
         (stage / EVAL_RESULTS).mkdir()
         entries = eval_results_yaml(results, benchmark, source)
         (stage / EVAL_RESULTS / f"{name}.yaml").write_text(entries, encoding="utf-8")
     (stage / RESULTS / name).mkdir(parents=True)
     for file in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
         shutil.copyfile(folder / file, stage / RESULTS / name / file)
-    return Contents(stage, "model", (CONFIG, "type"), adds_to=CONFIG)
+    return Contents(stage, "model", (CONFIG, "type"), adds_to=CONFIG, unranked=unranked)
 
 
 def kind_of(folder: Path) -> str:
