@@ -113,25 +113,19 @@ class DynahoiEnvConfig(EnvConfig):
         del use_async_envs
         recipe = self._recipe()
         kinds = kinds_of(self.task, recipe.motion_names)
-        log = ResultsLog(self._results_folder(), self.split, recipe, self._timing.label)
+        timing = Inference(self.inference, self.latency_ms)
+        policy = None if timing.mode == SYNC else queued_policy(self.n_action_steps)
+        log = ResultsLog(self._results_folder(), self.split, recipe, timing.label)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
-            options = {"reward": self.reward, "inference": self._stepwise_inference(), **self.gym_kwargs}
+            stepwise = None if policy is None else StepwiseInference(policy, timing)
+            options = {"reward": self.reward, "inference": stepwise, **self.gym_kwargs}
             tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **options)
         return suites
 
     def _recipe(self) -> Recipe:
         return Recipe(**{**self.gym_kwargs, "split": seed_stream(self.split)})
-
-    @property
-    def _timing(self) -> Inference:
-        return Inference(self.inference, self.latency_ms)
-
-    def _stepwise_inference(self) -> StepwiseInference | None:
-        """Return the timing of a new env; None where the world waits for the policy."""
-        timing = self._timing
-        return None if timing.mode == SYNC else StepwiseInference(queued_policy(self.n_action_steps), timing)
 
     def _results_folder(self) -> Path:
         if self.results_dir is not None:
