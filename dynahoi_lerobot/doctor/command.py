@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import chain
@@ -31,10 +30,9 @@ def run(args: argparse.Namespace) -> int:
     """Print what is there and what follows; return the exit code: 0 no problems, 1 problems.
 
     Raises:
-        ValueError: if the folder is not there, or the file could not be written.
+        ValueError: if the folder or the file could not be made.
     """
-    if not os.path.isdir(args.folder):
-        raise ValueError(f"--folder must be a folder that is there, got {str(args.folder)!r}")
+    check_output(args.folder)
     if args.json:
         check_output(args.json)
     facts = []

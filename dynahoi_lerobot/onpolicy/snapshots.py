@@ -15,6 +15,7 @@ from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 POSES = 8
 """Configurations of a world before it shows another episode: to begin one costs as much as several pictures."""
@@ -66,9 +67,11 @@ class PictureStream:
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
         """Yield pictures for ever, as a run shows them that goes on from ``update``."""
-        recipe = self._recipe
-        rng = np.random.default_rng([recipe.seed, update])
-        return snapshots(recipe.episodes, self._specs, recipe.batch_size, rng)
+        return _shown(self._batch, self._specs, np.random.default_rng([self._recipe.seed, update]))
+
+    @cached_property
+    def _batch(self) -> WorldBatch:
+        return make_batch(self._recipe.episodes, self._recipe.batch_size, threads=1)
 
     @cached_property
     def _specs(self) -> list[EpisodeSpec]:
@@ -84,7 +87,12 @@ def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.r
         size: worlds that are rendered together.
         rng: source of every draw.
     """
-    batch, everyone = make_batch(recipe, size, threads=1), np.arange(size)
+    yield from _shown(make_batch(recipe, size, threads=1), specs, rng)
+
+
+def _shown(batch: WorldBatch, specs: Sequence[EpisodeSpec], rng: np.random.Generator) -> Iterator[Snapshots]:
+    """Yield pictures for ever, of all worlds of a batch together; see `snapshots`."""
+    size, everyone = batch.size, np.arange(batch.size)
     while True:
         chosen = [specs[i] for i in rng.choice(len(specs), size)]
         batch.reset(everyone, chosen)
