@@ -29,6 +29,7 @@ class Feature:
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
         on_policy: whether only on-policy recordings have it, see ``rollout.on_policy``.
+        on_request: whether policies and datasets get it only if that is asked for: it is the simulator's truth.
         constant: whether it has one value per episode; a frame table repeats that value in every row.
         per: what its rows are if it is not constant: ``frame``, or ``attempt`` or ``primitive``, whose number differs
             between episodes; only the episode table can hold those.
@@ -47,6 +48,7 @@ class Feature:
     high: float = math.inf
     needs_contact_sensors: bool = False
     on_policy: bool = False
+    on_request: bool = False
     constant: bool = False
     per: str = "frame"
     derived: bool = False
@@ -69,7 +71,7 @@ class Feature:
     @property
     def optional(self) -> bool:
         """Whether some recordings do not have it."""
-        return self.needs_contact_sensors or self.on_policy
+        return self.needs_contact_sensors or self.on_policy or self.on_request
 
     @property
     def is_image(self) -> bool:

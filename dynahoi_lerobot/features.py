@@ -28,6 +28,8 @@ INTRINSICS_NAMES = ("fx", "fy", "cx", "cy")
 CAMERA_KEY = IMAGE_PREFIX + EGO_VIEW
 PIXELS = "pixels"
 """Key of the dictionary of images in a Gymnasium observation, as LeRobot expects it."""
+ENVIRONMENT_STATE = "observation.environment_state"
+"""LeRobot's name for the truth about the environment, which policies without cameras may read."""
 
 
 _TABLE = (
@@ -47,6 +49,12 @@ _TABLE = (
         "touch", "observation.touch", (len(FINGERS),), FINGERS, "N",
         "force of each finger on the target, mean of the last control step",
         gym_key="touch", low=0.0, high=1000.0, needs_contact_sensors=True,
+    ),
+    Feature(
+        "environment_state", ENVIRONMENT_STATE, (13,), (*POSE_NAMES, *TWIST_NAMES), "m, 1, m/s, rad/s",
+        "the simulator's truth: target position, home frame, and quaternion wxyz, as target.pose; linear and angular "
+        "velocity, along the world's axes, as target.velocity", gym_key="environment_state", low=-1000.0,
+        high=1000.0, on_request=True, derived=True,
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
@@ -192,7 +200,12 @@ def image_feature(view: str, image_size: int) -> Feature:
 
 
 def frame_features(
-    image_size: int | None, views: Sequence[str] = (), *, contact_sensors: bool = False, on_policy: bool = False
+    image_size: int | None,
+    views: Sequence[str] = (),
+    *,
+    contact_sensors: bool = False,
+    on_policy: bool = False,
+    environment_state: bool = False,
 ) -> tuple[Feature, ...]:
     """Return the columns of the frame table, in the dataset's order.
 
@@ -201,10 +214,12 @@ def frame_features(
         views: the views besides ``ego``.
         contact_sensors: whether the capture rule ``uses_contact_sensors``.
         on_policy: whether a teacher labels what somebody else does.
+        environment_state: whether policies are given the simulator's truth.
     """
     images = () if image_size is None else tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views))
     sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
-    held = (f for f in sensed if on_policy or not f.on_policy)
+    asked = (f for f in sensed if environment_state or not f.on_request)
+    held = (f for f in asked if on_policy or not f.on_policy)
     return (*images, *(feature for feature in held if not feature.in_episode_table))
 
 

@@ -25,9 +25,15 @@ def image_arrays(episode: Episode) -> dict[str, np.ndarray]:
     return {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
 
 
-def content_arrays(episode: Episode) -> dict[str, np.ndarray]:
-    """Return the episode's numeric columns under their keys, each (T, D)."""
-    return {feature.key: _column(feature, episode) for feature in _held(episode)}
+def content_arrays(episode: Episode, features: Sequence[Feature] | None = None) -> dict[str, np.ndarray]:
+    """Return the episode's numeric columns under their keys, each (T, D).
+
+    Args:
+        episode: the episode.
+        features: which columns, images left out; by default all that it holds without being asked.
+    """
+    chosen = _held(episode) if features is None else [feature for feature in features if not feature.is_image]
+    return {feature.key: _column(feature, episode) for feature in chosen}
 
 
 def content_values(table: pa.Table) -> dict[str, Any]:
@@ -52,7 +58,8 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
     """
     frames = len(episode)
     in_rows = [feature for feature in episode_features() if feature.has_fixed_shape]
-    wanted = {feature.key: feature.array_shape(frames) for feature in (*features, *in_rows)}
+    stored = [feature for feature in features if not feature.on_request]
+    wanted = {feature.key: feature.array_shape(frames) for feature in (*stored, *in_rows)}
     held = (*_held(episode), *in_rows)
     found = {feature.key: np.shape(getattr(episode, feature.name)) for feature in held}
     found |= {key: images.shape for key, images in image_arrays(episode).items()}

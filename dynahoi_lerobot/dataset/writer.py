@@ -84,7 +84,7 @@ class DatasetWriter:
             ValueError: if it has other columns than the dataset, or images of another size.
         """
         check_fits(episode, self._features)
-        arrays = content_arrays(episode)
+        arrays = content_arrays(episode, self._features)
         row = own_columns(episode) | {"tasks": [episode.meta.task], "length": len(episode)}
         row |= stats_columns(table_stats(arrays)) | self._image_columns(episode)
         row |= self._write_frames(episode, arrays)

@@ -65,7 +65,7 @@ def labels(result: Results) -> list[str]:
     """Return what ``LABELS`` says about an evaluation: under other conditions its numbers do not compare."""
     info = result.info
     return [
-        info.policy, info.split, result.protocol, info.capture, result.control_class, result.inference, info.benchmark
+        result.shown_policy, info.split, result.protocol, info.capture, result.control_class, result.inference, info.benchmark
     ]  # fmt: skip
 
 

@@ -45,6 +45,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--keep-failures", action="store_true", help="store episodes that the expert fails, with success false"
     )
+    parser.add_argument(
+        "--environment-state",
+        action="store_true",
+        help="store the truth, pose and velocity of the target, as observation.environment_state",
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
@@ -123,6 +128,7 @@ def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan
         Encoding(args.codec, args.crf, args.preset, args.gop),
         shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
         runtime=runtime,
+        environment_state=args.environment_state,
     )
 
 

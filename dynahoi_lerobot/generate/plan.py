@@ -76,6 +76,7 @@ class GenerationPlan:
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
+        environment_state: whether to store the simulator's truth as ``observation.environment_state``.
         runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
     """
 
@@ -88,6 +89,7 @@ class GenerationPlan:
     limits: FileLimits = field(default_factory=FileLimits)
     code: str = field(default_factory=code_fingerprint)
     runtime: str = ""
+    environment_state: bool = False
 
     def __post_init__(self) -> None:
         """Refuse plans that cannot be carried out.
@@ -117,7 +119,11 @@ class GenerationPlan:
         """The columns of the dataset's frame table."""
         contact_sensors = CAPTURES[self.recipe.capture].uses_contact_sensors
         return frame_features(
-            self.image_size, self.recipe.views, contact_sensors=contact_sensors, on_policy=self.recipe.on_policy
+            self.image_size,
+            self.recipe.views,
+            contact_sensors=contact_sensors,
+            on_policy=self.recipe.on_policy,
+            environment_state=self.environment_state,
         )
 
     @property
@@ -143,5 +149,6 @@ class GenerationPlan:
             "shard_episodes": self.shard_episodes,
             "code": self.code,
             "runtime": self.runtime,
+            "environment_state": self.environment_state,
         }
         return json.loads(json.dumps(content, default=str))

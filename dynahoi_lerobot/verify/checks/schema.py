@@ -15,7 +15,7 @@ from dynahoi_lerobot.dataset.episode_table import row_schema
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, ROBOT_TYPE, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.dataset.quality_control import EXECUTED
 from dynahoi_lerobot.feature import IMAGE_PREFIX
-from dynahoi_lerobot.features import CAMERA_KEY, frame_features
+from dynahoi_lerobot.features import CAMERA_KEY, ENVIRONMENT_STATE, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
@@ -71,7 +71,15 @@ class Schema(Check):
         encoding = Encoding(codec="h264" if dataset.has_video else "images")
         contact_sensors = CAPTURES[dataset.rows[0]["capture"]].uses_contact_sensors
         on_policy = dataset.recipe.on_policy if dataset.recipe else EXECUTED in dataset.features
-        features = frame_features(size, self._views(dataset), contact_sensors=contact_sensors, on_policy=on_policy)
+        features = frame_features(
+            size,
+            self._views(dataset),
+            contact_sensors=contact_sensors,
+            on_policy=on_policy,
+            environment_state=dataset.manifest.provenance.get(
+                "environment_state", ENVIRONMENT_STATE in dataset.features
+            ),
+        )
         wanted = info_features(features, encoding)
         for key in sorted(wanted.keys() | dataset.features.keys()):
             found = {name: value for name, value in dataset.features.get(key, {}).items() if name != "info"}
