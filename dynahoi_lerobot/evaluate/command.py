@@ -93,8 +93,8 @@ def _actor(args: argparse.Namespace) -> Actor:
     actor = make_actor(args.policy, args.capture, args.device, args.set, trust=args.trust)
     if actor.sees_environment_state and not args.environment_state:
         raise ValueError(
-            f"{args.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add --environment-state to let it, and its "
-            "results are marked as privileged"
+            f"{args.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add --environment-state to let it: "
+            "its results are then marked as privileged"
         )
     return actor
 

@@ -33,8 +33,9 @@ class RunInfo:
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: further JSON values: ``privileged`` where the simulator's state was seen, ``inference`` and ``settings`` where inference took time or the policy's config was
-            changed, ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
+        extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state, ``inference`` and
+            ``settings`` where inference took time or the policy's config was changed, ``recipe``, and whatever a figure
+            needs, such as ``n_obs_frames`` or ``data_fraction``.
         benchmark: version of the benchmark.
     """
 

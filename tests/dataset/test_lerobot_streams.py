@@ -60,6 +60,6 @@ def test_streaming_gives_the_phase_of_the_current_frame_beside_windows_of_the_ot
 
 
 def test_streaming_without_loader_processes_has_no_data(pictures):
-    """``lerobot-train`` asks for as many shards as ``--num_workers``; once that is mended, say so in docs/lerobot.md."""
+    """``lerobot-train`` asks for as many shards as ``--num_workers``."""
     assert not list(stream(pictures, max_num_shards=0))
     assert next(stream(pictures, max_num_shards=1))["frame_index"] == 0

@@ -1,4 +1,4 @@
-"""State-only baselines: the simulator's truth on request, in datasets, environments and evaluations; marked in results."""
+"""State-only baselines: the simulator's truth on request, in datasets, environments and evaluations."""
 
 from __future__ import annotations
 
