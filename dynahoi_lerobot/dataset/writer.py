@@ -85,7 +85,7 @@ class DatasetWriter:
         """
         check_fits(episode, self._features)
         arrays = content_arrays(episode, self._features)
-        row = own_columns(episode) | {"tasks": [episode.meta.task], "length": len(episode)}
+        row = own_columns(episode, arrays) | {"tasks": [episode.meta.task], "length": len(episode)}
         row |= stats_columns(table_stats(arrays)) | self._image_columns(episode)
         row |= self._write_frames(episode, arrays)
         if self._keys and self._codec.is_video:

@@ -12,7 +12,7 @@ from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import frame_features
+from dynahoi_lerobot.features import FRAMES, PRIVILEGED_PLACES, frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
 from dynahoi_lerobot.sampling.salt import sealed
@@ -77,6 +77,7 @@ class GenerationPlan:
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
         environment_state: whether to store the simulator's truth as ``observation.environment_state``.
+        privileged_columns: where the privileged columns are, in the table of ``frames`` or of ``episodes``.
         runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
     """
 
@@ -90,6 +91,7 @@ class GenerationPlan:
     code: str = field(default_factory=code_fingerprint)
     runtime: str = ""
     environment_state: bool = False
+    privileged_columns: str = FRAMES
 
     def __post_init__(self) -> None:
         """Refuse plans that cannot be carried out.
@@ -105,6 +107,9 @@ class GenerationPlan:
             raise ValueError(
                 f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for {self.episodes} episodes"
             )
+        if self.privileged_columns not in PRIVILEGED_PLACES:
+            allowed = " or ".join(PRIVILEGED_PLACES)
+            raise ValueError(f"the place of privileged columns is {self.privileged_columns!r}; it must be {allowed}")
         size = self.image_size
         if size is not None and (size < 16 or (size % 2 and self.encoding.make_codec().is_video)):
             raise ValueError(f"the image size is {size} pixels; it must be an even number from 16")
@@ -124,6 +129,7 @@ class GenerationPlan:
             contact_sensors=contact_sensors,
             on_policy=self.recipe.on_policy,
             environment_state=self.environment_state,
+            privileged=self.privileged_columns == FRAMES,
         )
 
     @property
@@ -150,5 +156,6 @@ class GenerationPlan:
             "code": self.code,
             "runtime": self.runtime,
             "environment_state": self.environment_state,
+            "privileged_columns": self.privileged_columns,
         }
         return json.loads(json.dumps(content, default=str))

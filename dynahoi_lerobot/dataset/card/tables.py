@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features
 from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
-from dynahoi_lerobot.features import FEATURES, episode_features, image_feature
+from dynahoi_lerobot.features import FEATURES, episode_features, image_feature, moved_features
 
 LEROBOTS = {
     "timestamp": ("s", "time of the frame in its episode"),
@@ -31,9 +31,10 @@ def frame_table(features: Features) -> str:
     return markdown(["column", "dtype", "shape", "unit", "meaning"], rows)
 
 
-def episode_table() -> str:
+def episode_table(features: Features) -> str:
     """Return the table of the episode table's arrays, with units; (n, ...) has a row per frame, solid or attempt."""
-    rows = [[f"`{f.key}`", f.dtype, _episode_shape(f), f.unit, f.meaning] for f in episode_features()]
+    arrays = (*episode_features(), *moved_features(features))
+    rows = [[f"`{f.key}`", f.dtype, _episode_shape(f), f.unit, f.meaning] for f in arrays]
     return markdown(["column", "dtype", "shape", "unit", "meaning"], rows)
 
 
