@@ -56,6 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=FRAMES,
         help="where target.* and other columns of the truth are: frames, or episodes, where loading costs no time",
     )
+    parser.add_argument(
+        "--subtasks", action="store_true", help="store what is to be done in every frame in LeRobot's language column"
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
@@ -136,6 +139,7 @@ def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan
         runtime=runtime,
         environment_state=args.environment_state,
         privileged_columns=args.privileged_columns,
+        subtasks=args.subtasks,
     )
 
 

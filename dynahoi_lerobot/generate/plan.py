@@ -77,6 +77,7 @@ class GenerationPlan:
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
         environment_state: whether to store the simulator's truth as ``observation.environment_state``.
+        subtasks: whether to store subtasks as LeRobot's column for language.
         privileged_columns: where the privileged columns are, in the table of ``frames`` or of ``episodes``.
         runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
     """
@@ -92,6 +93,7 @@ class GenerationPlan:
     runtime: str = ""
     environment_state: bool = False
     privileged_columns: str = FRAMES
+    subtasks: bool = False
 
     def __post_init__(self) -> None:
         """Refuse plans that cannot be carried out.
@@ -157,5 +159,6 @@ class GenerationPlan:
             "runtime": self.runtime,
             "environment_state": self.environment_state,
             "privileged_columns": self.privileged_columns,
+            "subtasks": self.subtasks,
         }
         return json.loads(json.dumps(content, default=str))

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features
+from dynahoi_lerobot.dataset.columns import Features
+from dynahoi_lerobot.dataset.language import LANGUAGE
 from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.features import FEATURES, episode_features, image_feature, moved_features
 
@@ -17,9 +18,10 @@ LEROBOTS = {
     "frame_index": ("1", "number of the frame in its episode"),
     "episode_index": ("1", "number of the episode"),
     "index": ("1", "number of the frame in the dataset"),
+    LANGUAGE: ("s", "subtasks, each with its timestamp: the same rows in every frame of an episode"),
     "task_index": ("1", "number of the instruction in `meta/tasks.parquet`"),
 }
-"""Unit and meaning of the columns that every dataset of LeRobot has."""
+"""Unit and meaning of LeRobot's own columns."""
 
 
 def frame_table(features: Features) -> str:
@@ -65,7 +67,7 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _unit_and_meaning(key: str, shape: Sequence[int]) -> tuple[str, str]:
-    if key in BOOKKEEPING:
+    if key in LEROBOTS:
         return LEROBOTS[key]
     if key.startswith(IMAGE_PREFIX):
         feature = image_feature(key.removeprefix(IMAGE_PREFIX), shape[0])

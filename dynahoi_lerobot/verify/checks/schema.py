@@ -12,6 +12,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import Features, arrow_schema, info_features
 from dynahoi_lerobot.dataset.episode_table import row_schema
+from dynahoi_lerobot.dataset.language import LANGUAGE
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, ROBOT_TYPE, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.dataset.quality_control import EXECUTED
 from dynahoi_lerobot.feature import IMAGE_PREFIX
@@ -80,7 +81,8 @@ class Schema(Check):
             environment_state=provenance.get("environment_state", ENVIRONMENT_STATE in stored),
             privileged=provenance.get("privileged_columns", _place(stored)) == FRAMES,
         )
-        wanted = info_features(features, encoding)
+        subtasks = provenance.get("subtasks", LANGUAGE in stored)
+        wanted = info_features(features, encoding, subtasks=subtasks)
         for key in sorted(wanted.keys() | dataset.features.keys()):
             found = {name: value for name, value in dataset.features.get(key, {}).items() if name != "info"}
             if found != {name: value for name, value in wanted.get(key, {}).items() if name != "info"}:
