@@ -60,8 +60,12 @@ def test_lerobot_finds_the_subtask_of_every_frame(root: Path) -> None:
 
 def test_the_column_is_lerobots(root: Path) -> None:
     from datasets import Features, load_dataset
-    from lerobot.datasets.language import LANGUAGE_PERSISTENT, PERSISTENT_ROW_FIELDS, column_for_style
-    from lerobot.datasets.language import language_feature_info
+    from lerobot.datasets.language import (
+        LANGUAGE_PERSISTENT,
+        PERSISTENT_ROW_FIELDS,
+        column_for_style,
+        language_feature_info,
+    )
 
     assert LANGUAGE == LANGUAGE_PERSISTENT == column_for_style("subtask")
     assert tuple(field.name for field in ARROW.value_type) == PERSISTENT_ROW_FIELDS

@@ -1,4 +1,4 @@
-"""``generate --privileged-columns episodes``: nothing is lost, and a loader does not pay for what policies cannot see."""
+"""``generate --privileged-columns episodes``: nothing is lost, and loaders do not read it."""
 
 from __future__ import annotations
 

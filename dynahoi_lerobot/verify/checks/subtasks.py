@@ -20,6 +20,6 @@ class Subtasks(Check):
         wanted = subtask_rows(columns["observation.phase"][:, 0], columns["localized"][:, 0].astype(bool))
         for frame, found in enumerate(dataset.frames(row)[LANGUAGE].to_pylist()):
             if found != wanted:
-                texts = [told.get("content") for told in found or []]
-                yield f"episode {row['episode_index']}, frame {frame}: {LANGUAGE} is {texts} at other times or in other words"
+                where = f"episode {row['episode_index']}, frame {frame}"
+                yield f"{where}: {LANGUAGE} is {found}; phase and localisation give {wanted}"
                 return
