@@ -40,11 +40,18 @@ def main() -> None:
     logging.disable(logging.WARNING)
     with tempfile.TemporaryDirectory() as folder:
         roots = make_datasets(Path(folder), args)
-        turns = [{name: sample_ms(root, args.samples) for name, root in roots.items()} for _ in range(args.turns)]
-    lines = {name: median(turn[name] for turn in turns) for name in turns[0]}
+        turns = [turn(roots, args.samples) for _ in range(args.turns)]
+    lines = {name: median(measured[name] for measured in turns) for name in turns[0]}
     for name, ms in lines.items():
         print(f"{name:9} {ms:6.1f} ms a sample, {ms / lines['frames']:.2f} of frames")
     write_numbers(args, sample_ms=lines, turns=turns)
+
+
+def turn(roots: dict[str, Path], samples: int) -> dict[str, float]:
+    """Measure each dataset once [ms] and print it."""
+    measured = {name: sample_ms(root, samples) for name, root in roots.items()}
+    print("  ".join(f"{name} {ms:.1f}" for name, ms in measured.items()), flush=True)
+    return measured
 
 
 def make_datasets(folder: Path, args: argparse.Namespace) -> dict[str, Path]:
