@@ -147,7 +147,8 @@ def _quantized(pages: Sequence[Image.Image]) -> list[Image.Image]:
     from PIL import Image
 
     few = [pages[i] for i in np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)]
-    learned = Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS)).getpalette() or []
+    octree = Image.Quantize.FASTOCTREE  # median cut would drop the colour of a small target
+    learned = Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS), octree).getpalette() or []
     palette = Image.new("P", (1, 1))
     palette.putpalette([*np.ravel(list(BORDERS.values())).tolist(), *learned])
     return [page.quantize(palette=palette, dither=Image.Dither.NONE) for page in pages]

@@ -57,6 +57,13 @@ def test_what_stands_still_keeps_its_colours_and_is_stored_once(tmp_path: Path):
     assert (tmp_path / "moving.gif").stat().st_size < 3 * alone
 
 
+def test_a_small_target_keeps_its_colour(tmp_path: Path):
+    frames = np.random.default_rng(2).normal([90, 120, 90], 12, (8, 64, 64, 3)).clip(0, 255).astype(np.uint8)
+    frames[:, 20:24, 30:34] = target = (220, 40, 160)
+    for page in pages(write_gif(tmp_path / "a.gif", frames)):
+        assert np.abs(np.array(page.getpixel((32, 22))) - target).max() < 12
+
+
 def test_enlarged_pixels_stay_crisp(tmp_path: Path):
     (page, *_) = pages(write_gif(tmp_path / "a.gif", FRAMES[:1], min_width=33))
     pixels = np.asarray(page)
