@@ -22,7 +22,7 @@ PROGRAMS = ("python", "bash")
 DRAWN = ("", "{toctree}")
 """Blocks without a language are drawings, or commands whose options are compared with their programs."""
 NEEDS = {"Downloads packages", "Needs FFmpeg", "Needs GPUs", "Needs an endpoint", "Needs the Hub", "Opens a window"}
-NEEDS |= {"Runs until it is stopped", "Takes hours", "Takes minutes"}
+NEEDS |= {"Needs runs, results and checkpoints", "Runs until it is stopped", "Takes hours", "Takes minutes"}
 
 
 @pytest.fixture
