@@ -129,7 +129,6 @@ def _clip(episode: Episode, view: str, agent: str) -> Clip:
 def _from_dataset(args: argparse.Namespace) -> Clip:
     """Read an episode of a dataset with LeRobot."""
     from dynahoi_lerobot.feature import IMAGE_PREFIX
-    from dynahoi_lerobot.features import FEATURES
 
     dataset = _open_dataset(args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
@@ -140,12 +139,21 @@ def _from_dataset(args: argparse.Namespace) -> Clip:
     row: dict[str, Any] = dataset.meta.episodes[args.episode]
     items = [dataset[i] for i in range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))]
     frames = np.stack([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
-    phases = None
+    return Clip(frames, str(items[0]["task"]), _stored_phases(args, items), dataset.fps)
+
+
+def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:
+    """Return the phase of each of an episode's frames, None if the dataset does not hold it in either table."""
+    from dynahoi_lerobot.dataset.episode_table import moved_columns
+    from dynahoi_lerobot.dataset.store import Store
+    from dynahoi_lerobot.features import FEATURES
+
     keys = [FEATURES[name].key for name in ("phase", "localized")]
-    if set(keys) <= set(dataset.meta.features):
-        acting, localized = (np.array([bool(item[key].item()) for item in items]) for key in keys)
-        phases = frame_phases(acting, localized)
-    return Clip(frames, str(items[0]["task"]), phases, dataset.fps)
+    columns = {key: np.array([bool(item[key].item()) for item in items]) for key in keys if key in items[0]}
+    if len(columns) < len(keys):  # LeRobot does not read what the episode table holds instead
+        moved = moved_columns(Store(args.dataset).rows[args.episode])
+        columns |= {key: moved[key][:, 0] for key in keys if key in moved}
+    return frame_phases(*(columns[key] for key in keys)) if columns.keys() >= set(keys) else None
 
 
 def _open_dataset(root: Path) -> Any:

@@ -27,10 +27,20 @@ def varied_episode(seed: int, image_size: int | None = 32, views: Sequence[str] 
 
 
 def write(
-    root: Path, seeds: range | list[int], image_size: int | None = 32, views: Sequence[str] = (), **options
+    root: Path,
+    seeds: range | list[int],
+    image_size: int | None = 32,
+    views: Sequence[str] = (),
+    *,
+    privileged: bool = True,
+    **options,
 ) -> Path:
-    """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter``."""
-    writer = DatasetWriter(root, frame_features(image_size, views), **options)
+    """Write the varied episodes of ``seeds`` as a dataset.
+
+    ``privileged`` keeps privileged columns in the frame table, else they are in the episode table; ``options`` go to
+    ``DatasetWriter``.
+    """
+    writer = DatasetWriter(root, frame_features(image_size, views, privileged=privileged), **options)
     for seed in seeds:
         writer.add(varied_episode(seed, image_size, views))
     writer.finish()
