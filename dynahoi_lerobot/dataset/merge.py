@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
+from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.joined_videos import JoinedVideos
 from dynahoi_lerobot.dataset.manifest import Manifest
@@ -44,8 +45,11 @@ def merge(
     if not stores:
         raise ValueError("there is nothing to merge; name one dataset or more")
     for store in stores[1:]:
-        if store.features != stores[0].features:
-            raise ValueError(f"{store.root} has other features than {stores[0].root}; merge like with like")
+        if differing := _differing(stores[0].features, store.features):
+            raise ValueError(
+                f"{store.root} has other features than {stores[0].root} ({', '.join(differing)}); merge datasets that "
+                "were generated with the same options"
+            )
     manifests = [Manifest.read(store.root) for store in stores]
     if not allow_version_mismatch:
         found = [(store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)]
@@ -58,6 +62,11 @@ def merge(
             _append(assembly, store, videos)
             yields.update(manifest.yields)
         return assembly.finish(provenance or {}, dict(yields))
+
+
+def _differing(first: Features, other: Features) -> list[str]:
+    """Return the keys of the features that only one of two datasets has, or that are not the same in both."""
+    return [key for key in sorted(first.keys() | other.keys()) if first.get(key) != other.get(key)]
 
 
 def _append(assembly: Assembly, store: Store, videos: JoinedVideos) -> None:

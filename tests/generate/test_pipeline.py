@@ -99,11 +99,23 @@ def test_videos_that_would_be_too_long_or_too_large_stay_apart_and_are_linked(tm
 
 def test_merge_refuses_unlike_datasets(tmp_path):
     parts = [write(tmp_path / "a", range(1), 16), write(tmp_path / "b", range(1), 32)]
-    with pytest.raises(ValueError, match="other features"):
+    sentence = f"{parts[1]} has other features than {parts[0]} (observation.images.ego); merge datasets that"
+    with pytest.raises(ValueError, match=re.escape(sentence)):
         merge(parts, tmp_path / "merged")
     with pytest.raises(ValueError, match="nothing to merge"):
         merge([], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "differing"),
+    [({"subtasks": True}, "language_persistent"), ({"privileged": False}, "captured, intercept.position, ")],
+)
+def test_merge_refuses_datasets_of_other_options_and_names_the_columns(tmp_path, options, differing):
+    plain, other = write(tmp_path / "a", range(1), None), write(tmp_path / "b", range(1), None, **options)
+    for parts in ([plain, other], [other, plain]):
+        with pytest.raises(ValueError, match=re.escape(f"has other features than {parts[0]} ({differing}")):
+            merge(parts, tmp_path / "merged")
 
 
 def test_merge_refuses_versions_of_the_benchmark_unless_asked(tmp_path):
