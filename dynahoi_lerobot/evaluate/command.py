@@ -88,13 +88,20 @@ def _real_time(actor: Actor, inference: Inference) -> Actor:
 
 
 def _actor(args: argparse.Namespace) -> Actor:
-    if args.policy == VLM and not args.set:
-        return _vlm(args)
-    actor = make_actor(args.policy, args.capture, args.device, args.set, trust=args.trust)
+    actor = (
+        _vlm(args)
+        if args.policy == VLM and not args.set
+        else make_actor(args.policy, args.capture, args.device, args.set, trust=args.trust)
+    )
     if actor.sees_environment_state and not args.environment_state:
         raise ValueError(
             f"{args.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add --environment-state to let it: "
             "its results are then marked as privileged"
+        )
+    if args.environment_state and not actor.sees_environment_state:
+        raise ValueError(
+            f"--environment-state is for policies that read {ENVIRONMENT_STATE}, and {args.policy} does not; leave it "
+            "out"
         )
     return actor
 

@@ -128,7 +128,10 @@ class PolicyAgent(ChunkAgent):
         from lerobot.envs.utils import preprocess_observation
 
         if self.sees_environment_state and observation.environment_state is None:
-            raise PolicyError(f"{self.name} reads {ENVIRONMENT_STATE}, the simulator's truth, which nobody gets here")
+            raise PolicyError(
+                f"{self.name} reads {ENVIRONMENT_STATE}, the simulator's truth, which only "
+                "`dynahoi evaluate --environment-state` and environments with environment_state=True show"
+            )
         batch: dict[str, Any] = preprocess_observation(as_gym(observation))
         batch["task"] = list(observation.tasks)
         return self._before(batch)

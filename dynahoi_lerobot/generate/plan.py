@@ -76,10 +76,10 @@ class GenerationPlan:
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
-        environment_state: whether to store the simulator's truth as ``observation.environment_state``.
-        subtasks: whether to store subtasks as LeRobot's column for language.
-        privileged_columns: where the privileged columns are, in the table of ``frames`` or of ``episodes``.
         runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
+        environment_state: whether to store the simulator's truth as ``observation.environment_state``.
+        privileged_columns: where the privileged columns are, in the table of ``frames`` or of ``episodes``.
+        subtasks: whether to store subtasks as LeRobot's column for language.
     """
 
     recipe: Recipe

@@ -120,8 +120,14 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(
 
 def test_a_policy_that_reads_it_gets_it_nowhere_else(checkpoint: str) -> None:
     nothing = np.zeros((1, 1), np.float32)
-    with pytest.raises(PolicyError, match="the simulator's truth, which nobody gets here"):
+    with pytest.raises(PolicyError, match="the simulator's truth, which only `dynahoi evaluate --environment-state`"):
         PolicyAgent(checkpoint).act(Observation({}, nothing, nothing, nothing, ("",)))
+
+
+def test_who_does_not_read_it_is_not_given_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "--policy", "hold", "--environment-state", "--out", str(tmp_path / "r")]) == 2
+    assert f"--environment-state is for policies that read {KEY}, and hold does not" in capsys.readouterr().err
+    assert not (tmp_path / "r").exists()
 
 
 def test_privileged_baselines_are_marked_alike(tmp_path: Path) -> None:
