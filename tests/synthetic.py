@@ -10,7 +10,7 @@ from dynahoi_lerobot.motions.constant import Constant
 from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
 from dynahoi_lerobot.rollout.recorder import next_frames
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.world.batch import TOUCH_M
+from dynahoi_lerobot.world.observed import TOUCH_M
 
 REFERENCE = np.full(15, 1.0, np.float32)
 BALL = (Primitive("sphere", (0.02,)),)

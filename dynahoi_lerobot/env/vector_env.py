@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.env.checks import RENDER_MODES, check_open, check_render_mode, check_seed, episode_numbers
+from dynahoi_lerobot.env.rebuilt_copies import RebuiltCopies
 from dynahoi_lerobot.env.rewards import SPARSE, check_reward
 from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisodes
+from dynahoi_lerobot.env.shared_attributes import SharedAttributes
 from dynahoi_lerobot.env.spaces import as_gym, observation_space
 from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW, SEED_LIMIT
@@ -28,22 +30,9 @@ from dynahoi_lerobot.sampling.splits import kind_seed, seed_stream
 
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
 """Reset option: play one episode in every world, then stand still until the next reset."""
-RECIPE_OPTIONS = (
-    "image_size",
-    "views",
-    "appearance",
-    "protocol",
-    "control_class",
-    "capture",
-    "hand",
-    "renderer",
-    "instructions",
-    "salt",
-)
-"""Arguments of the constructor that are fields of a ``Recipe``."""
 
 
-class DynahoiVectorEnv(VectorEnv):
+class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
     """N hands that watch N moving objects and may then catch them.
 
     Description:
@@ -129,8 +118,6 @@ class DynahoiVectorEnv(VectorEnv):
         Raises:
             ValueError: for an unknown name or a value out of range, naming those allowed.
         """
-        check_render_mode(render_mode)
-        check_reward(reward)
         self.num_envs, self.kind, self.split, self.render_mode = num_envs, kind, split, render_mode
         self.recipe = Recipe(
             split=seed_stream(split),
@@ -148,10 +135,17 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self._images, self._threads, self._on_episode, self.reward = images, threads, on_episode, reward
         self.environment_state = environment_state
-        self._batch = make_batch(self.recipe, num_envs, threads, environment_state=environment_state)
+        self._allocate()
+
+    def _allocate(self) -> None:
+        """Check the options that are no recipe's, and make the worlds and what is known of their episodes."""
+        check_render_mode(self.render_mode)
+        check_reward(self.reward)
+        n = self.num_envs
+        self._batch = make_batch(self.recipe, n, self._threads, environment_state=self.environment_state)
         self._set_spaces()
-        self._episodes = RunningEpisodes(self._batch, on_episode, reward)
-        self._ended, self._numbers = np.zeros(num_envs, bool), np.zeros(num_envs, int)
+        self._episodes = RunningEpisodes(self._batch, self._on_episode, self.reward)
+        self._ended, self._numbers = np.zeros(n, bool), np.zeros(n, int)
         self._one_episode = False
 
     def _set_spaces(self) -> None:
@@ -221,46 +215,6 @@ class DynahoiVectorEnv(VectorEnv):
         """
         images = self._observed().images
         return tuple(images[EGO_VIEW] if images else self._batch.cameras.render())
-
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Return attribute ``name`` of every world, called if it can be; as gymnasium's other vector envs do."""
-        value = getattr(self, name)
-        if name == "render":
-            return value()
-        result = value(*args, **kwargs) if callable(value) else value
-        return tuple(result) if isinstance(result, list) else (result,) * self.num_envs
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return attribute ``name`` of every world."""
-        return self.call(name)
-
-    @property
-    def task(self) -> str:
-        """The kind of motion, or ``all``."""
-        return self.kind or "all"
-
-    @property
-    def task_description(self) -> list[str]:
-        """The instruction of every world."""
-        return ["" if spec is None else spec.task for spec in self._batch.specs]
-
-    @property
-    def _max_episode_steps(self) -> int:
-        """Longest episode now being played [frames]; LeRobot asks after every reset."""
-        return int(self._episodes.longest.max())
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy is made from: the constructor's arguments."""
-        options = {name: getattr(self.recipe, name) for name in RECIPE_OPTIONS}
-        own = ("num_envs", "kind", "split", "render_mode", "reward", "environment_state")
-        options |= {name: getattr(self, name) for name in own}
-        options |= {"images": self._images, "threads": self._threads, "on_episode": self._on_episode}
-        return {"options": options, "spec": self.spec}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Construct the copy."""
-        self.__init__(**state["options"])
-        self.spec = state["spec"]
 
     def _observed(self) -> Observation:
         """The latest observation; there is one between the first ``reset`` and ``close``."""

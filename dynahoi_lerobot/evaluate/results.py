@@ -14,6 +14,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.result_files import ResultsError
+from dynahoi_lerobot.evaluate.run_info import RunInfo
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
@@ -21,43 +22,6 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 __all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
-
-
-@dataclass(frozen=True)
-class RunInfo:
-    """What was evaluated and how.
-
-    Attributes:
-        policy: the policy's name or path.
-        split: the split that was played.
-        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
-        command: the exact command line.
-        fingerprint: identifies the code and recipe.
-        extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state, ``inference`` and
-            ``settings`` where inference took time or the policy's config was changed, ``recipe``, and whatever a figure
-            needs, such as ``n_obs_frames`` or ``data_fraction``.
-        benchmark: version of the benchmark.
-    """
-
-    policy: str
-    split: str
-    capture: str
-    command: str
-    fingerprint: str
-    extra: dict[str, Any] = field(default_factory=dict)
-    benchmark: str = BENCHMARK.version
-
-    @property
-    def conditions(self) -> dict[str, Any]:
-        """What must be equal for an evaluation to be resumed, by a name for messages."""
-        changed = {name: self.extra.get(name) or "none" for name in ("inference", "settings")}
-        return {
-            "policy": self.policy,
-            "split": self.split,
-            "capture rule": self.capture,
-            "recipe": self.fingerprint,
-            "benchmark": self.benchmark,
-        } | changed
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
-from dynahoi_lerobot.world.batch import TOUCH_M
+from dynahoi_lerobot.world.observed import TOUCH_M
 
 START_TOLERANCE_M = 1e-5
 """At the start ``palm_distance`` is the distance itself, up to float32."""

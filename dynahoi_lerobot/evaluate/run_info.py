@@ -1,0 +1,45 @@
+"""What an evaluation was of, and what must be equal for it to be resumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What was evaluated and how.
+
+    Attributes:
+        policy: the policy's name or path.
+        split: the split that was played.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
+        command: the exact command line.
+        fingerprint: identifies the code and recipe.
+        extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state, ``inference`` and
+            ``settings`` where inference took time or the policy's config was changed, ``recipe``, and whatever a figure
+            needs, such as ``n_obs_frames`` or ``data_fraction``.
+        benchmark: version of the benchmark.
+    """
+
+    policy: str
+    split: str
+    capture: str
+    command: str
+    fingerprint: str
+    extra: dict[str, Any] = field(default_factory=dict)
+    benchmark: str = BENCHMARK.version
+
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """What must be equal for an evaluation to be resumed, by a name for messages."""
+        changed = {name: self.extra.get(name) or "none" for name in ("inference", "settings")}
+        return {
+            "policy": self.policy,
+            "split": self.split,
+            "capture rule": self.capture,
+            "recipe": self.fingerprint,
+            "benchmark": self.benchmark,
+        } | changed
