@@ -6,6 +6,7 @@ python benchmarks/contact_expert.py [--episodes 1000] [--gifs docs/contact] [--j
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,8 @@ from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
-FILMS_EACH = 3
+HELD_KINDS, FAILURES = ("lob", "line_then_arc"), 2
+"""Kinds of the films of catches, and the number of films of failures."""
 SHOWN_FRAMES_AFTER = 24
 SHOWN_FRAMES_BEFORE = 4
 SLOW_FPS = 5  # a quarter of the true speed
@@ -30,7 +32,7 @@ def main() -> None:
     parser = benchmark_parser(__doc__, episodes=2, image_size=32, gifs=Path("films"))
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--gifs", type=Path, help="folder for films of catches and failures")
-    parser.add_argument("--image-size", type=int, default=128, help="of the films [px]")
+    parser.add_argument("--image-size", type=int, default=160, help="of the films [px]")
     args = parser.parse_args()
     recipe = Recipe(split="test", capture="contact", image_size=args.image_size)
     specs = sample_specs(recipe, range(args.episodes), threads=0)
@@ -43,8 +45,9 @@ def main() -> None:
             print(f"{name:20s} {line['value']:6.1f} [{line['low']:5.1f}, {line['high']:5.1f}] {line['n']:5d}")
     write_numbers(args, S_hold_percent=tables)
     if args.gifs:
-        films(recipe, [e for e in episodes if e.success], args.gifs, "held")
-        films(recipe, [e for e in episodes if not e.success], args.gifs, "failed")
+        held = first_of_each_kind(e for e in episodes if e.success and e.meta.motion in HELD_KINDS)
+        films(recipe, held, args.gifs, "held")
+        films(recipe, first_of_each_kind(e for e in episodes if not e.success)[:FAILURES], args.gifs, "failed")
 
 
 def jobs_of(specs: list) -> list[Job]:
@@ -68,15 +71,20 @@ def table(groups: dict[str, list[bool]]) -> dict[str, dict[str, Any]]:
     return rows
 
 
+def first_of_each_kind(episodes: Iterable[Episode]) -> list[Episode]:
+    """Return the episode of the least seed of each kind of motion, by seed."""
+    ordered = sorted(episodes, key=lambda episode: -episode.meta.seed)
+    return sorted({e.meta.motion: e for e in ordered}.values(), key=lambda episode: episode.meta.seed)
+
+
 def films(recipe: Recipe, episodes: list[Episode], folder: Path, word: str) -> None:
-    """Film the first episodes of distinct kinds once more, in slow motion around the catch."""
+    """Play episodes once more and film them, in slow motion around the catch."""
     folder.mkdir(parents=True, exist_ok=True)
-    chosen = list({e.meta.motion: e for e in sorted(episodes, key=lambda e: -e.meta.seed)}.values())[-FILMS_EACH:]
-    specs = sample_specs(recipe, [e.meta.seed for e in chosen])
+    specs = sample_specs(recipe, [e.meta.seed for e in episodes])
     for _, episode in play(make_batch(recipe, 1), EXPERTS[recipe.expert](), jobs_of(specs), images=True):
         start = max(0, episode.meta.window_frames - SHOWN_FRAMES_BEFORE)
         shown = slice(start, min(len(episode), episode.meta.intercept_frame + SHOWN_FRAMES_AFTER))
-        frames, caption = episode.images["ego"][shown], f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}"
+        frames, caption = episode.images["ego"][shown], f"{episode.meta.motion}: {episode.stage}"
         path = folder / f"{word}_{episode.meta.motion}_{episode.meta.seed}.gif"
         write_gif(path, frames, caption=caption, phases=phases_of(episode)[shown], fps=SLOW_FPS)
         print(path)

@@ -1,6 +1,6 @@
-"""Draw docs/contact_sheet.png: every kind of motion and every object, at the start, at control start and when caught.
+"""Draw docs/contact_sheet.jpg: every kind of motion and every object, at the start, at control start and when caught.
 
-python benchmarks/contact_sheet.py [--out docs/contact_sheet.png] [--json FILE]
+python benchmarks/contact_sheet.py [--out docs/contact_sheet.jpg] [--json FILE]
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
 LABEL_PX, COLUMNS = 12, 4
-TINY = {"out": Path("contact_sheet.png"), "tile_px": 32, "motions": ["constant", "lob"]}
+JPEG_QUALITY = 85
+TINY = {"out": Path("contact_sheet.jpg"), "tile_px": 32, "motions": ["constant", "lob"]}
 
 
 def main() -> None:
     parser = benchmark_parser(__doc__, **TINY)
-    parser.add_argument("--out", type=Path, default=Path("docs/contact_sheet.png"))
+    parser.add_argument("--out", type=Path, default=Path("docs/contact_sheet.jpg"))
     parser.add_argument(
         "--motions", nargs="+", default=Recipe(split="test").motion_names, help="kinds to draw; all if left out"
     )
@@ -40,7 +41,7 @@ def main() -> None:
     strips = [_strip(episode) for episode in episodes]
     strips += [Image.new("RGB", strips[0].size)] * (-len(strips) % COLUMNS)
     rows = [np.hstack([np.asarray(s) for s in strips[i : i + COLUMNS]]) for i in range(0, len(strips), COLUMNS)]
-    Image.fromarray(np.vstack(rows)).save(args.out, optimize=True)
+    Image.fromarray(np.vstack(rows)).save(args.out, quality=JPEG_QUALITY, subsampling=0)
     kinds, objects = [e.meta.motion for e in episodes], sorted({e.meta.object for e in episodes})
     print(f"{args.out}: {len(kinds)} kinds, {len(objects)} objects")
     write_numbers(args, kinds=kinds, objects=objects)

@@ -11,6 +11,7 @@ import dynahoi_lerobot
 
 project = "dynahoi-lerobot"
 author = "the dynahoi-lerobot contributors"
+copyright = f"{author}, Apache-2.0"
 release = dynahoi_lerobot.__version__
 html_title = f"{project} {release}"
 

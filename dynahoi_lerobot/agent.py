@@ -27,6 +27,8 @@ class Observation:
         phase: (N, 1) float32, 0 observing, 1 acting.
         tasks: N instructions.
         touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
+        environment_state: (N, 13) float32, the simulator's truth: pose and velocity of the target as in `WorldState`,
+            [m], quaternion, [m/s] and [rad/s]; None unless the batch was asked for it.
     """
 
     images: dict[str, np.ndarray]
@@ -35,6 +37,7 @@ class Observation:
     phase: np.ndarray
     tasks: tuple[str, ...]
     touch: np.ndarray | None = None
+    environment_state: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,18 +90,20 @@ class Actor(ABC):
 
     Attributes:
         name: labels results.
-        privileged: it sees the simulator's state.
+        privileged: it sees the simulator's state; results say so.
         has_memory: what it does depends on earlier frames, so that all worlds must begin their episodes together.
         sees_images: turns rendering on.
+        sees_environment_state: it is an `Agent` that needs ``Observation.environment_state``.
         image_size: side of the images it was trained on [px], None if it does not say.
         views: the views it needs besides ``ego``.
         retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
     """
 
     name: str = "actor"
-    privileged: ClassVar[bool]
+    privileged: bool
     has_memory: ClassVar[bool]
     sees_images: bool = False
+    sees_environment_state: bool = False
     image_size: int | None = None
     views: tuple[str, ...] = ()
     retries: int = 0

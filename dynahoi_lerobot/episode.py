@@ -176,6 +176,11 @@ class Episode:
         return self.state[:, PALM_DOF:]
 
     @property
+    def environment_state(self) -> np.ndarray:
+        """(T, 13) float32, ``target_pose`` and ``target_velocity``, which a dataset on request shows to policies."""
+        return np.concatenate([self.target_pose, self.target_velocity], axis=1)
+
+    @property
     def reward(self) -> np.ndarray:
         """(T,) float32, 1 where the action leads to the first frame on which the episode is a success, else 0."""
         return np.diff(self.succeeded, prepend=False).astype(np.float32)

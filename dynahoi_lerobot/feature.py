@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""
+NEXT_PREFIX = "next."
+"""LeRobot's own columns of what an action led to."""
 IMAGE_PREFIX = OBSERVATION_PREFIX + "images."
 EPISODE_TABLE_PREFIX = "stats/"
 """Columns of the episode table: LeRobot reads an episode's whole row for every sample, but for this prefix."""
@@ -29,6 +31,7 @@ class Feature:
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
         on_policy: whether only on-policy recordings have it, see ``rollout.on_policy``.
+        on_request: whether policies and datasets get it only if that is asked for: it is the simulator's truth.
         constant: whether it has one value per episode; a frame table repeats that value in every row.
         per: what its rows are if it is not constant: ``frame``, or ``attempt`` or ``primitive``, whose number differs
             between episodes; only the episode table can hold those.
@@ -47,6 +50,7 @@ class Feature:
     high: float = math.inf
     needs_contact_sensors: bool = False
     on_policy: bool = False
+    on_request: bool = False
     constant: bool = False
     per: str = "frame"
     derived: bool = False
@@ -69,7 +73,7 @@ class Feature:
     @property
     def optional(self) -> bool:
         """Whether some recordings do not have it."""
-        return self.needs_contact_sensors or self.on_policy
+        return self.needs_contact_sensors or self.on_policy or self.on_request
 
     @property
     def is_image(self) -> bool:
@@ -80,6 +84,16 @@ class Feature:
     def in_episode_table(self) -> bool:
         """Whether the dataset stores it in the episode table instead of the frame table."""
         return self.key.startswith(EPISODE_TABLE_PREFIX)
+
+    @property
+    def movable(self) -> bool:
+        """Whether the episode table can hold it instead: no policy and no tool of LeRobot reads it."""
+        read = self.in_episode_table or self.on_policy or self.key.startswith(NEXT_PREFIX)
+        return self.privileged and not read
+
+    def moved(self) -> Feature:
+        """Return it as a column of the episode table."""
+        return replace(self, key=EPISODE_TABLE_PREFIX + self.key)
 
     @property
     def has_fixed_shape(self) -> bool:

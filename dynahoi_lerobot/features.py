@@ -11,7 +11,7 @@ rollout records (`rollout/recorder.py`), the dataset's columns and reader (`data
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.foundation.conventions import EGO_VIEW, FINGER_DOF, FINGERS, HAND_DOF, HAND_NAMES, JOINT_NAMES
@@ -28,6 +28,11 @@ INTRINSICS_NAMES = ("fx", "fy", "cx", "cy")
 CAMERA_KEY = IMAGE_PREFIX + EGO_VIEW
 PIXELS = "pixels"
 """Key of the dictionary of images in a Gymnasium observation, as LeRobot expects it."""
+ENVIRONMENT_STATE = "observation.environment_state"
+"""LeRobot's name for the truth about the environment, which policies without cameras may read."""
+
+FRAMES, EPISODES = PRIVILEGED_PLACES = ("frames", "episodes")
+"""Where a dataset holds the privileged columns: in every row of the frame table, or in the episode table."""
 
 
 _TABLE = (
@@ -47,6 +52,12 @@ _TABLE = (
         "touch", "observation.touch", (len(FINGERS),), FINGERS, "N",
         "force of each finger on the target, mean of the last control step",
         gym_key="touch", low=0.0, high=1000.0, needs_contact_sensors=True,
+    ),
+    Feature(
+        "environment_state", ENVIRONMENT_STATE, (13,), (*POSE_NAMES, *TWIST_NAMES), "m, 1, m/s, rad/s",
+        "the simulator's truth: target position, home frame, and quaternion wxyz, as target.pose; linear and angular "
+        "velocity, along the world's axes, as target.velocity", gym_key="environment_state", low=-1000.0,
+        high=1000.0, on_request=True, derived=True,
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
@@ -192,7 +203,13 @@ def image_feature(view: str, image_size: int) -> Feature:
 
 
 def frame_features(
-    image_size: int | None, views: Sequence[str] = (), *, contact_sensors: bool = False, on_policy: bool = False
+    image_size: int | None,
+    views: Sequence[str] = (),
+    *,
+    contact_sensors: bool = False,
+    on_policy: bool = False,
+    environment_state: bool = False,
+    privileged: bool = True,
 ) -> tuple[Feature, ...]:
     """Return the columns of the frame table, in the dataset's order.
 
@@ -201,11 +218,20 @@ def frame_features(
         views: the views besides ``ego``.
         contact_sensors: whether the capture rule ``uses_contact_sensors``.
         on_policy: whether a teacher labels what somebody else does.
+        environment_state: whether policies are given the simulator's truth.
+        privileged: False leaves out the privileged columns that the episode table can hold, see ``moved_features``.
     """
     images = () if image_size is None else tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views))
     sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
-    held = (f for f in sensed if on_policy or not f.on_policy)
-    return (*images, *(feature for feature in held if not feature.in_episode_table))
+    asked = (f for f in sensed if environment_state or not f.on_request)
+    held = (f for f in asked if on_policy or not f.on_policy)
+    kept = (f for f in held if privileged or not f.movable)
+    return (*images, *(feature for feature in kept if not feature.in_episode_table))
+
+
+def moved_features(held: Container[str] = ()) -> tuple[Feature, ...]:
+    """Return, as columns of the episode table, what a frame table with the columns ``held`` leaves to that."""
+    return tuple(f.moved() for f in FEATURES.values() if f.movable and f.key not in held)
 
 
 def episode_features() -> tuple[Feature, ...]:

@@ -98,8 +98,16 @@ def _check(app: Sphinx, env: BuildEnvironment) -> None:
         logger.warning("the reference lacks %s", name)
 
 
+def keep_colons(what: str, lines: list[str]) -> None:
+    """Keep napoleon from taking what precedes a colon for the type, as it does in the first line of an attribute."""
+    if what in ("attribute", "data", "property"):
+        lines[:0] = ["..", ""]  # an empty comment, which has no colon
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Write the pages when a build begins; warn of docstrings that none of them has."""
     app.connect("builder-inited", lambda app: write_pages(Path(app.srcdir), "api", pages()))
     app.connect("env-check-consistency", _check)
+    before_napoleon = 400  # its own priority is 500
+    app.connect("autodoc-process-docstring", lambda *event: keep_colons(event[1], event[-1]), before_napoleon)
     return {"parallel_read_safe": True}

@@ -12,6 +12,7 @@ import pyarrow as pa
 from PIL import Image
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.language import ARROW, HUGGING_FACE, INFO, LANGUAGE
 from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
@@ -27,15 +28,17 @@ BOOKKEEPING = {
 """LeRobot's own columns."""
 
 
-def info_features(held: Sequence[Feature], encoding: Encoding) -> Features:
+def info_features(held: Sequence[Feature], encoding: Encoding, *, subtasks: bool = False) -> Features:
     """Return ``info.json``'s feature table: the columns of the frame table, then LeRobot's own.
 
     Args:
         held: the columns, see ``features.frame_features``.
         encoding: how images are stored.
+        subtasks: whether there is LeRobot's column for language.
     """
     features = {feature.key: _info(feature, encoding) for feature in held}
-    return features | {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
+    features |= {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
+    return features | ({LANGUAGE: dict(INFO)} if subtasks else {})
 
 
 def _info(feature: Feature, encoding: Encoding) -> dict[str, Any]:
@@ -54,7 +57,9 @@ def image_keys(features: Features) -> list[str]:
 
 def numeric_keys(features: Features) -> list[str]:
     """Return the keys of all columns that hold numbers, in the dataset's order."""
-    return [key for key, feature in features.items() if feature["dtype"] not in ("video", "image", "string")]
+    return [
+        key for key, feature in features.items() if feature["dtype"] not in ("video", "image", "string", "language")
+    ]
 
 
 def content_keys(features: Features) -> list[str]:
@@ -82,19 +87,21 @@ def arrow_schema(features: Features) -> pa.Schema:
     return pa.schema(fields, metadata={"huggingface": json.dumps(note)})
 
 
-def frame_table(arrays: dict[str, np.ndarray], images: dict[str, np.ndarray], schema: pa.Schema) -> pa.Table:
+def frame_table(
+    arrays: dict[str, np.ndarray], images: dict[str, np.ndarray], schema: pa.Schema, subtasks: pa.Array | None = None
+) -> pa.Table:
     """Return one episode's rows.
 
     Args:
         arrays: (T, D) or (T,) per key.
         images: (T, H, W, 3) uint8 RGB per key; none where images do not go into the table.
         schema: what ``arrow_schema`` returned.
+        subtasks: what ``language_column`` returned, if the schema has that column.
     """
-    columns = [
-        _images(images[field.name]) if field.type == _IMAGE else _array(arrays[field.name], field.type)
-        for field in schema
-    ]
-    return pa.table(columns, schema=schema)
+    columns = {key: _images(pixels) for key, pixels in images.items()}
+    columns |= {key: _array(arrays[key], schema.field(key).type) for key in schema.names if key in arrays}
+    columns |= {} if subtasks is None else {LANGUAGE: subtasks}
+    return pa.table([columns[key] for key in schema.names], schema=schema)
 
 
 def column_array(table: pa.Table, key: str) -> np.ndarray:
@@ -131,6 +138,8 @@ _SCALARS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
 def _arrow_type(feature: dict[str, Any]) -> pa.DataType:
     if feature["dtype"] == "image":
         return _IMAGE
+    if feature["dtype"] == "language":
+        return ARROW
     scalar, width = _SCALARS[feature["dtype"]], feature["shape"][0]
     return scalar if width == 1 else pa.list_(scalar, width)
 
@@ -138,5 +147,7 @@ def _arrow_type(feature: dict[str, Any]) -> pa.DataType:
 def _hf_type(feature: dict[str, Any]) -> dict[str, Any]:
     if feature["dtype"] == "image":
         return {"_type": "Image"}
+    if feature["dtype"] == "language":
+        return HUGGING_FACE
     scalar, width = {"dtype": feature["dtype"], "_type": "Value"}, feature["shape"][0]
     return scalar if width == 1 else {"feature": scalar, "length": width, "_type": "List"}

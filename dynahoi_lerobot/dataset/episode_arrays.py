@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,22 +25,28 @@ def image_arrays(episode: Episode) -> dict[str, np.ndarray]:
     return {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
 
 
-def content_arrays(episode: Episode) -> dict[str, np.ndarray]:
-    """Return the episode's numeric columns under their keys, each (T, D)."""
-    return {feature.key: _column(feature, episode) for feature in _held(episode)}
+def content_arrays(episode: Episode, features: Sequence[Feature] | None = None) -> dict[str, np.ndarray]:
+    """Return the episode's numeric columns under their keys, each (T, D).
+
+    Args:
+        episode: the episode.
+        features: which columns, images left out; by default all that it holds without being asked.
+    """
+    chosen = _held(episode) if features is None else [feature for feature in features if not feature.is_image]
+    return {feature.key: _column(feature, episode) for feature in chosen}
 
 
-def content_values(table: pa.Table) -> dict[str, Any]:
+def content_values(table: pa.Table, known: Container[str] = ()) -> dict[str, Any]:
     """Return the attributes of an Episode that its rows of the frame table hold: undoes ``content_arrays``.
 
-    Those that follow from others are left out.
+    Those that follow from others are left out, and those that are ``known`` from elsewhere.
 
     Raises:
         KeyError: if a column is missing that every dataset has.
     """
     every, present = frame_features(None, contact_sensors=True, on_policy=True), table.column_names
     held = (feature for feature in every if feature.key in present or not feature.optional)
-    read = (feature for feature in held if not feature.derived)
+    read = (feature for feature in held if not feature.derived and feature.name not in known)
     return {feature.name: _value(feature, column_array(table, feature.key)) for feature in read}
 
 
@@ -52,8 +58,10 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
     """
     frames = len(episode)
     in_rows = [feature for feature in episode_features() if feature.has_fixed_shape]
-    wanted = {feature.key: feature.array_shape(frames) for feature in (*features, *in_rows)}
-    held = (*_held(episode), *in_rows)
+    stored = [feature for feature in features if not feature.on_request]
+    wanted = {feature.key: feature.array_shape(frames) for feature in (*stored, *in_rows)}
+    keys = {feature.key for feature in features}
+    held = (*(f for f in _held(episode) if f.key in keys or not f.movable), *in_rows)
     found = {feature.key: np.shape(getattr(episode, feature.name)) for feature in held}
     found |= {key: images.shape for key, images in image_arrays(episode).items()}
     for key in (*wanted, *found):

@@ -6,7 +6,7 @@ They are read by ``LeRobotDataset(..., episode_filter=lambda ep: ep["motion"] ==
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import asdict, fields
 from typing import Any
 
@@ -16,8 +16,8 @@ import pyarrow as pa
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, bookkeeping_arrays, image_keys, numeric_keys
 from dynahoi_lerobot.dataset.statistics import LEVELS, NAMES, Stats, table_stats
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import episode_features
+from dynahoi_lerobot.feature import EPISODE_TABLE_PREFIX, Feature
+from dynahoi_lerobot.features import episode_features, moved_features
 
 EpisodeRow = dict[str, Any]
 
@@ -26,28 +26,45 @@ HISTOGRAM = "stats/histogram_of:"
 
 _META = {field.name: pa.string() if field.type == "str" else pa.int64() for field in fields(EpisodeMeta)}
 _SCALARS = {"float32": pa.float32(), "bool": pa.bool_()}
-_ARRAYS = {
-    f.key: _SCALARS[f.dtype] if f.constant and not f.shape else pa.list_(_SCALARS[f.dtype]) for f in episode_features()
-}
-_OWN = _META | {"success": pa.bool_(), "stage": pa.string()} | _ARRAYS
+
+
+def _types(features: Iterable[Feature]) -> dict[str, pa.DataType]:
+    return {f.key: _SCALARS[f.dtype] if f.constant and not f.shape else pa.list_(_SCALARS[f.dtype]) for f in features}
+
+
+_OWN = _META | {"success": pa.bool_(), "stage": pa.string()} | _types(episode_features())
 OWN_COLUMNS = tuple(_OWN)
 """Our columns of the episode table."""
 
-ARRAY_COLUMNS = tuple(_ARRAYS)
-"""Those of them that are arrays of an Episode."""
+ARRAY_COLUMNS = tuple(feature.key for feature in (*episode_features(), *moved_features()))
+"""Columns of the episode table that are arrays of an Episode, also those that most datasets have in the frame table."""
 
 
-def own_columns(episode: Episode) -> EpisodeRow:
-    """Return our columns of the episode's row."""
-    arrays = {f.key: _cells(getattr(episode, f.name), f) for f in episode_features()}
+def own_columns(episode: Episode, held: Container[str]) -> EpisodeRow:
+    """Return our columns of the row of an episode whose frame table has the columns ``held``."""
+    arrays = {f.key: _cells(getattr(episode, f.name), f) for f in (*episode_features(), *moved_features(held))}
     return asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | arrays
 
 
 def own_values(row: EpisodeRow) -> dict[str, Any]:
     """Return the attributes of an Episode that its row holds: undoes ``own_columns``."""
-    arrays = {f.name: _value(row[f.key], f) for f in episode_features() if not f.derived}
+    held = (*episode_features(), *_moved(row))
+    arrays = {f.name: _value(row[f.key], f) for f in held if not f.derived}
     meta = EpisodeMeta(**{name: row[name] for name in _META})
     return {"meta": meta, "success": row["success"], "stage": row["stage"]} | arrays
+
+
+def moved_columns(row: EpisodeRow) -> dict[str, np.ndarray]:
+    """Return the columns that the row holds for the frame table, (T, D) each, by the keys that they have there."""
+    frames, columns = row["length"], {}
+    for feature in _moved(row):
+        value = np.array(row[feature.key], feature.dtype).reshape(-1, *feature.column_shape)  # (T or 1, D)
+        columns[feature.key.removeprefix(EPISODE_TABLE_PREFIX)] = value.repeat(frames, 0) if feature.constant else value
+    return columns
+
+
+def _moved(row: EpisodeRow) -> list[Feature]:
+    return [feature for feature in moved_features() if feature.key in row]
 
 
 def _cells(value: Any, feature: Feature) -> Any:
@@ -105,7 +122,7 @@ def row_schema(features: Features) -> pa.Schema:
     columns |= {"dataset_from_index": pa.int64(), "dataset_to_index": pa.int64()}
     columns |= video_columns(videos, dict.fromkeys(("chunk_index", "file_index"), pa.int64()))
     columns |= video_columns(videos, dict.fromkeys(("from_timestamp", "to_timestamp"), pa.float64()))
-    columns |= _OWN
+    columns |= _OWN | _types(moved_features(features))
     columns |= {HISTOGRAM + key: pa.list_(pa.int64()) for key in images}
     for key in [*images, *numeric_keys(features)]:
         columns |= {f"stats/{key}/{name}": _stat_type(key in images, name) for name in NAMES}

@@ -141,7 +141,8 @@ class Store:
         table = self.frames(row)
         keys = self.pictures if images else []
         views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
-        return Episode(images=views, **own_values(row), **content_values(table))
+        values = own_values(row)
+        return Episode(images=views, **values, **content_values(table, values))
 
 
 def _rows(path: Path) -> pa.Table:

@@ -13,6 +13,7 @@ from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, frame_table, image_keys, info_features
 from dynahoi_lerobot.dataset.episode_arrays import check_fits, content_arrays, image_arrays
 from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, EpisodeRow, own_columns, stats_columns, video_columns
+from dynahoi_lerobot.dataset.language import language_column, subtask_rows
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.metadata import MetadataWriter
 from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, FileLimits
@@ -41,6 +42,8 @@ class DatasetWriter:
         features: Sequence[Feature],
         encoding: Encoding | None = None,
         limits: FileLimits | None = None,
+        *,
+        subtasks: bool = False,
     ) -> None:
         """Make the folder ``root``.
 
@@ -49,6 +52,7 @@ class DatasetWriter:
             features: the columns that every episode fills, see ``features.frame_features``.
             encoding: how images are stored.
             limits: file size limits.
+            subtasks: whether to write subtasks as LeRobot's column for language.
 
         Raises:
             FileExistsError: if ``root`` exists.
@@ -62,7 +66,7 @@ class DatasetWriter:
             raise ValueError(f"image size is {self._image_size} pixels; video needs an even number")
         root.mkdir()
         self.root = root
-        info = info_features(features, self.encoding)
+        info, self._subtasks = info_features(features, self.encoding, subtasks=subtasks), subtasks
         self._keys = image_keys(info)
         self._schema = arrow_schema(info)
         self._catalog = MetadataWriter(root, info, self.limits)
@@ -84,8 +88,8 @@ class DatasetWriter:
             ValueError: if it has other columns than the dataset, or images of another size.
         """
         check_fits(episode, self._features)
-        arrays = content_arrays(episode)
-        row = own_columns(episode) | {"tasks": [episode.meta.task], "length": len(episode)}
+        arrays = content_arrays(episode, self._features)
+        row = own_columns(episode, arrays) | {"tasks": [episode.meta.task], "length": len(episode)}
         row |= stats_columns(table_stats(arrays)) | self._image_columns(episode)
         row |= self._write_frames(episode, arrays)
         if self._keys and self._codec.is_video:
@@ -133,7 +137,9 @@ class DatasetWriter:
         place = self._catalog.next_place(episode.meta.task)
         bookkeeping = bookkeeping_arrays(len(episode), *place)
         images = {} if self._codec.is_video else image_arrays(episode)
-        table = frame_table(arrays | bookkeeping, images, self._schema)
+        rows = subtask_rows(episode.phase[:, 0], episode.localized)
+        subtasks = language_column(rows, len(episode)) if self._subtasks else None
+        table = frame_table(arrays | bookkeeping, images, self._schema, subtasks)
         chunk, file = self._data.write(table)
         return {"data/chunk_index": chunk, "data/file_index": file}
 

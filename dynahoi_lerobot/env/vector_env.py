@@ -56,7 +56,9 @@ class DynahoiVectorEnv(VectorEnv):
         A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
         view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], home frame, and joint angles
         [rad]; ``fingertips`` (30,) positions [m], home frame, and rotation vectors [rad]; ``phase`` (1,); and, if the
-        capture rule uses contact sensors, ``touch`` (5,) force of each finger on the target [N].
+        capture rule uses contact sensors, ``touch`` (5,) force of each finger on the target [N]. Only on request
+        ``environment_state`` (13,), the simulator's truth: pose of the target [m, 1], home frame, and its linear and
+        angular velocity [m/s, rad/s].
     Action:
         (18,) float32 target for the next frame: palm centre [m], home frame, and joint angles [rad]. The palm's bounds
         are the length of the gantry's slides either way (4, 4 and 2.48 m), the same in every episode; where on the
@@ -102,6 +104,7 @@ class DynahoiVectorEnv(VectorEnv):
         renderer: str = DEFAULT_RENDERER,
         instructions: str = "mixed",
         salt: str = "",
+        environment_state: bool = False,
         reward: str = SPARSE,
         threads: int = 0,
         render_mode: str | None = "rgb_array",
@@ -117,6 +120,7 @@ class DynahoiVectorEnv(VectorEnv):
             images: whether observations contain images; without them nothing is rendered.
             views: views besides ``ego``, such as ``side``; see `renderers/camera_views.py`.
             appearance, protocol, control_class, capture, hand, renderer, instructions, salt: see ``Recipe``.
+            environment_state: whether observations contain the simulator's truth, for state-only baselines.
             reward: ``sparse`` or ``dense``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
@@ -143,7 +147,8 @@ class DynahoiVectorEnv(VectorEnv):
             motions=() if kind is None or kind in Recipe(split=seed_stream(split)).motion_names else (kind,),
         )
         self._images, self._threads, self._on_episode, self.reward = images, threads, on_episode, reward
-        self._batch = make_batch(self.recipe, num_envs, threads)
+        self.environment_state = environment_state
+        self._batch = make_batch(self.recipe, num_envs, threads, environment_state=environment_state)
         self._set_spaces()
         self._episodes = RunningEpisodes(self._batch, on_episode, reward)
         self._ended, self._numbers = np.zeros(num_envs, bool), np.zeros(num_envs, int)
@@ -153,7 +158,9 @@ class DynahoiVectorEnv(VectorEnv):
         """Derive the spaces from the feature table and the hand's limits."""
         image_size, contact_sensors = self.recipe.image_size, self._batch.rule.uses_contact_sensors
         size = image_size if self._images else None
-        features = frame_features(size, self.recipe.views, contact_sensors=contact_sensors)
+        features = frame_features(
+            size, self.recipe.views, contact_sensors=contact_sensors, environment_state=self.environment_state
+        )
         self.single_observation_space = observation_space(features)
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -245,7 +252,8 @@ class DynahoiVectorEnv(VectorEnv):
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy is made from: the constructor's arguments."""
         options = {name: getattr(self.recipe, name) for name in RECIPE_OPTIONS}
-        options |= {name: getattr(self, name) for name in ("num_envs", "kind", "split", "render_mode", "reward")}
+        own = ("num_envs", "kind", "split", "render_mode", "reward", "environment_state")
+        options |= {name: getattr(self, name) for name in own}
         options |= {"images": self._images, "threads": self._threads, "on_episode": self._on_episode}
         return {"options": options, "spec": self.spec}
 

@@ -62,6 +62,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what concerns LeRobot policies and vision-language models."""
     parser.add_argument("--device", help="torch device of the policy")
+    parser.add_argument(
+        "--environment-state",
+        action="store_true",
+        help="let the policy read observation.environment_state, the truth; its results are marked as privileged",
+    )
     add_trust_argument(parser)
     parser.add_argument(
         "--set",

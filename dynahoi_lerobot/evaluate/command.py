@@ -21,6 +21,7 @@ from dynahoi_lerobot.evaluate.arguments import add_arguments
 from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
+from dynahoi_lerobot.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
@@ -54,7 +55,12 @@ def run(args: argparse.Namespace) -> int:
         args.capture,
         " ".join([Path(sys.argv[0]).name, *without_salt(sys.argv[1:])]),
         recipe.fingerprint(),
-        {"recipe": recipe.stored(), "inference": inference.label, "settings": args.set},
+        {
+            "recipe": recipe.stored(),
+            "inference": inference.label,
+            "settings": args.set,
+            "privileged": actor.privileged,
+        },
     )
     recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
     specs = _specs(args, recipe, recorder)
@@ -84,7 +90,13 @@ def _real_time(actor: Actor, inference: Inference) -> Actor:
 def _actor(args: argparse.Namespace) -> Actor:
     if args.policy == VLM and not args.set:
         return _vlm(args)
-    return make_actor(args.policy, args.capture, args.device, args.set, trust=args.trust)
+    actor = make_actor(args.policy, args.capture, args.device, args.set, trust=args.trust)
+    if actor.sees_environment_state and not args.environment_state:
+        raise ValueError(
+            f"{args.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add --environment-state to let it: "
+            "its results are then marked as privileged"
+        )
+    return actor
 
 
 def _vlm(args: argparse.Namespace) -> Agent:
@@ -143,7 +155,7 @@ def _played(
     """Play the episodes ``specs`` and yield them batch by batch, without images."""
     if not specs:
         return
-    batch = make_batch(recipe, min(args.batch_size, len(specs)))
+    batch = make_batch(recipe, min(args.batch_size, len(specs)), environment_state=actor.sees_environment_state)
     gifs = args.gifs if args.out else 0
     with tqdm(total=len(specs), desc=f"{args.policy} on {args.split}", unit="episode") as progress:
         for start in range(0, len(specs), args.batch_size):

@@ -21,6 +21,8 @@ BORDERS = {"observing": (128, 128, 128), "acting": (30, 30, 34), "localized": (4
 
 BORDER_PX = 3
 CAPTION_PX = 16
+COLOURS, PALETTE_PAGES = 128, 8
+"""Colours of a GIF, and how many of its pages they are chosen from."""
 MAX_FPS = 50
 """Viewers slow anything faster down to 10 frames per second."""
 
@@ -112,7 +114,7 @@ def encode_gif(
     _check(frames, fps, phases)
     scale = max(1, -(-min_width // frames.shape[2]))
     names = phases or [None] * len(frames)
-    pages = [_page(frame, name, caption, scale) for frame, name in zip(frames, names, strict=True)]
+    pages = _quantized([_page(frame, name, caption, scale) for frame, name in zip(frames, names, strict=True)])
     options = {"save_all": True, "append_images": pages[1:], "duration": round(100 / fps) * 10, "loop": 0}
     buffer = io.BytesIO()
     pages[0].save(buffer, "GIF", **options)
@@ -137,9 +139,19 @@ def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> Ima
     picture = Image.fromarray(np.repeat(np.repeat(frame, scale, axis=0), scale, axis=1))
     if phase is not None:
         picture = ImageOps.expand(picture, BORDER_PX, BORDERS[phase])
-    if caption:
-        picture = _captioned(picture, caption)
-    return picture.quantize(128)
+    return _captioned(picture, caption) if caption else picture
+
+
+def _quantized(pages: Sequence[Image.Image]) -> list[Image.Image]:
+    """Give all pages the same colours, so that what stands still does not flicker and is stored once."""
+    from PIL import Image
+
+    few = [pages[i] for i in np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)]
+    octree = Image.Quantize.FASTOCTREE  # median cut would drop the colour of a small target
+    learned = Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS), octree).getpalette() or []
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([*np.ravel(list(BORDERS.values())).tolist(), *learned])
+    return [page.quantize(palette=palette, dither=Image.Dither.NONE) for page in pages]
 
 
 def _captioned(picture: Image.Image, caption: str) -> Image.Image:

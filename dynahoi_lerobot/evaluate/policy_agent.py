@@ -18,7 +18,7 @@ from dynahoi_lerobot.env.spaces import as_gym
 from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, REMEDY, PolicyError, trusted_checkpoint
 from dynahoi_lerobot.evaluate.frame_history import note_frame, queued_frame
 from dynahoi_lerobot.feature import IMAGE_PREFIX
-from dynahoi_lerobot.features import CAMERA_KEY
+from dynahoi_lerobot.features import CAMERA_KEY, ENVIRONMENT_STATE
 from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
 
 
@@ -48,6 +48,7 @@ class PolicyAgent(ChunkAgent):
         self._policy, self._before, self._after = _load(path, device, settings, trust=trust)
         self._chunk: Any = None
         inputs = self._policy.config.input_features
+        self.sees_environment_state = self.privileged = ENVIRONMENT_STATE in inputs
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
         self.package = type(self._policy).__module__.partition(".")[0]
@@ -126,6 +127,8 @@ class PolicyAgent(ChunkAgent):
         """What the policy takes, as ``lerobot-eval`` prepares it."""
         from lerobot.envs.utils import preprocess_observation
 
+        if self.sees_environment_state and observation.environment_state is None:
+            raise PolicyError(f"{self.name} reads {ENVIRONMENT_STATE}, the simulator's truth, which nobody gets here")
         batch: dict[str, Any] = preprocess_observation(as_gym(observation))
         batch["task"] = list(observation.tasks)
         return self._before(batch)

@@ -33,8 +33,9 @@ class RunInfo:
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: further JSON values: ``inference`` and ``settings`` where inference took time or the policy's config was
-            changed, ``recipe``, and whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
+        extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state, ``inference`` and
+            ``settings`` where inference took time or the policy's config was changed, ``recipe``, and whatever a figure
+            needs, such as ``n_obs_frames`` or ``data_fraction``.
         benchmark: version of the benchmark.
     """
 
@@ -95,6 +96,16 @@ class Results:
         """How long inference took: ``sync`` if the world waited for it, else such as ``async 150 ms``."""
         return self.info.extra.get("inference") or SYNC
 
+    @property
+    def privileged(self) -> bool:
+        """Whether who moved the hand saw the simulator's state."""
+        return bool(self.info.extra.get("privileged"))
+
+    @property
+    def shown_policy(self) -> str:
+        """The policy's name or path, marked if it is privileged."""
+        return marked(self.info.policy, privileged=self.privileged)
+
     def summary(self) -> Summary:
         """Return every metric with its interval over all episodes."""
         return summarise_rows(self.rows)
@@ -133,6 +144,11 @@ class Results:
             "command": info.command,
             "extra": info.extra,
         }
+
+
+def marked(name: str, *, privileged: bool) -> str:
+    """Return a policy's name as tables and reports show it."""
+    return f"{name} (privileged)" if privileged else name
 
 
 class ResultsRecorder:

@@ -64,9 +64,8 @@ def printed_parts(estimate: Estimate) -> tuple[str, str]:
 def labels(result: Results) -> list[str]:
     """Return what ``LABELS`` says about an evaluation: under other conditions its numbers do not compare."""
     info = result.info
-    return [
-        info.policy, info.split, result.protocol, info.capture, result.control_class, result.inference, info.benchmark
-    ]  # fmt: skip
+    played = [info.split, result.protocol, info.capture, result.control_class, result.inference]
+    return [result.shown_policy, *played, info.benchmark]
 
 
 def _cells(summary: Summary, columns: Sequence[str]) -> list[str]:

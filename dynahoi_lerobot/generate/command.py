@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.features import FRAMES
 from dynahoi_lerobot.foundation.arguments import names, path
 from dynahoi_lerobot.foundation.output import check_output
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources, Executor
@@ -44,6 +45,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_salt_argument(parser)
     parser.add_argument(
         "--keep-failures", action="store_true", help="store episodes that the expert fails, with success false"
+    )
+    parser.add_argument(
+        "--environment-state",
+        action="store_true",
+        help="store the truth, pose and velocity of the target, as observation.environment_state",
+    )
+    parser.add_argument(
+        "--privileged-columns",
+        default=FRAMES,
+        help="where target.* and other columns of the truth are: frames, or episodes, where loading costs no time",
+    )
+    parser.add_argument(
+        "--subtasks", action="store_true", help="store what is to be done in every frame in LeRobot's language column"
     )
     parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
@@ -123,6 +137,9 @@ def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan
         Encoding(args.codec, args.crf, args.preset, args.gop),
         shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
         runtime=runtime,
+        environment_state=args.environment_state,
+        privileged_columns=args.privileged_columns,
+        subtasks=args.subtasks,
     )
 
 

@@ -12,7 +12,7 @@ from dynahoi_lerobot.dataset.codecs.base import Encoding
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import frame_features
+from dynahoi_lerobot.features import FRAMES, PRIVILEGED_PLACES, frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
 from dynahoi_lerobot.sampling.salt import sealed
@@ -76,6 +76,9 @@ class GenerationPlan:
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
+        environment_state: whether to store the simulator's truth as ``observation.environment_state``.
+        subtasks: whether to store subtasks as LeRobot's column for language.
+        privileged_columns: where the privileged columns are, in the table of ``frames`` or of ``episodes``.
         runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
     """
 
@@ -88,6 +91,9 @@ class GenerationPlan:
     limits: FileLimits = field(default_factory=FileLimits)
     code: str = field(default_factory=code_fingerprint)
     runtime: str = ""
+    environment_state: bool = False
+    privileged_columns: str = FRAMES
+    subtasks: bool = False
 
     def __post_init__(self) -> None:
         """Refuse plans that cannot be carried out.
@@ -103,6 +109,9 @@ class GenerationPlan:
             raise ValueError(
                 f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for {self.episodes} episodes"
             )
+        if self.privileged_columns not in PRIVILEGED_PLACES:
+            allowed = " or ".join(PRIVILEGED_PLACES)
+            raise ValueError(f"the place of privileged columns is {self.privileged_columns!r}; it must be {allowed}")
         size = self.image_size
         if size is not None and (size < 16 or (size % 2 and self.encoding.make_codec().is_video)):
             raise ValueError(f"the image size is {size} pixels; it must be an even number from 16")
@@ -117,7 +126,12 @@ class GenerationPlan:
         """The columns of the dataset's frame table."""
         contact_sensors = CAPTURES[self.recipe.capture].uses_contact_sensors
         return frame_features(
-            self.image_size, self.recipe.views, contact_sensors=contact_sensors, on_policy=self.recipe.on_policy
+            self.image_size,
+            self.recipe.views,
+            contact_sensors=contact_sensors,
+            on_policy=self.recipe.on_policy,
+            environment_state=self.environment_state,
+            privileged=self.privileged_columns == FRAMES,
         )
 
     @property
@@ -143,5 +157,8 @@ class GenerationPlan:
             "shard_episodes": self.shard_episodes,
             "code": self.code,
             "runtime": self.runtime,
+            "environment_state": self.environment_state,
+            "privileged_columns": self.privileged_columns,
+            "subtasks": self.subtasks,
         }
         return json.loads(json.dumps(content, default=str))

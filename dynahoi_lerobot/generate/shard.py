@@ -83,7 +83,7 @@ class ShardMaker:
         _make_way(target)
         with temporary_sibling(target) as temporary:
             plan = self.plan
-            writer = DatasetWriter(temporary, plan.features, plan.encoding, plan.limits)
+            writer = DatasetWriter(temporary, plan.features, plan.encoding, plan.limits, subtasks=plan.subtasks)
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
                 writer.finish(plan.identity(), tally)

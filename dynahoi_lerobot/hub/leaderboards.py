@@ -98,6 +98,8 @@ def why_unranked(results: Results) -> str:
         ResultsError: if it does not say what was played.
     """
     info = results.info
+    if results.privileged:
+        return f"{info.policy} sees the simulator's state"
     if info.benchmark != BENCHMARK.version:
         return f"it is of benchmark {info.benchmark}, not {BENCHMARK.version}"
     if not ranking_metrics(info.split, info.capture, results.control_class):

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
-from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.results import Results, marked, read_results
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
 from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
@@ -79,7 +79,8 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
     """Return a label per result: policy and inference; folder, then a number, are added where it is not unique."""
-    labels = [_timed(short_name(result.info.policy), result.info.extra.get("inference")) for result in results]
+    names = [marked(short_name(result.info.policy), privileged=result.privileged) for result in results]
+    labels = [_timed(name, result.info.extra.get("inference")) for name, result in zip(names, results, strict=True)]
     labels = [
         clip(f"{label} ({result.folder.name})") if _is_repeated(label, labels) else label
         for label, result in zip(labels, results, strict=True)

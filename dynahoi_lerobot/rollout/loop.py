@@ -84,8 +84,8 @@ def evaluate(
         yield episode
 
 
-def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
-    """Return a batch that plays ``recipe``."""
+def make_batch(recipe: Recipe, size: int, threads: int = 0, *, environment_state: bool = False) -> WorldBatch:
+    """Return a batch that plays ``recipe``; ``environment_state`` shows policies the simulator's truth."""
     return WorldBatch(
         size,
         capture=recipe.capture,
@@ -96,6 +96,7 @@ def make_batch(recipe: Recipe, size: int, threads: int = 0) -> WorldBatch:
         renderer=recipe.renderer,
         threads=threads,
         disturbance_m=recipe.disturbance_m,
+        environment_state=environment_state,
     )
 
 

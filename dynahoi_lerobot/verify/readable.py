@@ -16,7 +16,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import HISTOGRAMS_PATH, INFO_PATH, MANIFEST_PATH, STATS_PATH, TASKS_PATH
 from dynahoi_lerobot.dataset.store import Store
 
-DTYPES = ("float32", "int64", "bool", "image", "video")
+DTYPES = ("float32", "int64", "bool", "image", "video", "language")
 SHOWN = 5
 """Columns that a finding names."""
 

@@ -70,6 +70,7 @@ class WorldBatch:
         renderer: str = DEFAULT_RENDERER,
         threads: int = 0,
         disturbance_m: float = 0.0,
+        environment_state: bool = False,
     ) -> None:
         """Allocate ``size`` worlds.
 
@@ -83,6 +84,7 @@ class WorldBatch:
             renderer: one of the renderers.
             threads: for physics, 0 for all cores; without influence on the result.
             disturbance_m: spread of the disturbance injection [m].
+            environment_state: whether observations hold the simulator's truth.
 
         Raises:
             ValueError: if ``size`` is not positive or a name is unknown.
@@ -105,7 +107,7 @@ class WorldBatch:
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
         self._disturbance = DisturbanceInjection(size, disturbance_m)
         self.cameras = Cameras(self.scene, self._batch, image_size, renderer, self._update_kinematics)
-        self._views = (EGO_CAMERA, *views)
+        self._views, self._environment_state = (EGO_CAMERA, *views), environment_state
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self.commanded, self.executed = np.zeros((2, size, HAND_DOF))
@@ -275,7 +277,12 @@ class WorldBatch:
             phase=self.accepting[:, None].astype(np.float32),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
+            environment_state=self._truth() if self._environment_state else None,
         )
+
+    def _truth(self) -> np.ndarray:
+        """(N, 13) float32 pose [m, 1] and velocity [m/s, rad/s] of the targets."""
+        return np.concatenate([self.target_pose, self.target_velocity], axis=1, dtype=np.float32, casting="same_kind")
 
     def _seeing(self, ids: np.ndarray | None) -> np.ndarray:
         """(n,) those of worlds ``ids`` (default: all) whose protocol lets them see now."""

@@ -52,24 +52,6 @@ def test_episode_columns_can_be_filtered_and_read(dataset):
     check_images(opened, 0, 4, 0)
 
 
-def test_streams(dataset, monkeypatch):
-    from lerobot.datasets import streaming_dataset
-    from lerobot.datasets.video_utils import decode_video_frames_pyav
-
-    def decode(path, timestamps, tolerance_s, **_):
-        return decode_video_frames_pyav(path, timestamps, tolerance_s)
-
-    # Its only decoder, torchcodec, needs libraries of the system.
-    monkeypatch.setattr(streaming_dataset, "decode_video_frames_torchcodec", decode)
-    window = {"action": [0.0, 0.05], "observation.images.ego": [-0.05, 0.0]}
-    options = {"delta_timestamps": window, "shuffle": False, "buffer_size": 1}
-    stream = iter(streaming_dataset.StreamingLeRobotDataset(REPO, root=dataset, **options))
-    item = next(item for item in stream if int(item["episode_index"]) == 1 and int(item["frame_index"]) == 3)
-    expected = varied_episode(1)
-    np.testing.assert_array_equal(item["action"], expected.action[3:5])
-    assert np.abs(hwc(item["observation.images.ego"]) - expected.images["ego"][2:4]).mean() < 6
-
-
 def edit(root: Path, output: Path, **operation):
     from lerobot.datasets import dataset_tools
 

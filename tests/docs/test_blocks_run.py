@@ -19,10 +19,11 @@ ELSEWHERE = {"CONTRIBUTING.md", "README.md"}
 """Pages whose programs other tests run: tests/docs/test_contributing.py and test_commands.py."""
 DATA = {"json": json.loads, "yaml": yaml.safe_load, "toml": tomllib.loads}
 PROGRAMS = ("python", "bash")
-DRAWN = ("", "{toctree}")
-"""Blocks without a language are drawings, or commands whose options are compared with their programs."""
+DRAWN = ("", "text", "{toctree}")
+"""Blocks without a language are drawings, or commands whose options are compared with their programs; text is what
+commands print, compared by a test of its own."""
 NEEDS = {"Downloads packages", "Needs FFmpeg", "Needs GPUs", "Needs an endpoint", "Needs the Hub", "Opens a window"}
-NEEDS |= {"Runs until it is stopped", "Takes hours", "Takes minutes"}
+NEEDS |= {"Needs runs, results and checkpoints", "Runs until it is stopped", "Takes hours", "Takes minutes"}
 
 
 @pytest.fixture

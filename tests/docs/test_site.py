@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
+from sphinx.ext.napoleon import GoogleDocstring
 
 from docs.extensions import api_pages
 from docs.extensions.gallery import pages as gallery
@@ -193,3 +194,11 @@ def test_formulas_are_mathml():
     assert text.startswith("<math")
     assert "<mfrac>" in text
     assert 'display="block"' in text
+
+
+@pytest.mark.parametrize("what", ["attribute", "data", "property"])
+def test_a_colon_in_an_attributes_first_line_stays_in_its_text(what: str):
+    lines = ["Rows: coefficients of 1, s, s^2."]
+    api_pages.keep_colons(what, lines)
+    parsed = str(GoogleDocstring(lines, what=what, name="ROWS"))
+    assert " ".join(parsed.split()) == ".. Rows: coefficients of 1, s, s^2."

@@ -124,3 +124,18 @@ def test_a_machine_without_opengl_has_all_other_renderers(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(module("opengl").subprocess, "run", fails)
     assert facts("opengl")["OpenGL"] == Fact("OpenGL", "none", "all renderers but `opengl` work")
+
+
+def test_the_quickstart_takes_as_long_as_where_it_was_timed_and_twice_that_at_half_the_pace():
+    pace = module("pace")
+    for cores, known_s in ((1, pace.KNOWN_PROCESSOR_S), (2, pace.KNOWN_ELAPSED_S), (16, pace.KNOWN_ELAPSED_S)):
+        assert pace.quickstart_s(pace.KNOWN_FRAMES_S, cores) == known_s
+        assert pace.quickstart_s(pace.KNOWN_FRAMES_S / 2, cores) == 2 * known_s
+
+
+def test_the_pace_says_how_long_the_quickstart_takes_here(monkeypatch: pytest.MonkeyPatch):
+    pace = module("pace")
+    monkeypatch.setattr(pace, "frames_per_s", lambda: pace.KNOWN_FRAMES_S)
+    for cores, minutes in ((1, 5), (2, 3)):
+        monkeypatch.setattr(pace, "cores", lambda cores=cores: cores)
+        assert facts("pace")["pace"].follows == f"the quickstart takes about {minutes} min"

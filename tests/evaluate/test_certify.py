@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
+import re
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from docs.scripts import certify_walk
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.certify import sample
-from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.results import read_results
+from tests.evaluate.forgeries import FORGERIES
 
 
 @pytest.fixture(scope="module")
@@ -24,59 +24,6 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("honest") / "results"
     assert main(["evaluate", "--policy", "constant_velocity", "--episodes", "3", "--out", str(folder)]) == 0
     return folder
-
-
-def rewritten(folder: Path, **changes: object) -> None:
-    """Write results again with other contents, its sums made to fit."""
-    results: Results = replace(read_results(folder), **changes)
-    result_files.write(folder, results.as_json(), results.rows, results.actions)
-
-
-def edited_head(folder: Path, **changes: object) -> None:
-    head = json.loads((folder / "metrics.json").read_text())
-    (folder / "metrics.json").write_text(json.dumps(head | changes))
-
-
-def better_sum(folder: Path) -> None:
-    head = json.loads((folder / "metrics.json").read_text())
-    head["metrics"]["S_loc"]["value"] = 99.0
-    edited_head(folder, metrics=head["metrics"])
-
-
-def better_row(folder: Path) -> None:
-    rows = read_results(folder).rows
-    rewritten(folder, rows=(rows[0] | {"E_loc": rows[0]["E_loc"] + 0.01}, *rows[1:]))
-
-
-def another_log(folder: Path) -> None:
-    actions = read_results(folder).actions
-    moved = actions[1].copy()
-    moved[-20:, :3] += 0.01
-    rewritten(folder, actions=(actions[0], moved, actions[2]))
-
-
-def faster_hand(folder: Path) -> None:
-    actions = read_results(folder).actions
-    leap = actions[2].copy()
-    leap[-1, :3] += 1.0
-    rewritten(folder, actions=(*actions[:2], leap))
-
-
-def easy_seed_twice(folder: Path) -> None:
-    results = read_results(folder)
-    rewritten(folder, rows=(results.rows[0],) * 2, actions=(results.actions[0],) * 2)
-
-
-FORGERIES: list[tuple[Callable[[Path], None], str]] = [
-    (better_sum, "S_loc is 99.0 in metrics.json and "),
-    (better_row, "seed {0}: E_loc is "),
-    (another_log, "seed {1}: "),
-    (faster_hand, "seed {2}: the command of frame "),
-    (easy_seed_twice, "seed {0} is there 2 times"),
-    (lambda folder: edited_head(folder, fingerprint="f"), "made by other code or another recipe (f, here is "),
-    (lambda folder: edited_head(folder, split="val"), "names split val and capture rule attach, but its recipe plays"),
-]
-"""What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""
 
 
 def test_an_honest_result_is_certified(honest: Path, capsys: pytest.CaptureFixture):
@@ -109,6 +56,13 @@ def test_a_forged_result_is_not_certified(
     said = capsys.readouterr().out
     assert finding.format(*(row["seed"] for row in read_results(honest).rows)) in said
     assert "not certified" in said
+
+
+def test_the_page_shows_what_it_says():
+    page = certify_walk.PAGE.read_text()
+    measured = re.compile(r"[0-9a-f]{16}|\d+\.\d{5,}")  # fingerprints, and numbers that another processor may change
+    masked = [measured.sub("#", text) for text in (page, certify_walk.with_walk(page))]
+    assert masked[0] == masked[1], "run: uv run python -m docs.scripts.certify_walk"
 
 
 def test_results_of_a_salt_are_certified_by_who_knows_it(tmp_path: Path, capsys: pytest.CaptureFixture):

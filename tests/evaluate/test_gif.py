@@ -46,6 +46,24 @@ def test_the_border_tells_the_phase(tmp_path: Path):
         assert np.abs(np.array(page.getpixel((0, 0))) - BORDERS[name]).max() < 12
 
 
+def test_what_stands_still_keeps_its_colours_and_is_stored_once(tmp_path: Path):
+    still = np.random.default_rng(1).integers(0, 255, (1, 64, 64, 3), np.uint8).repeat(20, axis=0)
+    moving = still.copy()
+    for frame, picture in enumerate(moving):
+        picture[8:16, 2 * frame : 2 * frame + 8] = (250, 250, 10 * frame)
+    first, *rest = (np.asarray(page)[20:] for page in pages(write_gif(tmp_path / "moving.gif", moving)))
+    assert all((page == first).all() for page in rest)
+    alone = write_gif(tmp_path / "one.gif", moving[:1]).stat().st_size
+    assert (tmp_path / "moving.gif").stat().st_size < 3 * alone
+
+
+def test_a_small_target_keeps_its_colour(tmp_path: Path):
+    frames = np.random.default_rng(2).normal([90, 120, 90], 12, (8, 64, 64, 3)).clip(0, 255).astype(np.uint8)
+    frames[:, 20:24, 30:34] = target = (220, 40, 160)
+    for page in pages(write_gif(tmp_path / "a.gif", frames)):
+        assert np.abs(np.array(page.getpixel((32, 22))) - target).max() < 12
+
+
 def test_enlarged_pixels_stay_crisp(tmp_path: Path):
     (page, *_) = pages(write_gif(tmp_path / "a.gif", FRAMES[:1], min_width=33))
     pixels = np.asarray(page)

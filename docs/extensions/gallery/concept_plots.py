@@ -49,7 +49,7 @@ def _save(path: Path, draw: Callable[[Axes, Episodes], None], episodes: Episodes
         axes = figure.subplots()
         draw(axes, episodes)
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, loc="best")
+        figure.legend(frameon=False, loc="outside upper center", ncols=4)
         figure.savefig(path, metadata={"Date": None})
 
 

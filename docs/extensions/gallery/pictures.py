@@ -57,7 +57,7 @@ def _digest() -> str:
 
 def draw_motions(folder: Path) -> None:
     """Draw each kind of motion from the hand's camera and from the side, and all categories for the front page."""
-    specs = [_spec(motion=kind) for kind in MOTIONS.names()]
+    specs = [_spec(motion=kind, seed=seed) for seed, kind in enumerate(MOTIONS.names())]
     episodes = {episode.meta.motion: episode for episode in _played(specs)}
     for kind, episode in episodes.items():
         _write(folder / "motions" / kind, episode)
@@ -67,7 +67,7 @@ def draw_motions(folder: Path) -> None:
 
 def draw_objects(folder: Path) -> None:
     """Draw each object being caught."""
-    for episode in _played([_spec(object=name) for name in OBJECTS.names()]):
+    for episode in _played([_spec(object=name, seed=seed) for seed, name in enumerate(OBJECTS.names())]):
         _write(folder / "objects" / episode.meta.object, episode)
 
 
@@ -96,7 +96,7 @@ def draw_views(folder: Path) -> None:
 
 def draw_appearances(folder: Path) -> None:
     """Draw the same moments as they are by default, above, and with each randomisation, below."""
-    specs = [_spec(motion=kind) for kind in APPEARANCE_KINDS]
+    specs = [_spec(motion=kind, seed=seed) for seed, kind in enumerate(APPEARANCE_KINDS)]
     default = _first_pictures(specs)
     for name in RANDOMIZATIONS:
         path = folder / "appearances" / f"{name}.png"
@@ -105,13 +105,13 @@ def draw_appearances(folder: Path) -> None:
         Image.fromarray(np.vstack([np.hstack(default), np.hstack(changed)])).save(path, optimize=True)
 
 
-def _spec(motion: str = "", object: str = "") -> EpisodeSpec:
-    """Return an episode of a split that has the motion or the object."""
+def _spec(motion: str = "", object: str = "", seed: int = 0) -> EpisodeSpec:
+    """Return an episode of a split that has the motion or the object; another seed has another room."""
     noun, name = ("motion", motion) if motion else ("object", object)
     splits = BENCHMARK.splits_with(noun, name)
     split = "test" if "test" in splits or not splits else splits[0]
     recipe = Recipe(split=split, motions=(motion or ANY_OBJECT_KIND,), objects=(object,) if object else ())
-    return sample_specs(recipe, [0])[0]
+    return sample_specs(recipe, [seed])[0]
 
 
 def _played(specs: list[EpisodeSpec], *, hand: str = "", views: tuple[str, ...] = ("side",)) -> Iterator[Episode]:

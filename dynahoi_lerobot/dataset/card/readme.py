@@ -68,7 +68,9 @@ def _card(store: Store, manifest: Manifest, pictures: dict[str, str]) -> str:
         card_data=yaml.safe_dump(metadata, sort_keys=False).rstrip(),
         dataset_description=_description(store, manifest, pictures),
         dataset_structure=_template("structure.md").render(
-            version=CODEBASE_VERSION, frame_table=frame_table(store.features), episode_table=episode_table()
+            version=CODEBASE_VERSION,
+            frame_table=frame_table(store.features),
+            episode_table=episode_table(store.features),
         ),
         url=HOMEPAGE,
         paper=PAPER,

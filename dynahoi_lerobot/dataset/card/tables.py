@@ -8,18 +8,20 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features
+from dynahoi_lerobot.dataset.columns import Features
+from dynahoi_lerobot.dataset.language import LANGUAGE
 from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
-from dynahoi_lerobot.features import FEATURES, episode_features, image_feature
+from dynahoi_lerobot.features import FEATURES, episode_features, image_feature, moved_features
 
 LEROBOTS = {
     "timestamp": ("s", "time of the frame in its episode"),
     "frame_index": ("1", "number of the frame in its episode"),
     "episode_index": ("1", "number of the episode"),
     "index": ("1", "number of the frame in the dataset"),
+    LANGUAGE: ("s", "subtasks, each with its timestamp: the same rows in every frame of an episode"),
     "task_index": ("1", "number of the instruction in `meta/tasks.parquet`"),
 }
-"""Unit and meaning of the columns that every dataset of LeRobot has."""
+"""Unit and meaning of LeRobot's own columns."""
 
 
 def frame_table(features: Features) -> str:
@@ -31,9 +33,10 @@ def frame_table(features: Features) -> str:
     return markdown(["column", "dtype", "shape", "unit", "meaning"], rows)
 
 
-def episode_table() -> str:
+def episode_table(features: Features) -> str:
     """Return the table of the episode table's arrays, with units; (n, ...) has a row per frame, solid or attempt."""
-    rows = [[f"`{f.key}`", f.dtype, _episode_shape(f), f.unit, f.meaning] for f in episode_features()]
+    arrays = (*episode_features(), *moved_features(features))
+    rows = [[f"`{f.key}`", f.dtype, _episode_shape(f), f.unit, f.meaning] for f in arrays]
     return markdown(["column", "dtype", "shape", "unit", "meaning"], rows)
 
 
@@ -64,7 +67,7 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _unit_and_meaning(key: str, shape: Sequence[int]) -> tuple[str, str]:
-    if key in BOOKKEEPING:
+    if key in LEROBOTS:
         return LEROBOTS[key]
     if key.startswith(IMAGE_PREFIX):
         feature = image_feature(key.removeprefix(IMAGE_PREFIX), shape[0])

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from dynahoi_lerobot.dataset.columns import column_array, numeric_keys
-from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow, moved_columns
 from dynahoi_lerobot.dataset.files import reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.quality_control import Columns
@@ -83,7 +83,10 @@ class CheckedDataset(Store):
         return list(self.full_rows())
 
     def each_episode(self) -> Iterator[tuple[EpisodeRow, Columns]]:
-        """Yield every episode's row and columns, as many frames as carry its index, file by file."""
+        """Yield every episode's row and columns, as many frames as carry its index, file by file.
+
+        What the frame table leaves to the episode table is among the columns.
+        """
         keys = numeric_keys(self.features)
         rows = {row["episode_index"]: row for row in self.stats_rows}
         for path in self.data_files():
@@ -95,7 +98,7 @@ class CheckedDataset(Store):
             for start, stop in zip(starts, [*starts[1:], len(index)], strict=True):
                 row = rows.get(int(index[start]))
                 if row is not None:
-                    yield row, {key: values[start:stop] for key, values in columns.items()}
+                    yield row, {key: values[start:stop] for key, values in columns.items()} | moved_columns(row)
 
 
 class Check:

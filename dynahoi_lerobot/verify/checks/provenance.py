@@ -17,7 +17,8 @@ from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
 PLAN = {
     "recipe": dict, "episodes": int, "seed": int, "camera": bool, "encoding": dict, "limits": dict,
-    "shard_episodes": int, "code": str, "runtime": str,
+    "shard_episodes": int, "code": str, "runtime": str, "environment_state": bool, "privileged_columns": str,
+    "subtasks": bool,
 }  # fmt: skip
 """What ``generate`` writes into the manifest. A copy of some episodes has ``kept`` as well."""
 LIMITS = {"chunks_size": "chunk_files", "data_files_size_in_mb": "data_mb", "video_files_size_in_mb": "video_mb"}

@@ -10,12 +10,13 @@ import pyarrow.parquet as pq
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.codecs.base import Encoding
-from dynahoi_lerobot.dataset.columns import arrow_schema, info_features
+from dynahoi_lerobot.dataset.columns import Features, arrow_schema, info_features
 from dynahoi_lerobot.dataset.episode_table import row_schema
+from dynahoi_lerobot.dataset.language import LANGUAGE
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, ROBOT_TYPE, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.dataset.quality_control import EXECUTED
 from dynahoi_lerobot.feature import IMAGE_PREFIX
-from dynahoi_lerobot.features import CAMERA_KEY, frame_features
+from dynahoi_lerobot.features import CAMERA_KEY, ENVIRONMENT_STATE, EPISODES, FEATURES, FRAMES, frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
@@ -71,12 +72,25 @@ class Schema(Check):
         encoding = Encoding(codec="h264" if dataset.has_video else "images")
         contact_sensors = CAPTURES[dataset.rows[0]["capture"]].uses_contact_sensors
         on_policy = dataset.recipe.on_policy if dataset.recipe else EXECUTED in dataset.features
-        features = frame_features(size, self._views(dataset), contact_sensors=contact_sensors, on_policy=on_policy)
-        wanted = info_features(features, encoding)
+        provenance, stored = dataset.manifest.provenance, dataset.features
+        features = frame_features(
+            size,
+            self._views(dataset),
+            contact_sensors=contact_sensors,
+            on_policy=on_policy,
+            environment_state=provenance.get("environment_state", ENVIRONMENT_STATE in stored),
+            privileged=provenance.get("privileged_columns", _place(stored)) == FRAMES,
+        )
+        subtasks = provenance.get("subtasks", LANGUAGE in stored)
+        wanted = info_features(features, encoding, subtasks=subtasks)
         for key in sorted(wanted.keys() | dataset.features.keys()):
             found = {name: value for name, value in dataset.features.get(key, {}).items() if name != "info"}
             if found != {name: value for name, value in wanted.get(key, {}).items() if name != "info"}:
                 yield f"feature {key} is {found or 'missing'}; the specification has {wanted.get(key, 'no such one')}"
+
+
+def _place(features: Features) -> str:
+    return FRAMES if FEATURES["target_pose"].key in features else EPISODES
 
 
 def _columns(path: Path, schema: pa.Schema) -> Iterator[str]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dynahoi_lerobot.dataset.columns import numeric_keys
 from dynahoi_lerobot.dataset.dataset_stats import DatasetStats
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_histogram, row_stats
 from dynahoi_lerobot.dataset.paths import HISTOGRAMS_PATH, STATS_PATH
@@ -39,7 +40,8 @@ class Statistics(Check):
         for key in dataset.pictures:
             found = picture_stats(row_histogram(row, key), len(sampled_frames(row["length"])))
             yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), found)
-        for key, stats in table_stats(dict(columns)).items():
+        stored = {key: columns[key] for key in numeric_keys(dataset.features)}
+        for key, stats in table_stats(stored).items():
             yield from _differences(f"episode {row['episode_index']}: {key}", row_stats(row, key), stats)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
+from lerobot.utils.constants import OBS_ENV_STATE
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
@@ -54,6 +55,8 @@ class DynahoiEnvConfig(EnvConfig):
             time (`stepwise_inference.py`).
         latency_ms: time from an observation to the chunk that answers it [ms].
         n_action_steps: the policy's, where LeRobot's command line does not name the policy; else leave it 0.
+        environment_state: whether policies see the simulator's truth, pose and velocity of the target, as
+            ``observation.environment_state``; results are then marked as privileged.
         reward: ``sparse`` or ``dense``, see `dynahoi_lerobot.env.rewards`.
         results_dir: where the metrics go; a new folder below ``dynahoi`` in LeRobot's ``--output_dir`` if None.
     """
@@ -73,6 +76,7 @@ class DynahoiEnvConfig(EnvConfig):
     inference: str = SYNC
     latency_ms: float = 0.0
     n_action_steps: int = 0
+    environment_state: bool = False
     reward: str = SPARSE
     results_dir: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
@@ -90,10 +94,15 @@ class DynahoiEnvConfig(EnvConfig):
         kinds_of(self.task, recipe.motion_names)
         _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
         check_reward(self.reward)
-        contact_sensors = CAPTURES[self.capture].uses_contact_sensors
+        visible = frame_features(
+            self.image_size,
+            self.views,
+            contact_sensors=CAPTURES[self.capture].uses_contact_sensors,
+            environment_state=self.environment_state,
+        )
         shown = {
             feature.key if feature.is_image else feature.gym_key: feature
-            for feature in frame_features(self.image_size, self.views, contact_sensors=contact_sensors)
+            for feature in visible
             if feature.gym_key is not None
         }
         self.features = {key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()}
@@ -115,12 +124,13 @@ class DynahoiEnvConfig(EnvConfig):
         kinds = kinds_of(self.task, recipe.motion_names)
         timing = Inference(self.inference, self.latency_ms)
         policy = None if timing.mode == SYNC else queued_policy(self.n_action_steps)
-        log = ResultsLog(self._results_folder(), self.split, recipe, timing.label)
+        log = ResultsLog(self._results_folder(), self.split, recipe, timing.label, privileged=self.environment_state)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
             stepwise = None if policy is None else StepwiseInference(policy, timing)
-            options = {"reward": self.reward, "inference": stepwise, **self.gym_kwargs}
+            options = {"reward": self.reward, "environment_state": self.environment_state, "inference": stepwise}
+            options |= self.gym_kwargs
             tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **options)
         return suites
 
@@ -136,6 +146,8 @@ class DynahoiEnvConfig(EnvConfig):
 def _type(feature: Feature) -> FeatureType:
     if feature.is_image:
         return FeatureType.VISUAL
+    if feature.key == OBS_ENV_STATE:
+        return FeatureType.ENV
     return FeatureType.STATE if feature.observed else FeatureType.ACTION
 
 

@@ -21,9 +21,15 @@ from lerobot_env_dynahoi.command_line import policy_name
 class ResultsLog:
     """Collects the finished episodes of all tasks of one evaluation and writes them as one result folder."""
 
-    def __init__(self, folder: Path, split: str, recipe: Recipe, inference: str = "") -> None:
-        """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends."""
+    def __init__(
+        self, folder: Path, split: str, recipe: Recipe, inference: str = "", *, privileged: bool = False
+    ) -> None:
+        """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends.
+
+        ``privileged`` says that the policy sees the simulator's truth.
+        """
         self.folder, self._split, self._recipe, self._inference = folder, split, recipe, inference
+        self._privileged = privileged
         self._recorder = ResultsRecorder()
         self._known: set[tuple[str, int]] = set()
         self._unwritten = 0
@@ -43,7 +49,7 @@ class ResultsLog:
         """Write the folder if there is anything new, and print the table."""
         if not self._unwritten:
             return
-        extra = {"recipe": self._recipe.stored(), "inference": self._inference}
+        extra = {"recipe": self._recipe.stored(), "inference": self._inference, "privileged": self._privileged}
         name, command = policy_name(sys.argv), " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
         info = RunInfo(name, self._split, self._recipe.capture, command, self._fingerprint, extra)
         results = self._recorder.write(self.folder, info)

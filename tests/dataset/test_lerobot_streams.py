@@ -1,0 +1,65 @@
+"""What ``StreamingLeRobotDataset`` does with our datasets, and what it does with LeRobot's own in the same way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.dataset.codecs.base import Encoding
+from tests.dataset.episodes import varied_episode, write
+from tests.dataset.lerobot_api import REPO, write_with_lerobot
+
+
+def stream(root: Path, window: dict[str, list[float]] | None = None, **options):
+    from lerobot.datasets.streaming_dataset import StreamingLeRobotDataset
+
+    options = {"shuffle": False, "buffer_size": 1} | options
+    return iter(StreamingLeRobotDataset(REPO, root=root, delta_timestamps=window, **options))
+
+
+@pytest.fixture(scope="module", params=["ours", "LeRobot's"])
+def pictures(request, tmp_path_factory) -> Path:
+    """Pictures in the frame table, as the decoder of streamed video needs libraries of the system."""
+    root, encoding = tmp_path_factory.mktemp("streamed") / "d", Encoding("images")
+    if request.param == "ours":
+        return write(root, range(2), encoding=encoding)
+    write_with_lerobot(root, [varied_episode(seed) for seed in range(2)], encoding)
+    return root
+
+
+def test_streams(tmp_path, monkeypatch):
+    from lerobot.datasets import streaming_dataset
+    from lerobot.datasets.video_utils import decode_video_frames_pyav
+
+    def decode(path, timestamps, tolerance_s, **_):
+        return decode_video_frames_pyav(path, timestamps, tolerance_s)
+
+    # Its only decoder, torchcodec, needs libraries of the system.
+    monkeypatch.setattr(streaming_dataset, "decode_video_frames_torchcodec", decode)
+    items = stream(write(tmp_path / "d", range(2)), {"action": [0.0, 0.05], "observation.images.ego": [-0.05, 0.0]})
+    item = next(item for item in items if int(item["episode_index"]) == 1 and int(item["frame_index"]) == 3)
+    expected = varied_episode(1)
+    np.testing.assert_array_equal(item["action"], expected.action[3:5])
+    shown = np.moveaxis(item["observation.images.ego"].numpy() * 255, -3, -1)
+    assert np.abs(shown - expected.images["ego"][2:4]).mean() < 6
+
+
+@pytest.mark.parametrize("key", ["observation.phase", "next.reward", "timestamp"])
+def test_streaming_has_no_windows_over_columns_of_one_number(pictures, key):
+    """Once LeRobot mends it, this fails: then say so in docs/lerobot.md and docs/decisions.md."""
+    with pytest.raises(TypeError, match="expected Tensor as element 0 in argument 0, but got float"):
+        next(stream(pictures, {key: [-0.05, 0.0]}))
+
+
+def test_streaming_gives_the_phase_of_the_current_frame_beside_windows_of_the_others(pictures):
+    item = next(stream(pictures, {"observation.state": [-0.05, 0.0], "action": [0.0, 0.05]}))
+    assert item["observation.phase"] == varied_episode(0).phase[0, 0]
+    assert item["observation.state"].shape == item["action"].shape == (2, 18)
+
+
+def test_streaming_without_loader_processes_has_no_data(pictures):
+    """``lerobot-train`` asks for as many shards as ``--num_workers``."""
+    assert not list(stream(pictures, max_num_shards=0))
+    assert next(stream(pictures, max_num_shards=1))["frame_index"] == 0

@@ -1,0 +1,68 @@
+"""Forged results, by what is done to the folder of honest ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from dynahoi_lerobot.evaluate import result_files
+from dynahoi_lerobot.evaluate.results import Results, read_results
+
+
+def rewritten(folder: Path, **changes: object) -> None:
+    """Write results again with other contents, its sums made to fit."""
+    results: Results = replace(read_results(folder), **changes)
+    result_files.write(folder, results.as_json(), results.rows, results.actions)
+
+
+def edited_head(folder: Path, **changes: object) -> None:
+    head = json.loads((folder / "metrics.json").read_text())
+    (folder / "metrics.json").write_text(json.dumps(head | changes))
+
+
+def better_sum(folder: Path) -> None:
+    head = json.loads((folder / "metrics.json").read_text())
+    head["metrics"]["E_loc"]["value"] /= 2
+    edited_head(folder, metrics=head["metrics"])
+
+
+def better_row(folder: Path) -> None:
+    rows = read_results(folder).rows
+    rewritten(folder, rows=(rows[0] | {"E_loc": rows[0]["E_loc"] / 2}, *rows[1:]))
+
+
+def another_log(folder: Path) -> None:
+    actions = read_results(folder).actions
+    moved = actions[1].copy()
+    moved[-20:, :3] += 0.01
+    rewritten(folder, actions=(actions[0], moved, *actions[2:]))
+
+
+def faster_hand(folder: Path) -> None:
+    actions = read_results(folder).actions
+    leap = actions[2].copy()
+    leap[-1, :3] += 1.0
+    rewritten(folder, actions=(*actions[:2], leap, *actions[3:]))
+
+
+def easy_seed_twice(folder: Path) -> None:
+    results = read_results(folder)
+    rewritten(folder, rows=(results.rows[0],) * 2, actions=(results.actions[0],) * 2)
+
+
+def another_fingerprint(folder: Path) -> None:
+    edited_head(folder, fingerprint="0123456789abcdef")
+
+
+FORGERIES: list[tuple[Callable[[Path], None], str]] = [
+    (better_sum, " over the episodes"),
+    (better_row, "seed {0}: E_loc is "),
+    (another_log, "seed {1}: "),
+    (faster_hand, "seed {2}: the command of frame "),
+    (easy_seed_twice, "seed {0} is there 2 times"),
+    (another_fingerprint, "made by other code or another recipe (0123456789abcdef, here is "),
+    (lambda folder: edited_head(folder, split="val"), "names split val and capture rule attach, but its recipe plays"),
+]
+"""What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""

@@ -1,0 +1,140 @@
+"""State-only baselines: the simulator's truth on request, in datasets, environments and evaluations."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from accelerate.state import AcceleratorState
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.scripts.lerobot_eval import main as lerobot_eval
+from lerobot.scripts.lerobot_train import main as lerobot_train
+
+from dynahoi_lerobot.agent import Observation
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.env import register_envs
+from dynahoi_lerobot.evaluate.checkpoint_trust import PolicyError
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.hub.leaderboards import why_unranked
+from dynahoi_lerobot.report.entries import unique_labels
+from tests.verify.forgery import sign
+
+KEY = "observation.environment_state"
+INPUTS = {KEY: {"type": "ENV", "shape": [13]}, "observation.state": {"type": "STATE", "shape": [18]}}
+SMALL = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "chunk_size": 4, "n_action_steps": 4, "use_vae": False}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("data") / "d"
+    words = ["--root", str(root), "--episodes", "2", "--image-size", "0", "--motions", "constant,lob"]
+    assert main(["generate", *words, "--environment-state"]) == 0
+    return root
+
+
+@pytest.fixture(scope="module")
+def checkpoint(data: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    out = tmp_path_factory.mktemp("run") / "out"
+    run = {"dataset.repo_id": "local/d", "dataset.root": str(data), "output_dir": str(out), "steps": 2, "save_freq": 2}
+    run |= {"batch_size": 2, "num_workers": 0, "policy.type": "act", "policy.device": "cpu"}
+    run |= {"policy.push_to_hub": False, "policy.input_features": INPUTS}
+    run |= {f"policy.{key}": value for key, value in SMALL.items()}
+    words = [f"--{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in run.items()]
+    AcceleratorState._reset_state(reset_partial_state=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["lerobot-train", *words])
+        lerobot_train()
+    return str(out / "checkpoints" / "last" / "pretrained_model")
+
+
+def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
+    dataset = LeRobotDataset("local/d", root=data, delta_timestamps={KEY: [-0.05, 0.0]})
+    (first, _) = read_episodes(data)
+    expected = np.concatenate([first.target_pose, first.target_velocity], axis=1)
+    np.testing.assert_array_equal(dataset[3][KEY], expected[2:4])
+    assert dataset.meta.features[KEY]["names"][:4] == ["x", "y", "z", "qw"]
+    assert set(dataset.meta.stats[KEY]) >= {"mean", "std", "min", "max"}
+    assert main(["verify", str(data)]) == 0
+
+
+def test_verify_compares_it_with_the_target(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (path,) = data.glob("data/*/*.parquet")
+    whole, table = path.read_bytes(), pq.read_table(path)
+    values = table[KEY].combine_chunks().flatten().to_numpy().copy()
+    values[13 * 5] += 0.01
+    changed = pa.FixedSizeListArray.from_arrays(pa.array(values), 13)
+    pq.write_table(table.set_column(table.column_names.index(KEY), KEY, changed), path)
+    sign(data)
+    code = main(["verify", str(data)])
+    path.write_bytes(whole)
+    sign(data)
+    assert code == 1
+    assert f"frame 5: {KEY} is not target.pose and target.velocity" in capsys.readouterr().out
+
+
+def test_an_environment_shows_it_on_request() -> None:
+    register_envs()
+    options = {"images": False, "image_size": 16}
+    env = gym.make("dynahoi/constant-v0", environment_state=True, **options)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    batch = env.unwrapped._vector._batch
+    truth = np.concatenate([batch.target_pose[0], batch.target_velocity[0]])
+    np.testing.assert_allclose(observation["environment_state"], truth, atol=1e-6)
+    blind = gym.make("dynahoi/constant-v0", **options)
+    assert "environment_state" not in blind.reset(seed=0)[0]
+    assert "environment_state" not in blind.observation_space.spaces
+
+
+def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(
+    checkpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [
+        "evaluate",
+        "--policy",
+        checkpoint,
+        "--motions",
+        "constant",
+        "--episodes",
+        "1",
+        "--out",
+        str(tmp_path / "r"),
+    ]
+    assert main(words) != 0
+    assert "add --environment-state to let it" in capsys.readouterr().err
+    assert main([*words, "--environment-state"]) == 0
+    assert f"{checkpoint} (privileged)" in capsys.readouterr().out
+    results = read_results(tmp_path / "r")
+    assert len(results.rows) == 1
+    assert unique_labels([results])[0].endswith("(privileged)")
+    assert why_unranked(results).endswith("sees the simulator's state")
+
+
+def test_a_policy_that_reads_it_gets_it_nowhere_else(checkpoint: str) -> None:
+    nothing = np.zeros((1, 1), np.float32)
+    with pytest.raises(PolicyError, match="the simulator's truth, which nobody gets here"):
+        PolicyAgent(checkpoint).act(Observation({}, nothing, nothing, nothing, ("",)))
+
+
+def test_privileged_baselines_are_marked_alike(tmp_path: Path) -> None:
+    words = ["--policy", "pursuit", "--motions", "constant", "--episodes", "1", "--out", str(tmp_path)]
+    assert main(["evaluate", *words]) == 0
+    assert "pursuit (privileged)" in results_table([read_results(tmp_path)])
+
+
+def test_lerobot_evaluates_it(checkpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = ["--env.type=dynahoi", "--env.task=constant", "--env.environment_state=true", "--env.image_size=16"]
+    run = [f"--output_dir={tmp_path / 'out'}", f"--env.results_dir={tmp_path / 'r'}"]
+    episodes = ["--eval.n_episodes=1", "--eval.batch_size=1", "--policy.device=cpu"]
+    monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--policy.path={checkpoint}", *env, *run, *episodes])
+    lerobot_eval()
+    results = read_results(tmp_path / "r")
+    assert (len(results.rows), results.privileged) == (1, True)
