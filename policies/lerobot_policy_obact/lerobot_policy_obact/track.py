@@ -53,10 +53,8 @@ class MotionModel:
 MODELS = (
     MotionModel(memory_s=0.15, speed_m_s=0.5),
     MotionModel(memory_s=0.3, speed_m_s=2.0, acceleration_m_s2=5.0),
-    MotionModel(memory_s=0.15, speed_m_s=2.0, acceleration_m_s2=10.0),
     MotionModel(memory_s=0.1, speed_m_s=3.0, falls=True),
-    MotionModel(memory_s=0.3, speed_m_s=3.0, falls=True),
-    MotionModel(memory_s=0.06, speed_m_s=2.0),
+    MotionModel(memory_s=0.4, speed_m_s=3.0, falls=True),
 )
 """The first is a straight line, which serves where nothing better is known."""
 N_TRACK = (9 + 1) * len(MODELS) + N_SIGHTING
