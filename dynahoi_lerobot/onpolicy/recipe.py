@@ -22,6 +22,7 @@ class EyeRecipe:
         policy: whose eye it is: fields of the policy's config, ``type`` among them.
         episodes: what the pictures show.
         n_episodes: how many different episodes they show.
+        randomized_share: share of those whose appearance is randomised in every way, see ``randomization``.
         pictures: pictures in all, each seen once.
         batch_size: pictures in an update.
         learning_rate: of AdamW, with a warm-up and cosine decay.
@@ -34,6 +35,7 @@ class EyeRecipe:
     policy: dict[str, Any]
     episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
     n_episodes: int = 1024
+    randomized_share: float = 0.0
     pictures: int = 400_000
     batch_size: int = 128
     learning_rate: float = 2e-3
@@ -47,6 +49,7 @@ class EyeRecipe:
             ValueError: naming the value received and the ones allowed.
         """
         _check_counts(self, "n_episodes", "batch_size", "save_every")
+        _check_share(self, "randomized_share")
         if self.pictures < self.batch_size:
             raise ValueError(f"pictures must be at least batch_size, {self.batch_size}, got {self.pictures}")
 
@@ -135,8 +138,7 @@ class DaggerRecipe:
         )
         if self.n_episodes < self.worlds:
             raise ValueError(f"n_episodes must be at least worlds, {self.worlds}, got {self.n_episodes}")
-        if not 0 <= self.teacher_share <= 1:
-            raise ValueError(f"teacher_share must be 0 to 1, got {self.teacher_share}")
+        _check_share(self, "teacher_share")
         if self.episodes.split != "train":
             raise ValueError(f"episodes.split must be train, got {self.episodes.split}")
 
@@ -145,6 +147,11 @@ def _check_counts(recipe: EyeRecipe | DaggerRecipe, *names: str) -> None:
     for name in names:
         if getattr(recipe, name) < 1:
             raise ValueError(f"{name} must be 1 or more, got {getattr(recipe, name)}")
+
+
+def _check_share(recipe: EyeRecipe | DaggerRecipe, name: str) -> None:
+    if not 0 <= getattr(recipe, name) <= 1:
+        raise ValueError(f"{name} must be 0 to 1, got {getattr(recipe, name)}")
 
 
 def read_recipe[R: (EyeRecipe, DaggerRecipe)](kind: type[R], path: Path, **changes: Any) -> R:

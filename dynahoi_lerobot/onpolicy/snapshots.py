@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
 from dynahoi_lerobot.rollout.loop import make_batch
+from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -33,6 +34,12 @@ LEAD_FRAMES = 24
 NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
 """Range of the target's position relative to the palm in the other pictures [m], world axes."""
 OPEN_SHARE = 0.5
+FINGERS_MOVE_SHARE = 0.4
+"""Share of the other pictures in which the fingers move: else whatever moves in the hand would pass for a target."""
+MOST_OPENED, MOST_CLOSED = 0.3, 0.7
+"""How far fingers may move between the two pictures, of the way from open to closed."""
+REPEATED_SHARE = 0.03
+"""Share of all pictures that come twice, as the first of an episode does."""
 STILL_SHARE, FAST_SHARE = 0.15, 0.2
 """Shares of the other hands that stand still, and of the moving ones that may be fast."""
 PALM_SPEEDS_M_S = [control.palm_speed_m_s for control in CONTROL_CLASSES.values()]
@@ -41,6 +48,8 @@ SLOW_M_S, FAST_M_S = min(PALM_SPEEDS_M_S), max(PALM_SPEEDS_M_S)
 WANDER_M = 0.1
 """Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
 LOWEST_PALM_M = 0.05
+SLOWER, FASTER = 0.6, 1.6
+"""Least and greatest speed of a target between the two pictures, relative to its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,15 +76,19 @@ class PictureStream:
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
         """Yield pictures for ever, as a run shows them that goes on from ``update``."""
-        return _shown(self._batch, self._specs, np.random.default_rng([self._recipe.seed, update]))
+        return _shown(self._batch, self.specs, np.random.default_rng([self._recipe.seed, update]))
 
     @cached_property
     def _batch(self) -> WorldBatch:
         return make_batch(self._recipe.episodes, self._recipe.batch_size, threads=1)
 
     @cached_property
-    def _specs(self) -> list[EpisodeSpec]:
-        return sample_specs(self._recipe.episodes, range(self._recipe.n_episodes))
+    def specs(self) -> list[EpisodeSpec]:
+        """The episodes whose objects, paths and surroundings are shown."""
+        recipe, n = self._recipe, self._recipe.n_episodes
+        n_plain = round(n * (1 - recipe.randomized_share))
+        randomized = replace(recipe.episodes, appearance=tuple(RANDOMIZATIONS))
+        return sample_specs(recipe.episodes, range(n_plain)) + sample_specs(randomized, range(n_plain, n))
 
 
 def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator) -> Iterator[Snapshots]:
@@ -119,22 +132,33 @@ class _Pose:
 def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> _Pose:
     """Draw a frame of an episode, and a hand that moves there."""
     path = spec.oracle_path - spec.home_pos_w
-    if rng.random() < HOME_SHARE:
-        hand = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
-        frame = min(int(rng.integers(1, spec.window_frames + LEAD_FRAMES)), len(path) - 1)
-        return _Pose((hand, path[frame]), (hand, path[frame - 1]))
+    pose = _at_home(spec, path, rng) if rng.random() < HOME_SHARE else _on_its_way(spec, path, rng)
+    return replace(pose, before=pose.now) if rng.random() < REPEATED_SHARE else pose
+
+
+def _at_home(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> _Pose:
+    """Draw a hand that watches the target on its path (F, 3) [m], home frame."""
+    hand = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
+    frame = min(int(rng.integers(1, spec.window_frames + LEAD_FRAMES)), len(path) - 1)
+    return _Pose((hand, path[frame]), (hand, path[frame - 1]))
+
+
+def _on_its_way(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> _Pose:
+    """Draw a hand that moves to a target on its path (F, 3) [m], home frame."""
     frame = int(rng.integers(1, len(path)))
-    hand = _hand(spec, path, frame, rng)
-    step = np.zeros_like(hand)
+    before = path[frame] - rng.uniform(SLOWER, FASTER) * (path[frame] - path[frame - 1])
+    palm = _palm(spec, path, frame, rng)
+    step = np.zeros(PALM_DOF)
     if rng.random() > STILL_SHARE:
-        direction = path[frame] - hand[:PALM_DOF] + rng.normal(0.0, WANDER_M, PALM_DOF)
+        direction = path[frame] - palm + rng.normal(0.0, WANDER_M, PALM_DOF)
         speed = rng.uniform(0.0, FAST_M_S if rng.random() < FAST_SHARE else SLOW_M_S)
-        step[:PALM_DOF] = speed * CONTROL_DT * direction / max(float(np.linalg.norm(direction)), 1e-6)
-    return _Pose((hand, path[frame]), (hand - step, path[frame - 1]))
+        step = speed * CONTROL_DT * direction / max(float(np.linalg.norm(direction)), 1e-6)
+    joints, joints_before = _fingers(spec, rng)
+    return _Pose((np.concatenate([palm, joints]), path[frame]), (np.concatenate([palm - step, joints_before]), before))
 
 
-def _hand(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw (18,) a hand that may see the target at a frame of its path (F, 3) [m], home frame."""
+def _palm(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw (3,) a palm that may see the target at a frame of its path (F, 3) [m], home frame."""
     kind = rng.random()
     if kind < NEAR_SHARE:
         palm = path[frame] + rng.normal(0.0, NEAR_M, PALM_DOF)
@@ -144,9 +168,16 @@ def _hand(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Genera
     else:
         palm = path[frame] - rng.uniform(NEAREST_M, FARTHEST_M)
     palm[2] = max(palm[2], LOWEST_PALM_M - spec.home_pos_w[2])
-    closed = 0.0 if rng.random() < OPEN_SHARE else rng.random()
-    joints = spec.open_joints + closed * (spec.reference_joints - spec.open_joints)
-    return np.concatenate([palm, joints])
+    return palm
+
+
+def _fingers(spec: EpisodeSpec, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Draw (J,) joint angles [rad] now and one frame before."""
+    moving = rng.random() < FINGERS_MOVE_SHARE
+    closed = rng.random() if moving or rng.random() > OPEN_SHARE else 0.0
+    before = np.clip(closed + rng.uniform(-MOST_CLOSED, MOST_OPENED), 0.0, 1.0) if moving else closed
+    way = spec.reference_joints - spec.open_joints
+    return spec.open_joints + closed * way, spec.open_joints + before * way
 
 
 def _turns(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from lerobot_policy_obact.backbones.eye import EyeBackbone
 
-from dynahoi_lerobot.onpolicy.snapshots import snapshots
+from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
+from dynahoi_lerobot.onpolicy.snapshots import PictureStream, snapshots
 from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -47,3 +50,33 @@ def test_the_eye_has_the_geometry_of_the_camera():
     for mask, (u, v, _) in zip(target, wanted.tolist(), strict=True):
         row, column = (2 * (np.argwhere(mask).mean(axis=0) + 0.5) / 64 - 1).tolist()
         assert (column, -row) == pytest.approx((u, v), abs=0.08)
+
+
+def test_fingers_move_between_some_pictures_and_some_come_twice(monkeypatch: pytest.MonkeyPatch):
+    placed: list[np.ndarray] = []
+    batch = make_batch(RECIPE, 32, threads=1)
+    place = type(batch).place
+    monkeypatch.setattr(type(batch), "place", lambda self, hand, pose: (placed.append(hand), place(self, hand, pose)))
+    shown = list(islice(snapshots(RECIPE, SPECS, 32, np.random.default_rng(0)), 8))
+    now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 18) each
+    moving = np.abs(now[:, 3:] - before[:, 3:]).max(axis=1) > 1e-3
+    closing = (np.abs(now[:, 3:]).sum(axis=1) > np.abs(before[:, 3:]).sum(axis=1)) & moving
+    assert 0.2 < moving.mean() < 0.4
+    assert closing.sum() > 1.5 * (moving.sum() - closing.sum()), "hands close faster than they open"
+    images = np.concatenate([s.images for s in shown])
+    twice = (images[..., :3] == images[..., 3:]).all(axis=(1, 2, 3))
+    assert 0 < twice.mean() < 0.15
+
+
+def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
+    def surroundings(share: float) -> int:
+        """Return how many of four episodes have distractors."""
+        recipe = EyeRecipe(tmp_path, {"type": "obact"}, RECIPE, n_episodes=4, randomized_share=share)
+        return sum(bool(spec.appearance.distractors) for spec in PictureStream(recipe).specs)
+
+    assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
+
+
+def test_a_share_beyond_one_is_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match=re.escape("randomized_share must be 0 to 1, got 1.5")):
+        EyeRecipe(tmp_path, {"type": "obact"}, randomized_share=1.5)

@@ -1,11 +1,14 @@
 """The target's track: sightings from a moving hand, put together in one frame that does not move.
 
-A sighting is an offset from the palm. Added to where the palm was, the sightings of many frames are points of one path;
-a weighted straight line through the latest of them says where the target is, and how fast it goes, and a parabola
-through more of them how it turns::
+A sighting is an offset from the palm. Added to where the palm was, the sightings of many frames are points of one path.
+Several motion models are fitted to the latest of them, each with its own memory A and what it expects of speed and
+acceleration, as trackers of manoeuvring targets do (Blom and Bar-Shalom, 1988)::
 
-    minimise over p, v      sum_i w_i |q_i - p + v age_i|^2 + (|v| / V)^2,     w_i = exp(-age_i / A) / sigma_i^2
-    minimise over p, v, c   sum_i w_i |q_i - p + v age_i - c age_i^2 / 2|^2 + (|v| / V)^2 + (|c| / C)^2
+    minimise over p, v, c   sum_i w_i |q_i - p + v age_i - c age_i^2 / 2|^2 + |v / V|^2 + |(c - g) / C|^2,
+    w_i = exp(-age_i / A) / sigma_i^2,      g: gravity for a model that falls, 0 for the others
+
+Where the target goes next is a mixture of what they expect, which the head learns; how badly each fits tells it which
+of them to believe.
 """
 
 from __future__ import annotations
@@ -21,13 +24,40 @@ from .frames import EncodedFrames
 N_SIGHTING = 8
 """Numbers of a sighting: offset from the palm [m] (3), u, v and log depth in the camera frame (3), logarithmic scales
 of the errors across and along the line of sight (2)."""
-MEMORY_S, TYPICAL_SPEED_M_S = 0.15, 0.5
-"""A and V of the line."""
-LONG_MEMORY_S, FAST_M_S, TYPICAL_ACCELERATION_M_S2 = 0.3, 2.0, 5.0
-"""A, V and C of the parabola."""
-N_TRACK = 3 + 3 + 9 + N_SIGHTING
-LENGTH_M = 0.3
-"""Typical length, by which positions are divided before a network sees them."""
+GRAVITY_M_S2 = 9.81
+FARTHEST_M = 1e3
+"""So much as nothing is expected of the position."""
+STEADY_M_S2 = 1e-3
+"""C of a model that knows the acceleration."""
+LENGTH_M, TYPICAL_SPEED_M_S, TYPICAL_ACCELERATION_M_S2 = 0.3, 0.5, 5.0
+"""By which positions, velocities and accelerations are divided before a network sees them."""
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """What a path is expected to do for a while.
+
+    Attributes:
+        memory_s: A, how fast sightings are forgotten [s].
+        speed_m_s: V, a typical speed [m/s].
+        acceleration_m_s2: C, by how much the acceleration typically differs from that of gravity or from 0 [m/s^2].
+        falls: whether gravity acts.
+    """
+
+    memory_s: float
+    speed_m_s: float
+    acceleration_m_s2: float = STEADY_M_S2
+    falls: bool = False
+
+
+MODELS = (
+    MotionModel(memory_s=0.15, speed_m_s=0.5),
+    MotionModel(memory_s=0.3, speed_m_s=2.0, acceleration_m_s2=5.0),
+    MotionModel(memory_s=0.1, speed_m_s=3.0, falls=True),
+    MotionModel(memory_s=0.4, speed_m_s=3.0, falls=True),
+)
+"""The first is a straight line, which serves where nothing better is known."""
+N_TRACK = (9 + 1) * len(MODELS) + N_SIGHTING
 
 
 @dataclass(frozen=True)
@@ -35,15 +65,13 @@ class Track:
     """Where the target of each of ``R`` decisions is, relative to the palm.
 
     Attributes:
-        offset: of the target, from the line through its sightings [m], shape ``(R, 3)``.
-        velocity: of that line [m/s], shape ``(R, 3)``.
-        parabola: offset [m], velocity [m/s] and acceleration [m/s^2] of the parabola, shape ``(R, 3, 3)``.
+        motion: position [m], velocity [m/s] and acceleration [m/s^2] now, by each of `MODELS`, shape ``(R, M, 3, 3)``.
+        misfit: of each model, in units of the expected errors of the sightings, shape ``(R, M)``.
         sighting: of the current frame, shape ``(R, N_SIGHTING)``.
     """
 
-    offset: Tensor
-    velocity: Tensor
-    parabola: Tensor
+    motion: Tensor
+    misfit: Tensor
     sighting: Tensor
 
     @classmethod
@@ -52,25 +80,24 @@ class Track:
         places = frames.position[..., :3] + frames.sightings[..., :3]  # (B, T, 3)
         points = decisions.windows(places) - position[:, None, :3]  # (R, W, 3)
         sigma = sighting_error(decisions.windows(frames.sightings))  # (R, W)
-        trust, age_s = decisions.pick(decisions.keep) / sigma.square(), decisions.age_s
-        offset, velocity = fit_line(points, trust * (-age_s / MEMORY_S).exp(), age_s)
-        parabola = fit_parabola(points, trust * (-age_s / LONG_MEMORY_S).exp(), age_s)
-        return cls(offset, velocity, parabola, decisions.current(frames.sightings))
+        trust = decisions.pick(decisions.keep) / sigma.square()
+        motion, misfit = fit_models(points, trust, decisions.age_s)
+        return cls(motion, misfit, decisions.current(frames.sightings))
 
     def features(self) -> Tensor:
         """Return all of it in units of about one, ``(R, N_TRACK)``."""
-        unit = self.parabola.new_tensor([[LENGTH_M], [TYPICAL_SPEED_M_S], [TYPICAL_ACCELERATION_M_S2]])
-        line = [self.offset / LENGTH_M, self.velocity / TYPICAL_SPEED_M_S]
-        return torch.cat([*line, (self.parabola / unit).flatten(1), scaled(self.sighting)], dim=-1)
+        unit = self.motion.new_tensor([[LENGTH_M], [TYPICAL_SPEED_M_S], [TYPICAL_ACCELERATION_M_S2]])
+        return torch.cat([(self.motion / unit).flatten(1), self.misfit.log1p(), scaled(self.sighting)], dim=-1)
+
+    def along(self, ahead_s: Tensor) -> Tensor:
+        """Return where each model leads at times ``(K,)`` [s], ``(R, M, K, 3)``."""
+        powers = torch.stack([torch.ones_like(ahead_s), ahead_s, ahead_s.square() / 2], dim=-1)  # (K, 3)
+        return powers @ self.motion
 
     def along_line(self, ahead_s: Tensor, damping: Tensor) -> Tensor:
-        """Return where the line leads at times ``(K,)`` [s], slowed down, ``(R, K, 3)``."""
-        return self.offset[:, None] + self.velocity[:, None] * (ahead_s * damping)[..., None]
-
-    def along_parabola(self, ahead_s: Tensor) -> Tensor:
-        """Return where the parabola leads at times ``(K,)`` [s], ``(R, K, 3)``."""
-        powers = torch.stack([torch.ones_like(ahead_s), ahead_s, ahead_s.square() / 2], dim=-1)  # (K, 3)
-        return powers @ self.parabola
+        """Return where the straight line leads at times ``(K,)`` [s], slowed down by ``(R, K)``, ``(R, K, 3)``."""
+        position, velocity = self.motion[:, 0, None, 0], self.motion[:, 0, None, 1]
+        return position + velocity * (ahead_s * damping)[..., None]
 
 
 def sighting_error(sightings: Tensor) -> Tensor:
@@ -85,28 +112,28 @@ def scaled(sightings: Tensor) -> Tensor:
     return torch.cat([sightings[..., :3] / LENGTH_M, sightings[..., 3:]], dim=-1)
 
 
-def fit_line(points: Tensor, weights: Tensor, age_s: Tensor) -> tuple[Tensor, Tensor]:
-    """Return position now and velocity of a weighted straight line, ``(R, 3)`` each.
+def fit_models(points: Tensor, trust: Tensor, age_s: Tensor) -> tuple[Tensor, Tensor]:
+    """Return what each of `MODELS` makes of points: motion now ``(R, M, 3, 3)`` and misfit ``(R, M)``, see `Track`.
 
     Args:
         points: shape ``(R, W, 3)`` [m].
-        weights: shape ``(R, W)`` [1/m^2], not all zero.
+        trust: inverse squares of their errors, shape ``(R, W)`` [1/m^2], not all zero.
         age_s: of the points [s], shape ``(W,)``.
     """
-    s0, s1 = weights.sum(-1, keepdim=True), -(weights * age_s).sum(-1, keepdim=True)
-    s2 = (weights * age_s.square()).sum(-1, keepdim=True) + TYPICAL_SPEED_M_S**-2
-    y0 = (weights[..., None] * points).sum(1)
-    y1 = -((weights * age_s)[..., None] * points).sum(1)
-    determinant = s0 * s2 - s1.square()
-    return (s2 * y0 - s1 * y1) / determinant, (s0 * y1 - s1 * y0) / determinant
-
-
-def fit_parabola(points: Tensor, weights: Tensor, age_s: Tensor) -> Tensor:
-    """Return position, velocity and acceleration now of a weighted parabola, ``(R, 3, 3)``; see `fit_line`."""
+    memory_s = points.new_tensor([model.memory_s for model in MODELS])[:, None]
+    scales = [(FARTHEST_M, model.speed_m_s, model.acceleration_m_s2) for model in MODELS]
+    prior = points.new_tensor(scales).square().reciprocal()[..., None]  # (M, 3, 1)
+    expected = points.new_zeros(len(MODELS), 3, 3)
+    expected[:, 2, 2] = points.new_tensor([-GRAVITY_M_S2 * model.falls for model in MODELS])
+    fade = (-age_s / memory_s).exp()  # (M, W)
+    weights = trust[:, None] * fade  # (R, M, W)
     basis = torch.stack([torch.ones_like(age_s), -age_s, age_s.square() / 2], dim=-1)  # (W, 3)
-    prior = weights.new_tensor([1e-6, FAST_M_S**-2, TYPICAL_ACCELERATION_M_S2**-2]).diag()
-    weighted = weights[..., None] * basis  # (R, W, 3)
-    return torch.linalg.solve(weighted.mT @ basis + prior, weighted.mT @ points)
+    weighted = (weights[..., None] * basis).mT  # (R, M, 3, W)
+    normal = weighted @ basis + prior * torch.eye(3, device=points.device)
+    motion = torch.linalg.solve(normal, weighted @ points[:, None] + prior * expected)
+    off = (points[:, None] - basis @ motion).square().sum(-1)  # (R, M, W)
+    seen = (fade * (trust > 0)[:, None]).sum(-1).clamp_min(1e-6)
+    return motion, ((weights * off).sum(-1) / seen + 1e-8).sqrt()
 
 
 class MotionEncoder(nn.Module):

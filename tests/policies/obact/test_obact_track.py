@@ -1,10 +1,11 @@
-"""The track: a straight line through sightings, of which those of black pictures and unsure ones hardly count."""
+"""The track: motion models through sightings, of which those of black pictures and unsure ones hardly count."""
 
 from __future__ import annotations
 
+import pytest
 import torch
 from lerobot_policy_obact.backbones.eye import N_SIGHTING, UNSEEN_SCALE, EyeBackbone
-from lerobot_policy_obact.track import fit_line, fit_parabola, sighting_error
+from lerobot_policy_obact.track import GRAVITY_M_S2, MODELS, Track, fit_models, sighting_error
 
 AGE_S = torch.tensor([0.2, 0.15, 0.1, 0.05, 0.0])
 POSITION, VELOCITY = torch.tensor([0.4, 0.1, -0.1]), torch.tensor([-0.3, 0.5, 0.1])
@@ -19,8 +20,14 @@ def sightings(points: torch.Tensor, across: float = -5.0, along: float = -5.0) -
 
 def fitted(seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     weights = sighting_error(seen).square().reciprocal()
-    offset, velocity = fit_line(seen[None, :, :3], weights[None], AGE_S)
-    return offset[0], velocity[0]
+    motion, _ = fit_models(seen[None, :, :3], weights[None], AGE_S)
+    return motion[0, 0, 0], motion[0, 0, 1]
+
+
+def path(turn: torch.Tensor, n: int = 12) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return n points of a parabola, ``(1, n, 3)``, and their ages."""
+    age_s = torch.arange(n - 1, -1, -1) * 0.05
+    return (POSITION - age_s[:, None] * VELOCITY + age_s.square()[:, None] * turn / 2)[None], age_s
 
 
 def test_points_of_a_line_give_where_it_ends_and_how_fast_it_is_followed():
@@ -57,9 +64,28 @@ def test_an_eye_sees_nothing_in_a_black_picture():
 
 def test_a_parabola_tells_how_the_target_turns():
     turn = torch.tensor([0.5, -2.0, -9.8])
-    age_s = torch.arange(11, -1, -1) * 0.05
-    points = POSITION - age_s[:, None] * VELOCITY + age_s.square()[:, None] * turn / 2
-    position, velocity, acceleration = fit_parabola(points[None], torch.full((1, 12), 1e6), age_s)[0]
+    points, age_s = path(turn)
+    position, velocity, acceleration = fit_models(points, torch.full((1, 12), 1e6), age_s)[0][0, 1]
     torch.testing.assert_close(position, POSITION, rtol=0, atol=1e-3)
     torch.testing.assert_close(velocity, VELOCITY, rtol=0, atol=1e-2)
     torch.testing.assert_close(acceleration, turn, rtol=0.01, atol=0.05)
+
+
+def test_a_model_that_falls_knows_a_throw_from_three_frames():
+    points, age_s = path(torch.tensor([0.0, 0.0, -GRAVITY_M_S2]), n=3)
+    motion, misfit = fit_models(points, torch.full((1, 3), 1e6), age_s)
+    falls = [model.falls for model in MODELS].index(True)
+    torch.testing.assert_close(motion[0, falls, 1], VELOCITY, rtol=0, atol=1e-2)
+    torch.testing.assert_close(motion[0, falls, 2], torch.tensor([0.0, 0.0, -GRAVITY_M_S2]))
+    assert misfit[0, 0] > 20 * misfit[0, falls], "no straight line"
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.0, -GRAVITY_M_S2)], ids=["straight", "thrown"])
+def test_the_model_that_fits_leads_to_where_the_target_will_be(turn: tuple[float, float, float]):
+    points, age_s = path(torch.tensor(turn))
+    motion, misfit = fit_models(points, torch.full((1, 12), 1e6), age_s)
+    track = Track(motion, misfit, torch.zeros(1, N_SIGHTING))
+    ahead_s = torch.tensor([0.0, 0.5])
+    led = track.along(ahead_s)[0, misfit[0].argmin()]
+    expected = POSITION + ahead_s[:, None] * VELOCITY + ahead_s.square()[:, None] * torch.tensor(turn) / 2
+    torch.testing.assert_close(led, expected, rtol=0, atol=0.02)

@@ -29,10 +29,10 @@ from dynahoi_lerobot.sampling.recipe import load_recipe
 RECIPES = Path(__file__).parents[3] / "recipes"
 STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in yaml.safe_load(path.read_text()))
 ON_POLICY = {RECIPES / "train" / f"{name}.yaml" for name in ("standard", "late", "unlimited", "contact", "async")}
-EYE = RECIPES / "train" / "eye.yaml"
+EYES = {RECIPES / "train" / f"{name}.yaml" for name in ("eye", "eye_robust")}
 TRAINING = sorted(
     [
-        *(path for path in RECIPES.glob("train/*.yaml") if path not in {EYE, *ON_POLICY}),
+        *(path for path in RECIPES.glob("train/*.yaml") if path not in EYES | ON_POLICY),
         *RECIPES.glob("zoo/*.yaml"),
         *(path for path in RECIPES.glob("study/*.yaml") if path not in STUDIES),
     ]
@@ -73,7 +73,8 @@ def test_a_recipe_in_memory_is_read_and_its_policy_keeps_to_the_control_class(pa
     fastest = CAPTURES[recipe.episodes.capture].palm_speed_m_s(control)
     assert config.head_options["palm_speed_m_s"] <= fastest
     assert recipe.episodes.capture == "contact" or config.head_options["palm_speed_m_s"] == fastest
-    assert read_recipe(EyeRecipe, EYE).episodes.image_size == recipe.episodes.image_size == config.image_size
+    eyes = {read_recipe(EyeRecipe, eye).episodes.image_size for eye in EYES}
+    assert eyes == {recipe.episodes.image_size} == {config.image_size}
     standard = yaml.safe_load((RECIPES / "train" / "standard.yaml").read_text())["policy"]
     changed = {key for key in standard if recipe.policy.get(key) != standard[key]}
     assert changed <= {"repo_id", "head_options"}, "the classes share their weights"

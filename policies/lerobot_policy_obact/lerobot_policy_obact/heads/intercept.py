@@ -1,7 +1,7 @@
 """A head for hands of limited speed: it predicts the target's path, and goes where the hand can first meet it.
 
 The network predicts where the target will be at a few times, as a correction of the straight line through its latest
-sightings, towards a parabola through more of them and beyond, and how far the fingers must close. The chunk follows
+sightings, towards what other motion models expect and beyond, and how far the fingers must close. The chunk follows
 from that by `reach.py`: at a limit, *where* to go is a question for the network, and how fast is none.
 """
 
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from ..attention import Attention
 from ..reach import Reach, close_in_time, earliest_meeting, executed, first_contact, palm_path
-from ..track import N_TRACK, Track
+from ..track import MODELS, N_TRACK, Track
 from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, Prefix, heads
 
 KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
@@ -58,7 +58,7 @@ class InterceptHead(ForecastHead):
         self.squeeze_rad = squeeze_rad
         self.register_buffer("seat_m", torch.tensor(seat_m), persistent=False)
         width, n_knots, n_joints = spec.width, len(KNOTS), spec.action_dim - PALM_DIM
-        self.sizes = [3 * n_knots, n_knots, n_knots, n_joints]
+        self.sizes = [3 * n_knots, n_knots, (len(MODELS) - 1) * n_knots, n_joints]
         self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
         self.pool = Attention(width, spec.n_heads, spec.dropout)
         n_in = 2 * width + N_TRACK + n_joints
@@ -75,10 +75,11 @@ class InterceptHead(ForecastHead):
         pooled = self.pool(self.query.expand(n, -1, -1), condition.tokens)[:, 0]
         joints = self._joints(condition)
         context = torch.cat([condition.tokens[:, 0], pooled, track.features(), joints], dim=-1)
-        bend, damping, turn, closed = self.out(self.hidden(context)).split(self.sizes, dim=-1)
+        bend, damping, share, closed = self.out(self.hidden(context)).split(self.sizes, dim=-1)
         ahead = self.ahead_s
         straight = track.along_line(ahead, torch.sigmoid(damping + 1 - ahead))
-        turned = turn[..., None] * (track.along_parabola(ahead) - straight)
+        led = track.along(ahead)[:, 1:] - straight[:, None]  # (R, M - 1, K, 3)
+        turned = (share.unflatten(-1, led.shape[1:3])[..., None] * led).sum(1)
         bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead[:, None])
         return Forecast(straight + turned + bend, closed)
 
