@@ -20,6 +20,7 @@ class BlindPath(SingleWorldExpert):
     """Goes along a fixed path from home with closed fingers; what it scores needs neither perception nor prediction."""
 
     name = "blind_path"
+    privileged = False
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""

@@ -13,6 +13,7 @@ class Hold(Expert):
     """Commands the pose it is in."""
 
     name = "hold"
+    privileged = False
 
     def act(self, world: WorldState) -> np.ndarray:
         """Return (N, 18), the measured state."""

@@ -88,6 +88,10 @@ def test_a_hand_that_never_moves_catches_little(specs: list[EpisodeSpec]):
         assert np.abs(episode.palm_pos_h - episode.palm_pos_h[0]).max() < 1e-3
 
 
+def test_baselines_that_see_nothing_are_not_privileged():
+    assert {name for name in EXPERTS.names() if not EXPERTS[name].privileged} == {"hold", "blind_path"}
+
+
 def test_knowing_the_velocity_is_worth_less_than_knowing_the_motion(specs: list[EpisodeSpec]):
     assert 0.15 < mean(play_all("constant_velocity", specs[:22]), "S_joint") < 0.95
 
