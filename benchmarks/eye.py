@@ -1,12 +1,15 @@
 """How well an eye sees where the target is: errors along and across the line of sight, by distance from the palm.
 
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--pictures 4096] [--split val] [--json FILE]
+python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/obact_standard --episodes 110
 
-Random poses of episodes of a split that the eye was not trained on; only targets within the image count.
+Random poses of episodes of a split that the eye was not trained on, or what the hand sees while a policy acts, until it
+could have met the target; only targets within the image count.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import islice, pairwise
 from pathlib import Path
 
@@ -15,7 +18,13 @@ import torch
 from lerobot_policy_obact.backbones.eye import EyeBackbone
 from support.options import benchmark_parser, write_numbers
 
-from dynahoi_lerobot.onpolicy.snapshots import snapshots
+from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.onpolicy.snapshots import Snapshots, snapshots
+from dynahoi_lerobot.rollout.loop import make_batch
+from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
@@ -31,15 +40,18 @@ def main() -> None:
     parser.add_argument("--pictures", type=int, default=8192)
     parser.add_argument("--batch-size", type=int, default=128)
     parser.add_argument("--image-size", type=int, default=64)
+    parser.add_argument("--visited-by", type=Path, help="checkpoint whose pictures are looked at, not random ones")
     args = parser.parse_args()
     torch.set_num_threads(1)
     recipe = Recipe(split=args.split, image_size=args.image_size)
     specs = sample_specs(recipe, range(args.episodes))
     eye = EyeBackbone(128, weights="" if args.eye is None else str(args.eye)).eval()
     eye.load_pretrained()
-    stream = snapshots(recipe, specs, args.batch_size, np.random.default_rng(1))
-    errors = [_errors(eye, shown) for shown in islice(stream, args.pictures // args.batch_size)]
-    rows = _table(np.concatenate(errors))
+    random = snapshots(recipe, specs, args.batch_size, np.random.default_rng(1))
+    stream = islice(random, args.pictures // args.batch_size)
+    if args.visited_by is not None:
+        stream = _visited(PolicyAgent(str(args.visited_by)), recipe, specs)
+    rows = _table(np.concatenate([_errors(eye, shown) for shown in stream]))
     print("distance [cm]   pictures   median (90 %) error along / across the line of sight [cm]")
     for row in rows:
         along, across = row["along_cm"], row["across_cm"]
@@ -48,8 +60,28 @@ def main() -> None:
     write_numbers(args, rows=rows)
 
 
+def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec]) -> Iterator[Snapshots]:
+    """Let a policy play each episode in a world of its own, and yield what it sees while it acts."""
+    batch = make_batch(recipe, len(specs), threads=1)
+    session = Session(batch, record_images=False)
+    session.begin(np.arange(len(specs)), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
+    policy.reset(len(specs))
+    window, meeting = (np.array([getattr(s, name) for s in specs]) for name in ("window_frames", "intercept_frame"))
+    before, frame = None, 0
+    while session.playing.size:
+        observation = session.observe(images=True)
+        now = observation.images[EGO_VIEW].copy()
+        acting = np.isin(np.arange(len(specs)), session.playing) & (frame >= window) & (frame < meeting)
+        if before is not None and acting.any():
+            offset = (batch.target_pose[:, :PALM_DOF] - observation.state[:, :PALM_DOF]).astype(np.float32)
+            yield Snapshots(np.concatenate([now, before], axis=-1)[acting], offset[acting])
+        for i in session.step(policy.act(observation)).worlds:
+            session.finish(int(i), policy.name)
+        before, frame = now, frame + 1
+
+
 @torch.no_grad()
-def _errors(eye: EyeBackbone, shown: object) -> np.ndarray:
+def _errors(eye: EyeBackbone, shown: Snapshots) -> np.ndarray:
     """Return (n, 3): distance from the palm, error along and across the line of sight [m] of targets in the image."""
     offset = torch.from_numpy(shown.offset)
     looks = eye.look(torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0)

@@ -50,6 +50,23 @@ def test_it_runs_and_writes_its_numbers(script: Path, tmp_path: Path) -> None:
     assert any(number > 0 for number in numbers)
 
 
+@pytest.mark.slow
+def test_an_eye_is_tested_on_what_a_policy_sees(tmp_path: Path) -> None:
+    checkpoint = BENCHMARKS.parent / "checkpoints" / "obact_standard"
+    command = [
+        sys.executable,
+        str(BENCHMARKS / "eye.py"),
+        "--tiny",
+        "--visited-by",
+        str(checkpoint),
+        "--json",
+        "n.json",
+    ]
+    subprocess.run(command, cwd=tmp_path, capture_output=True, check=True)
+    rows = json.loads((tmp_path / "n.json").read_text())["rows"]
+    assert 10 < sum(row["pictures"] for row in rows) < 60, "two episodes, from the window to the meeting"
+
+
 def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     command = [sys.executable, str(BENCHMARKS / "sampling_histograms.py"), "--tiny", "--json"]
