@@ -32,7 +32,7 @@ STANDARD = Path(__file__).parents[2] / "recipes" / "train" / "standard.yaml"
 def test_it_trains_the_standard_recipe_shortened() -> None:
     copy, original = (yaml.safe_load(path.read_text()) for path in (quickstart.TRAINING, STANDARD))
     differs = {key for key in copy.keys() | original.keys() if copy.get(key) != original.get(key)}
-    assert differs == {"out", "rounds", "n_episodes", "validation_episodes"}
+    assert differs == {"out", "rounds", "n_episodes", "validation_episodes", "updates"}
 
 
 @pytest.mark.slow

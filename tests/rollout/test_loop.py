@@ -21,7 +21,7 @@ from tests.world.playing import digest
 
 QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=32)
 SEEDS = (0, 1, 2, 5, 4, 10)
-ALLOWED = {"images", "state", "fingertips", "phase", "tasks", "touch"}
+ALLOWED = {"images", "state", "fingertips", "phase", "tasks", "touch", "environment_state"}
 
 
 class Clumsy(Expert):
@@ -165,6 +165,7 @@ def test_an_agent_is_shown_observations_and_nothing_else(specs: list[EpisodeSpec
         assert shown.fingertips.shape == (2, 30)
         assert list(shown.images) == ["ego"] * sees_images
         assert shown.tasks == (specs[0].task, specs[1].task)
+        assert shown.environment_state is None, "the truth is shown on request alone"
     assert all(list(episode.images) == ["ego"] * sees_images for episode in episodes)
     assert {episode.meta.agent for episode in episodes} == {"remembering"}
 
