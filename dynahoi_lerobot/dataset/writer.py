@@ -137,8 +137,9 @@ class DatasetWriter:
         place = self._catalog.next_place(episode.meta.task)
         bookkeeping = bookkeeping_arrays(len(episode), *place)
         images = {} if self._codec.is_video else image_arrays(episode)
-        rows = subtask_rows(episode.phase[:, 0], episode.localized)
-        subtasks = language_column(rows, len(episode)) if self._subtasks else None
+        subtasks = None
+        if self._subtasks:
+            subtasks = language_column(subtask_rows(episode.phase[:, 0], episode.localized), len(episode))
         table = frame_table(arrays | bookkeeping, images, self._schema, subtasks)
         chunk, file = self._data.write(table)
         return {"data/chunk_index": chunk, "data/file_index": file}

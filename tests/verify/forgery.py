@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,20 @@ Damage = Callable[[Path], object]
 Columns = dict[str, np.ndarray]
 Table = dict[str, tuple[Damage, str, str]]
 """By name: the damage, the mode that finds it, and words of the finding."""
+
+
+@contextmanager
+def changed_column(root: Path, key: str, change: Callable[[pa.ChunkedArray], pa.Array]) -> Iterator[None]:
+    """Hold another column ``key`` in a dataset's first data file, signed, and put the file back at the end."""
+    path = root / DATA
+    whole, table = path.read_bytes(), pq.read_table(path)
+    pq.write_table(table.set_column(table.column_names.index(key), key, change(table[key])), path)
+    sign(root)
+    try:
+        yield
+    finally:
+        path.write_bytes(whole)
+        sign(root)
 
 
 def sign(root: Path) -> None:

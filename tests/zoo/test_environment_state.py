@@ -8,7 +8,6 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from accelerate.state import AcceleratorState
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -25,7 +24,7 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.hub.leaderboards import why_unranked
 from dynahoi_lerobot.report.entries import unique_labels
-from tests.verify.forgery import sign
+from tests.verify.forgery import changed_column
 
 KEY = "observation.environment_state"
 INPUTS = {KEY: {"type": "ENV", "shape": [13]}, "observation.state": {"type": "STATE", "shape": [18]}}
@@ -66,17 +65,13 @@ def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
 
 
 def test_verify_compares_it_with_the_target(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (path,) = data.glob("data/*/*.parquet")
-    whole, table = path.read_bytes(), pq.read_table(path)
-    values = table[KEY].combine_chunks().flatten().to_numpy().copy()
-    values[13 * 5] += 0.01
-    changed = pa.FixedSizeListArray.from_arrays(pa.array(values), 13)
-    pq.write_table(table.set_column(table.column_names.index(KEY), KEY, changed), path)
-    sign(data)
-    code = main(["verify", str(data)])
-    path.write_bytes(whole)
-    sign(data)
-    assert code == 1
+    def moved(column: pa.ChunkedArray) -> pa.Array:
+        values = column.combine_chunks().flatten().to_numpy().copy()
+        values[13 * 5] += 0.01
+        return pa.FixedSizeListArray.from_arrays(pa.array(values), 13)
+
+    with changed_column(data, KEY, moved):
+        assert main(["verify", str(data)]) == 1
     assert f"frame 5: {KEY} is not target.pose and target.velocity" in capsys.readouterr().out
 
 
