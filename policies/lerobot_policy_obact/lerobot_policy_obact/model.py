@@ -65,7 +65,9 @@ class ObActModel(nn.Module):
             text_tokens = decisions.of_sample(self.text(frames.texts))  # (B, 1, D) -> (R, 1, D)
             fused = torch.cat([fused, text_tokens.to(fused.dtype)], dim=1)
         position = decisions.current(frames.position)
-        track = Track.of(frames, decisions, position) if self.motion is not None else None
+        track = None
+        if self.motion is not None:
+            track = Track.of(frames, decisions, position, self.backbone.camera_pos)
         return Condition(fused, decisions.current(frames.proprioception), position, track)
 
     def encode(self, observation: Observation) -> EncodedFrames:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 from lerobot_policy_obact.backbones.eye import N_SIGHTING, UNSEEN_SCALE, EyeBackbone
-from lerobot_policy_obact.track import GRAVITY_M_S2, MODELS, Track, fit_models, sighting_error
+from lerobot_policy_obact.motion_models import GRAVITY_M_S2, MODELS, fit_places
+from lerobot_policy_obact.track import Track, sighting_error
+from lerobot_policy_obact.triangulation import fit_lines_of_sight
 
 AGE_S = torch.tensor([0.2, 0.15, 0.1, 0.05, 0.0])
 POSITION, VELOCITY = torch.tensor([0.4, 0.1, -0.1]), torch.tensor([-0.3, 0.5, 0.1])
@@ -20,7 +22,7 @@ def sightings(points: torch.Tensor, across: float = -5.0, along: float = -5.0) -
 
 def fitted(seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     weights = sighting_error(seen).square().reciprocal()
-    motion, _ = fit_models(seen[None, :, :3], weights[None], AGE_S)
+    motion, _ = fit_places(seen[None, :, :3], weights[None], AGE_S)
     return motion[0, 0, 0], motion[0, 0, 1]
 
 
@@ -65,7 +67,7 @@ def test_an_eye_sees_nothing_in_a_black_picture():
 def test_a_parabola_tells_how_the_target_turns():
     turn = torch.tensor([0.5, -2.0, -9.8])
     points, age_s = path(turn)
-    position, velocity, acceleration = fit_models(points, torch.full((1, 12), 1e6), age_s)[0][0, 1]
+    position, velocity, acceleration = fit_places(points, torch.full((1, 12), 1e6), age_s)[0][0, 1]
     torch.testing.assert_close(position, POSITION, rtol=0, atol=1e-3)
     torch.testing.assert_close(velocity, VELOCITY, rtol=0, atol=1e-2)
     torch.testing.assert_close(acceleration, turn, rtol=0.01, atol=0.05)
@@ -73,7 +75,7 @@ def test_a_parabola_tells_how_the_target_turns():
 
 def test_a_model_that_falls_knows_a_throw_from_three_frames():
     points, age_s = path(torch.tensor([0.0, 0.0, -GRAVITY_M_S2]), n=3)
-    motion, misfit = fit_models(points, torch.full((1, 3), 1e6), age_s)
+    motion, misfit = fit_places(points, torch.full((1, 3), 1e6), age_s)
     falls = [model.falls for model in MODELS].index(True)
     torch.testing.assert_close(motion[0, falls, 1], VELOCITY, rtol=0, atol=1e-2)
     torch.testing.assert_close(motion[0, falls, 2], torch.tensor([0.0, 0.0, -GRAVITY_M_S2]))
@@ -83,9 +85,38 @@ def test_a_model_that_falls_knows_a_throw_from_three_frames():
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.0, 0.0, -GRAVITY_M_S2)], ids=["straight", "thrown"])
 def test_the_model_that_fits_leads_to_where_the_target_will_be(turn: tuple[float, float, float]):
     points, age_s = path(torch.tensor(turn))
-    motion, misfit = fit_models(points, torch.full((1, 12), 1e6), age_s)
+    motion, misfit = fit_places(points, torch.full((1, 12), 1e6), age_s)
     track = Track(motion, misfit, torch.zeros(1, N_SIGHTING))
     ahead_s = torch.tensor([0.0, 0.5])
     led = track.along(ahead_s)[0, misfit[0].argmin()]
     expected = POSITION + ahead_s[:, None] * VELOCITY + ahead_s.square()[:, None] * torch.tensor(turn) / 2
     torch.testing.assert_close(led, expected, rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.0, 1.25])
+def test_lines_of_sight_from_a_moving_camera_cross_where_the_target_is_however_wrong_the_distances(factor: float):
+    age_s = torch.arange(15, -1, -1) * 0.05
+    camera = (0.4 - age_s).clamp_min(0.0)[:, None] * torch.tensor([0.1, 0.4, -0.3])  # bearings of a steady one say less
+    target, _ = path(torch.tensor([0.0, 0.0, -GRAVITY_M_S2]), n=16)
+    rays = target - camera
+    errors_m = rays.norm(dim=-1, keepdim=True) * torch.tensor([0.003, 0.2])
+    points = camera + factor * rays
+    motion, misfit = fit_lines_of_sight(points, factor * rays, 1 / (factor * errors_m), age_s)
+    falls = [model.falls for model in MODELS].index(True)
+    places, _ = fit_places(points, errors_m.square().sum(-1).reciprocal(), age_s)
+    assert motion.shape == places.shape
+    assert misfit.shape == (1, len(MODELS))
+    off_m, places_off_m = ((fit[0, falls, 0] - POSITION).norm() for fit in (motion, places))
+    assert off_m < (0.04 if factor != 1.0 else 1e-3)
+    assert places_off_m > 2 * off_m
+
+
+def test_unseen_frames_do_not_count_in_lines_of_sight():
+    points, age_s = path(torch.tensor([0.0, 0.0, -GRAVITY_M_S2]))
+    trust = torch.tensor([100.0, 10.0]).expand(1, 12, 2).clone()
+    trust[:, :6] = 0.0
+    all_but_six = fit_lines_of_sight(points, points, trust, age_s)
+    points = points.clone()
+    points[:, :6] += 10.0
+    for got, expected in zip(fit_lines_of_sight(points, points, trust, age_s), all_but_six, strict=True):
+        torch.testing.assert_close(got, expected)

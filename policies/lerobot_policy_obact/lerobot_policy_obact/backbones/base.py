@@ -19,7 +19,8 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 class Backbone(nn.Module, ABC):
     """Encodes frames independently into tokens.
 
-    A subclass takes ``width`` first and its own options as keywords, and implements `forward`.
+    A subclass takes ``width`` first and its own options as keywords, and implements `forward`. One that ``locates`` the
+    target begins its looks with a sighting, see `track.py`, and knows where its camera is.
 
     Args:
         width: token size ``D`` it must return.
@@ -30,6 +31,7 @@ class Backbone(nn.Module, ABC):
     reads_text: ClassVar[bool] = False
     locates: ClassVar[bool] = False
     sees_motion: ClassVar[bool] = False
+    camera_pos: Tensor
     pixel_mean: Tensor
     pixel_std: Tensor
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from ..attention import Attention
 from ..reach import Reach, close_in_time, earliest_meeting, executed, first_contact, palm_path
-from ..track import MODELS, N_TRACK, Track
+from ..track import N_FITS, N_TRACK, Track
 from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, Prefix, heads
 
 KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
@@ -58,7 +58,7 @@ class InterceptHead(ForecastHead):
         self.squeeze_rad = squeeze_rad
         self.register_buffer("seat_m", torch.tensor(seat_m), persistent=False)
         width, n_knots, n_joints = spec.width, len(KNOTS), spec.action_dim - PALM_DIM
-        self.sizes = [3 * n_knots, n_knots, (len(MODELS) - 1) * n_knots, n_joints]
+        self.sizes = [3 * n_knots, n_knots, (N_FITS - 1) * n_knots, n_joints]
         self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
         self.pool = Attention(width, spec.n_heads, spec.dropout)
         n_in = 2 * width + N_TRACK + n_joints
@@ -78,7 +78,7 @@ class InterceptHead(ForecastHead):
         bend, damping, share, closed = self.out(self.hidden(context)).split(self.sizes, dim=-1)
         ahead = self.ahead_s
         straight = track.along_line(ahead, torch.sigmoid(damping + 1 - ahead))
-        led = track.along(ahead)[:, 1:] - straight[:, None]  # (R, M - 1, K, 3)
+        led = track.along(ahead)[:, 1:] - straight[:, None]
         turned = (share.unflatten(-1, led.shape[1:3])[..., None] * led).sum(1)
         bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead[:, None])
         return Forecast(straight + turned + bend, closed)
