@@ -24,7 +24,7 @@ class Observation:
         images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
         state: (N, 18) float32, palm centre position [m], home frame, and joint angles [rad].
         fingertips: (N, 30) float32, 5 x (position [m], home frame, rotation vector [rad]).
-        phase: (N, 1) float32, 0 observing, 1 acting.
+        phase: (N, 2) float32, [1, 0] observing, [0, 1] acting.
         tasks: N instructions.
         touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
         environment_state: (N, 13) float32, the simulator's truth: pose and velocity of the target as in `WorldState`,

@@ -75,7 +75,7 @@ class Episode:
         images: (T, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
         state: (T, 18) float32, palm centre position [m] and 15 joint angles [rad].
         fingertips: (T, 30) float32, 5 x (position [m], rotation vector [rad]).
-        phase: (T, 1) float32, 0 observing, 1 acting.
+        phase: (T, 2) float32, [1, 0] observing, [0, 1] acting.
         action: (T, 18) float32, commanded palm position [m] and joint angles [rad] for the next frame; in an on-policy
             recording what the teacher would have commanded.
         target_pose: (T, 7) float32, position [m] and quaternion wxyz of the target.

@@ -21,7 +21,8 @@ class Feature:
     Attributes:
         name: attribute of ``Episode``, and of ``Observation`` if policies may see it.
         key: column of the dataset: of the frame table, or of the episode table if it begins with ``stats/``.
-        shape: of one frame, () for a number, which the dataset stores as (1,); (1,) or more where policies see it.
+        shape: of one frame, () for a number, which the dataset stores as (1,). What policies see has two elements
+            or more, because LeRobot cannot stream windows over one.
         names: of the elements, in order.
         unit: of the elements.
         meaning: what it is, with its frame of reference.

@@ -15,6 +15,7 @@ from collections.abc import Container, Sequence
 
 from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.foundation.conventions import EGO_VIEW, FINGER_DOF, FINGERS, HAND_DOF, HAND_NAMES, JOINT_NAMES
+from dynahoi_lerobot.phase import PHASES
 
 FINGERTIP_NAMES = tuple(
     f"{finger}_{part}" for finger in FINGERS for part in ("x", "y", "z", "rotvec_x", "rotvec_y", "rotvec_z")
@@ -45,8 +46,8 @@ _TABLE = (
         "position, home frame, and rotation vector of each fingertip", gym_key="fingertips", low=-10.0, high=10.0,
     ),
     Feature(
-        "phase", "observation.phase", (1,), ("phase",), "1",
-        "0 in the observation window, 1 in the control phase", gym_key="phase", low=0.0, high=1.0,
+        "phase", "observation.phase", (len(PHASES),), PHASES, "1",
+        "[1, 0] in the observation window, [0, 1] in the control phase", gym_key="phase", low=0.0, high=1.0,
     ),
     Feature(
         "touch", "observation.touch", (len(FINGERS),), FINGERS, "N",

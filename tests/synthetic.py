@@ -8,6 +8,7 @@ from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.motions.constant import Constant
 from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
+from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.rollout.recorder import next_frames
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.world.observed import TOUCH_M
@@ -67,7 +68,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     return Episode(
         meta=meta, images=images, state=state,
         fingertips=np.tile(state[:, :3], (1, 10)).astype(np.float32),
-        phase=(np.arange(frames) >= window).astype(np.float32)[:, None], action=command,
+        phase=one_hot_phase(np.arange(frames) >= window), action=command,
         target_pose=pose.astype(np.float32),
         target_velocity=np.tile(np.r_[velocity, 0, 0, 0], (frames, 1)).astype(np.float32),
         target_contacts=np.tile(tips[:, None] <= TOUCH_M, (1, 5)).astype(np.float32),

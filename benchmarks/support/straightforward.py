@@ -23,6 +23,7 @@ from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.features import CAMERA_KEY, FEATURES, frame_features, image_feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
 from dynahoi_lerobot.scene.target_drive import drive_for
@@ -126,7 +127,7 @@ class StraightforwardEnv(gym.Env):
             "pixels": {"ego": self.render()},
             "agent_pos": (self.data.qpos[self._scene.hand_qpos] - self.origin).astype(np.float32),
             "fingertips": tips.reshape(-1).astype(np.float32),
-            "phase": np.float32([self.frame >= self.spec.window_frames]),
+            "phase": one_hot_phase(np.array(self.frame >= self.spec.window_frames)),
         }
 
     def _distance(self) -> float:

@@ -17,6 +17,7 @@ from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
@@ -148,12 +149,14 @@ def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> lis
     from dynahoi_lerobot.dataset.store import Store
     from dynahoi_lerobot.features import FEATURES
 
-    keys = [FEATURES[name].key for name in ("phase", "localized")]
-    columns = {key: np.array([bool(item[key].item()) for item in items]) for key in keys if key in items[0]}
-    if len(columns) < len(keys):  # LeRobot does not read what the episode table holds instead
-        moved = moved_columns(Store(args.dataset).rows[args.episode])
-        columns |= {key: moved[key][:, 0] for key in keys if key in moved}
-    return frame_phases(*(columns[key] for key in keys)) if columns.keys() >= set(keys) else None
+    phase, localized = (FEATURES[name].key for name in ("phase", "localized"))
+    held = [key for key in (phase, localized) if key in items[0]]
+    columns = {key: np.stack([item[key].numpy().reshape(-1) for item in items]) for key in held}  # (T, D)
+    if localized not in columns:  # LeRobot does not read what the episode table holds instead
+        columns |= moved_columns(Store(args.dataset).rows[args.episode])
+    if not columns.keys() >= {phase, localized}:
+        return None
+    return frame_phases(is_acting(columns[phase]), columns[localized][:, 0].astype(bool))
 
 
 def _open_dataset(root: Path) -> Any:

@@ -46,17 +46,17 @@ HUGGING_FACE = {
 """The type that ``datasets`` reads from the note in the parquet files."""
 
 
-def subtask_rows(phase: np.ndarray, localized: np.ndarray) -> list[dict[str, Any]]:
+def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, Any]]:
     """Return the subtasks of an episode in LeRobot's form, each with the time [s] from which it is active.
 
     The target is watched while commands are void, then it is to be reached, and held from the frame on which it is
     localised first.
 
     Args:
-        phase: (T,) 0 observing, 1 acting.
+        acting: (T,) bool, commands take effect.
         localized: (T,) bool, the target is, or has been, localised.
     """
-    state = np.where(localized, 2, np.asarray(phase) > 0.5)  # (T,)
+    state = np.where(localized, 2, acting)  # (T,)
     begins = np.flatnonzero(np.diff(state, prepend=-1))
     return [_row((WATCH, REACH, HOLD)[int(state[frame])], int(frame)) for frame in begins]
 

@@ -14,6 +14,7 @@ import numpy as np
 from dynahoi_lerobot.control_class import CONTROL_CLASSES, ControlClass, control_class_of
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
+from dynahoi_lerobot.phase import is_acting, one_hot_phase
 
 FASTEST = CONTROL_CLASSES["unlimited"]
 OVERSHOOT, CATCH_UP = 1.2, 2.4
@@ -173,7 +174,7 @@ def saturation(columns: Columns, limits: TrajectoryLimits) -> str | None:
     """Find demonstrations that stay at a limit of the hand through the control phase; a policy may well do that."""
     if EXECUTED in columns:
         return None
-    acting = columns["observation.phase"][:, 0] > 0.5
+    acting = is_acting(columns["observation.phase"])
     commands = columns["action"][acting]
     if not len(commands):
         return None
@@ -202,8 +203,12 @@ def frozen(columns: Columns, limits: TrajectoryLimits) -> str | None:
 
 
 def phase_order(columns: Columns, limits: TrajectoryLimits) -> str | None:
-    """Find episodes that observe again after they began to act."""
-    phase = columns["observation.phase"][:, 0]
-    if not np.isin(phase, (0, 1)).all() or (np.diff(phase) < 0).any():
-        return "observation.phase is not a window of 0 followed by 1"
-    return None
+    """Find phases that are not one-hot, and episodes that observe again after they began to act."""
+    phase = columns["observation.phase"]
+    acting = is_acting(phase)
+    wrong = (phase != one_hot_phase(np.maximum.accumulate(acting))).any(axis=1)
+    if not wrong.any():
+        return None
+    frame = int(wrong.argmax())
+    found = f"it is {phase[frame].tolist()} at frame {frame}"
+    return f"observation.phase is not a window of [1, 0] followed by [0, 1]: {found}"

@@ -28,6 +28,7 @@ from dynahoi_lerobot.dataset.video import VideoWriter
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.feature import Feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.phase import is_acting
 
 
 class DatasetWriter:
@@ -139,7 +140,7 @@ class DatasetWriter:
         images = {} if self._codec.is_video else image_arrays(episode)
         subtasks = None
         if self._subtasks:
-            subtasks = language_column(subtask_rows(episode.phase[:, 0], episode.localized), len(episode))
+            subtasks = language_column(subtask_rows(is_acting(episode.phase), episode.localized), len(episode))
         table = frame_table(arrays | bookkeeping, images, self._schema, subtasks)
         chunk, file = self._data.write(table)
         return {"data/chunk_index": chunk, "data/file_index": file}

@@ -11,6 +11,7 @@ from dynahoi_lerobot.env.rewards import DENSE, SPARSE, Progress
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -51,7 +52,7 @@ class RunningEpisodes(Session):
         rewards = (self._success & ending).astype(np.float64)
         if self._progress is None or self.observation is None:
             return rewards
-        acted = self.observation.phase[:, 0] > 0.5
+        acted = is_acting(self.observation.phase)
         playing = np.isin(np.arange(self.batch.size), self.playing) | ending
         return rewards + self._progress.advance(acted & playing)
 

@@ -38,13 +38,13 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
     Description:
         A floating five-fingered hand (3 palm translations, 15 flexion joints) and a target that moves on a path of its
         own, at 20 Hz. In the observation window (the first 20 % of the frames, at least 8) actions are ignored and the
-        hand is held still; ``phase`` turns from 0 to 1 when the control phase begins. Then the hand has L control
-        steps. SI units; positions are in the home frame: axes of the world, z up, origin where the palm's centre waits
-        in this episode, so that the palm begins at (0, 0, 0).
+        hand is held still; ``phase`` turns from [1, 0] to [0, 1] when the control phase begins. Then the hand has L
+        control steps. SI units; positions are in the home frame: axes of the world, z up, origin where the palm's
+        centre waits in this episode, so that the palm begins at (0, 0, 0).
     Observation:
         A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
         view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], home frame, and joint angles
-        [rad]; ``fingertips`` (30,) positions [m], home frame, and rotation vectors [rad]; ``phase`` (1,); and, if the
+        [rad]; ``fingertips`` (30,) positions [m], home frame, and rotation vectors [rad]; ``phase`` (2,); and, if the
         capture rule uses contact sensors, ``touch`` (5,) force of each finger on the target [N]. Only on request
         ``environment_state`` (13,), the simulator's truth: pose of the target [m, 1], home frame, and its linear and
         angular velocity [m/s, rad/s].

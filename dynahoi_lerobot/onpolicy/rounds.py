@@ -13,6 +13,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.onpolicy.student import Student
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.rollout.on_policy import DISTURBANCE_M
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.rollout.session import Session
@@ -100,7 +101,7 @@ def _labels(session: Session, observation: Observation, arrival: np.ndarray) -> 
     batch = session.batch
     return {
         "state": observation.state,
-        "watching": observation.phase[:, 0] < 0.5,
+        "watching": ~is_acting(observation.phase),
         "playing": np.isin(np.arange(batch.size), session.playing),
         "released": batch.released.copy(),
         "target": batch.target_pose[:, :PALM_DOF].astype(np.float32),

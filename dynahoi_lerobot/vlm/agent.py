@@ -12,6 +12,7 @@ import numpy as np
 
 from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.foundation.conventions import EGO_VIEW
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.prompt import HORIZON
 
@@ -84,4 +85,4 @@ class VlmAgent(ChunkAgent):
     @staticmethod
     def _in_play(observation: Observation, i: int) -> bool:
         """Return whether world ``i`` is in the control phase of an episode; the images of idle worlds are black."""
-        return bool(observation.phase[i, 0] > 0 and observation.images[EGO_VIEW][i].any())
+        return bool(is_acting(observation.phase[i]) and observation.images[EGO_VIEW][i].any())

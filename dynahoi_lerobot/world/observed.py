@@ -11,6 +11,7 @@ from dynahoi_lerobot.captures.base import CaptureRule
 from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene
@@ -128,7 +129,7 @@ class ObservedWorlds:
             images={view: self.cameras.render(self._seeing(ids), view) for view in self._views} if images else {},
             state=self.state.astype(np.float32),
             fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
-            phase=self.accepting[:, None].astype(np.float32),
+            phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
             environment_state=self._truth() if self._environment_state else None,

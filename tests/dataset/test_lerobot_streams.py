@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.features import frame_features
 from tests.dataset.episodes import varied_episode, write
 from tests.dataset.lerobot_api import REPO, write_with_lerobot
 
@@ -46,17 +47,24 @@ def test_streams(tmp_path, monkeypatch):
     assert np.abs(shown - expected.images["ego"][2:4]).mean() < 6
 
 
-@pytest.mark.parametrize("key", ["observation.phase", "next.reward", "timestamp"])
+def test_streams_windows_over_every_observation(pictures):
+    """A policy with history asks for a window over each of them."""
+    observed = [feature for feature in frame_features(None) if feature.observed]
+    window = {feature.key: [-0.05, 0.0] for feature in observed}
+    items = stream(pictures, window | {"observation.images.ego": [-0.05, 0.0]})
+    expected = varied_episode(0)
+    item = next(item for item in items if int(item["frame_index"]) == expected.meta.window_frames)
+    for feature in observed:
+        wanted = getattr(expected, feature.name)[expected.meta.window_frames - 1 :][:2]
+        np.testing.assert_array_equal(item[feature.key], wanted, feature.key)
+    assert item["observation.images.ego"].shape == (2, 3, 32, 32)
+
+
+@pytest.mark.parametrize("key", ["next.reward", "timestamp"])
 def test_streaming_has_no_windows_over_columns_of_one_number(pictures, key):
-    """Once LeRobot mends it, this fails: then say so in docs/lerobot.md and docs/decisions.md."""
+    """Their shapes are LeRobot's. Once LeRobot mends it, this fails: then say so in docs/lerobot.md."""
     with pytest.raises(TypeError, match="expected Tensor as element 0 in argument 0, but got float"):
         next(stream(pictures, {key: [-0.05, 0.0]}))
-
-
-def test_streaming_gives_the_phase_of_the_current_frame_beside_windows_of_the_others(pictures):
-    item = next(stream(pictures, {"observation.state": [-0.05, 0.0], "action": [0.0, 0.05]}))
-    assert item["observation.phase"] == varied_episode(0).phase[0, 0]
-    assert item["observation.state"].shape == item["action"].shape == (2, 18)
 
 
 def test_streaming_without_loader_processes_has_no_data(pictures):

@@ -25,9 +25,9 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_target_that_is_never_localised_is_never_to_be_held() -> None:
-    rows = subtask_rows(np.array([0, 0, 1, 1]), np.zeros(4, bool))
+    rows = subtask_rows(np.array([False, False, True, True]), np.zeros(4, bool))
     assert [(row["content"], row["timestamp"]) for row in rows] == [(WATCH, 0.0), (REACH, pytest.approx(0.1))]
-    assert [row["content"] for row in subtask_rows(np.ones(3), np.array([False, True, True]))] == [REACH, HOLD]
+    assert [row["content"] for row in subtask_rows(np.ones(3, bool), np.array([False, True, True]))] == [REACH, HOLD]
 
 
 def test_lerobot_finds_the_subtask_of_every_frame(root: Path) -> None:
@@ -41,7 +41,7 @@ def test_lerobot_finds_the_subtask_of_every_frame(root: Path) -> None:
     samples = [dataset[i] for i in range(len(first))]
     found = [active_at(float(s["timestamp"]), persistent=s[LANGUAGE], style="subtask")["content"] for s in samples]
     wanted = [
-        HOLD if held else REACH if acts else WATCH for acts, held in zip(first.phase, first.localized, strict=True)
+        HOLD if held else REACH if acts else WATCH for (_, acts), held in zip(first.phase, first.localized, strict=True)
     ]
     assert found == wanted
     assert set(found) == {WATCH, REACH, HOLD}

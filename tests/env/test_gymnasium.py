@@ -160,7 +160,7 @@ def test_bad_actions_are_refused_and_nothing_moves(action: np.ndarray, words: st
 def test_direct_act_has_no_window() -> None:
     env = DynahoiEnv(kind="struck", protocol="direct_act", images=False, **SMALL)
     observation, _ = env.reset(seed=0)
-    assert observation["phase"][0] == 1.0
+    assert observation["phase"].tolist() == [0.0, 1.0]
     assert env._vector._batch.specs[0].window_frames == 0
 
 

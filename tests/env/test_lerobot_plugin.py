@@ -65,7 +65,7 @@ class StandStill(PreTrainedPolicy):
     def select_action(self, batch: dict) -> torch.Tensor:
         assert batch["observation.images.ego"].shape[1:] == (3, 32, 32)
         assert batch["observation.fingertips"].shape[1:] == (30,)
-        assert batch["observation.phase"].shape[1:] == (1,)
+        assert batch["observation.phase"].shape[1:] == (2,)
         assert all(isinstance(text, str) and text for text in batch["task"])
         return batch["observation.state"]
 
@@ -109,7 +109,7 @@ def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig])
         "observation.images.ego": (3, 32, 32),
         "observation.state": (18,),
         "observation.fingertips": (30,),
-        "observation.phase": (1,),
+        "observation.phase": (2,),
         "action": (18,),
     }
 

@@ -14,6 +14,7 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -68,7 +69,7 @@ def test_evaluated_episodes_are_consistent_records(expert_episodes: list[Episode
     for episode, spec in zip(expert_episodes, specs, strict=True):
         frames = len(episode)
         assert spec.window_frames < frames <= spec.window_frames + spec.length_frames
-        assert (episode.phase[:, 0] == (np.arange(frames) >= spec.window_frames)).all()
+        assert (is_acting(episode.phase) == (np.arange(frames) >= spec.window_frames)).all()
         assert not episode.localized[: spec.window_frames].any()
         assert (np.diff(episode.localized.astype(int)) >= 0).all()
         for name in ("state", "fingertips", "action", "target_pose", "target_velocity"):

@@ -118,7 +118,7 @@ def test_the_phase_turns_with_the_last_frame_of_the_window(specs: list[EpisodeSp
     batch = world(specs[:8])
     for frame in range(12):
         phase = batch.observe(images=False).phase
-        expected = [[float(frame >= spec.window_frames)] for spec in specs[:8]]
+        expected = [[0, 1] if frame >= spec.window_frames else [1, 0] for spec in specs[:8]]
         np.testing.assert_array_equal(phase, expected)
         batch.step(batch.executed)
 

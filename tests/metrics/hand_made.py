@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.rollout.recorder import next_frames
 from tests.synthetic import synthetic_episode
 
@@ -42,7 +43,7 @@ def hand_made(
         state=state,
         action=np.vstack([state[1:], state[-1:]]),
         fingertips=np.zeros((frames, 30), np.float32),
-        phase=(np.arange(frames) >= WINDOW).astype(np.float32)[:, None],
+        phase=one_hot_phase(np.arange(frames) >= WINDOW),
         target_pose=np.hstack([aim, np.tile([1.0, 0, 0, 0], (frames, 1))]).astype(np.float32),
         target_velocity=np.zeros((frames, 6), np.float32),
         target_contacts=np.zeros((frames, 5), np.float32),

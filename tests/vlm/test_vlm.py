@@ -14,6 +14,7 @@ from PIL import Image
 from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.vlm.agent import VlmAgent
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, Prompt, answer_schema
@@ -218,13 +219,13 @@ class Remembered:
         return None if self.fails else state + np.arange(1, HORIZON + 1)[:, None] * np.eye(18)[2] * 0.01
 
 
-def observe(phase: list[float], idle: tuple[int, ...] = ()) -> Observation:
-    n = len(phase)
+def observe(acting: list[int], idle: tuple[int, ...] = ()) -> Observation:
+    n = len(acting)
     images = np.full((n, 8, 8, 3), 9, np.uint8)
     images[list(idle)] = 0
     state = np.ones((n, 18), np.float32)
     tips, tasks = np.zeros((n, 30), np.float32), ("a", "b", "c")[:n]
-    return Observation({"ego": images}, state, tips, np.array(phase)[:, None], tasks)
+    return Observation({"ego": images}, state, tips, one_hot_phase(np.array(acting, bool)), tasks)
 
 
 def test_one_request_for_ten_frames_of_each_acting_world():

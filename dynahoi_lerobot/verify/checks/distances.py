@@ -12,6 +12,7 @@ from dynahoi_lerobot.features import PRIMITIVE_NAMES
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS, PALM_DOF
 from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.objects.primitives import from_table
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 from dynahoi_lerobot.world.observed import TOUCH_M
@@ -82,7 +83,7 @@ def _bend(columns: Columns) -> np.ndarray:
 
 def _localized(radius_m: float, palm: np.ndarray, columns: Columns) -> str | None:
     """Find a frame that is localised without the palm having been near, or the other way round."""
-    acting = columns["observation.phase"][:, 0] > 0.5
+    acting = is_acting(columns["observation.phase"])
     acting = np.concatenate([[False], acting[:-1]])  # a distance is that of the step before its frame
     wanted = np.maximum.accumulate((palm < radius_m) & acting)
     wrong = np.flatnonzero(columns["localized"][:, 0].astype(bool) != wanted)

@@ -12,11 +12,12 @@ from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import EXECUTED
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 
 def observed(row: EpisodeRow) -> int:
-    """Return for how many frames the phase is 0: it rises with the first command that takes effect after the window."""
+    """Return for how many frames an episode observes: acting begins with the first command that is not void."""
     control = CONTROL_CLASSES.get(row["control_class"])
     return max(row["window_frames"] - (control.latency_frames if control else 0), 0)
 
@@ -27,7 +28,7 @@ class EpisodeColumns(Check):
 
     def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield contradictions."""
-        frames, window = len(columns["index"]), int((columns["observation.phase"] == 0).sum())
+        frames, window = len(columns["index"]), int((~is_acting(columns["observation.phase"])).sum())
         intercept = float(columns["intercept.time"][0, 0])
         facts = (
             ("{} frames observe by window_frames and control_class, {} by observation.phase", observed(row), window),

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.language import LANGUAGE, subtask_rows
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 
@@ -17,7 +18,7 @@ class Subtasks(Check):
         """Yield the first frame with other subtasks."""
         if LANGUAGE not in dataset.features:
             return
-        wanted = subtask_rows(columns["observation.phase"][:, 0], columns["localized"][:, 0].astype(bool))
+        wanted = subtask_rows(is_acting(columns["observation.phase"]), columns["localized"][:, 0].astype(bool))
         for frame, found in enumerate(dataset.frames(row)[LANGUAGE].to_pylist()):
             if found != wanted:
                 where = f"episode {row['episode_index']}, frame {frame}"

@@ -12,6 +12,7 @@ from dynahoi_lerobot.dataset.quality_control import EXECUTED
 from dynahoi_lerobot.experts.intercept import SPEED_M_S
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, PALM_DOF
 from dynahoi_lerobot.motions import PrescribedMotion
+from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.rollout.on_policy import Lead
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
@@ -52,7 +53,7 @@ def _labels(recipe: Recipe, motion: PrescribedMotion, row: EpisodeRow, columns: 
     """Yield the first label that does not lead to its arrival, and the first arrival that could be earlier."""
     control = control_class_of(recipe.control_class)
     hand, origin = hand_kinematics(recipe.hand), np.concatenate([row["stats/home_position"], np.zeros(FINGER_DOF)])
-    told = np.flatnonzero((columns["observation.phase"][:, 0] > 0.5) & ~columns["localized"][:, 0].astype(bool))
+    told = np.flatnonzero(is_acting(columns["observation.phase"]) & ~columns["localized"][:, 0].astype(bool))
     last = row["window_frames"] + row["length_frames"] - 1  # the teacher knows no path beyond the frame after it
     for frame in told[told > 0]:
         due = max(int(frame) + control.latency_frames, row["window_frames"])

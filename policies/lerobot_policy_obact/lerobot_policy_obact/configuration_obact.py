@@ -37,8 +37,9 @@ class ObActConfig(PreTrainedConfig):
         n_action_steps: actions of a chunk that are executed before the policy replans.
         latency_frames: delay between an observation and the execution of the action predicted from it [frames]. That
             many leading actions of a chunk lie in the past when it is ready, and are skipped.
-        replan_key: observation whose rise (0 -> 1) triggers replanning and drops the rest of the chunk; "" disables
-            this. Chunks predicted before the rise are never executed, so they are masked in the loss.
+        replan_key: observation whose last entry rises (0 -> 1) when the hand may move, which triggers replanning and
+            drops the rest of the chunk; "" disables this. Chunks predicted before the rise are never executed, so
+            they are masked in the loss.
         action_frame: "absolute", "relative" (the first `relative_dims` actions are predicted as displacements
             from the same entries of the current ``observation.state``) or "auto" (relative where the
             dataset's statistics show that action and state are the same quantity).

@@ -26,7 +26,7 @@ from .heads.base import Forecast
 from .heads.intercept import PALM_DIM
 from .model import ObActModel
 from .observation import Batch, Observation
-from .replan import rise_threshold
+from .replan import indicator, rise_threshold
 
 
 @dataclass(frozen=True)
@@ -134,12 +134,12 @@ class ImitationObjective:
 
     def _executed(self, batch: Batch) -> Tensor:
         """Return which decisions are ever executed, ``(B, K, 1)``: those after the rise of ``replan_key``."""
-        value, loaded = batch.get(self.config.replan_key), self.config.observation_delta_indices
+        loaded = self.config.observation_delta_indices
+        value = indicator(batch, self.config, len(batch[ACTION]), len(loaded))  # (B, T)
         if value is None:
             return torch.ones(1, 1, 1, dtype=torch.bool, device=batch[ACTION].device)
-        value = value.reshape(len(value), len(loaded), -1)  # (B, T, D), or (B, T) of numbers
         moments = [loaded.index(moment) for moment in self.config.windows.decision_moments]
-        return value[:, moments, -1:] >= self._risen_from
+        return value[:, moments, None] >= self._risen_from
 
     def _privileged_error(self, model: ObActModel, batch: Batch, frames: EncodedFrames) -> Tensor:
         """Return the probe's mean absolute error per sample, in units of the normalised state, ``(B,)``."""

@@ -12,7 +12,7 @@ from lerobot.utils.constants import OBS_STATE
 from torch import Tensor
 
 from .configuration_obact import ObActConfig
-from .replan import rise_threshold
+from .replan import indicator, rise_threshold
 
 Batch = Mapping[str, Any]
 """A preprocessed LeRobot batch: tensors by key, and the instruction(s) under "task"."""
@@ -101,10 +101,10 @@ def _frame_mask(batch: Batch, shape: torch.Size, device: torch.device) -> Tensor
 
 def _watching(batch: Batch, config: ObActConfig, shape: torch.Size, device: torch.device) -> Tensor:
     """Return which frames precede the rise of ``replan_key``; without that key any frame may be remembered."""
-    value = batch.get(config.replan_key)
+    value = indicator(batch, config, *shape)
     if value is None:
         return torch.ones(*shape, dtype=torch.bool, device=device)
-    return value.reshape(*shape, -1)[..., -1] < rise_threshold(config, None)
+    return value < rise_threshold(config, None)
 
 
 def _texts(batch: Batch, n: int) -> list[str]:

@@ -16,6 +16,7 @@ from .heads.base import Guide, Prefix
 from .history import ChunkQueue, History
 from .model import ObActModel
 from .observation import Batch, Observation
+from .replan import indicator
 
 
 class ChunkPlanner:
@@ -75,7 +76,8 @@ class ChunkPlanner:
             noise: see `next_action`.
         """
         self.history.append(frame)
-        rows = self.queue.rows_to_plan(self._trigger(batch), n_rows=len(frame.keep))
+        n_rows = len(frame.keep)
+        rows = self.queue.rows_to_plan(indicator(batch, self.config, n_rows), n_rows)
         if rows:
             start = self.noise(model, [self.queue.n_planned[row] for row in rows]) if noise is None else noise[rows]
             window = self.history.window(model.encode).rows(rows)
@@ -179,7 +181,3 @@ class ChunkPlanner:
         if self.config.latency_frames:
             here = frame.position[:, -1, : action.shape[-1]].cpu()
             self._given.append(torch.where(frame.watching[:, -1:].cpu(), here, action.cpu()))
-
-    def _trigger(self, batch: Batch) -> Tensor | None:
-        value = batch.get(self.config.replan_key)
-        return None if value is None else value.flatten(1)[:, -1]  # (B, 1) -> (B,)

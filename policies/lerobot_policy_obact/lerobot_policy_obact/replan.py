@@ -1,4 +1,4 @@
-"""The replan indicator: an observation, 0 while the hand is held still and 1 once it may move.
+"""The replan indicator: an observation whose last entry is 0 while the hand is held still and 1 once it may move.
 
 Its rise drops the rest of the current chunk, so that chunks predicted before the rise are never executed, and nothing
 is learned from them. LeRobot normalises the indicator like any other observation; `rise_threshold` is the value, in
@@ -7,15 +7,23 @@ whatever units that gives, that separates before from after.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from lerobot.configs import NormalizationMode
+from torch import Tensor
 
 from .action_frame import affine_of
 from .configuration_obact import ObActConfig
 
 EPS = 1e-8  # by which LeRobot divides where a feature does not vary
+
+
+def indicator(batch: Mapping[str, Any], config: ObActConfig, *shape: int) -> Tensor | None:
+    """Return the last entry of ``config.replan_key``, normalised, of shape ``shape``; None in batches without it."""
+    value = batch.get(config.replan_key)
+    return None if value is None else value.reshape(*shape, -1)[..., -1]
 
 
 def rise_threshold(config: ObActConfig, stats: dict[str, dict[str, Any]] | None) -> float:

@@ -33,7 +33,7 @@ HAND_FEATURES = {
     },
     "observation.state": {"dtype": "float32", "shape": (18,), "names": None},
     "observation.fingertips": {"dtype": "float32", "shape": (30,), "names": None},
-    "observation.phase": {"dtype": "float32", "shape": (1,), "names": None},
+    "observation.phase": {"dtype": "float32", "shape": (2,), "names": ["observing", "acting"]},
     "action": {"dtype": "float32", "shape": (18,), "names": None},
 }
 
@@ -57,7 +57,7 @@ def write_dataset(root: Path, features: dict, seed: int = 0) -> LeRobotDataset:
     for _ in range(N_EPISODES):
         walks = {key: rng.normal(size=(N_FRAMES + 1, *features[key]["shape"])).cumsum(0) for key in vectors}
         if "observation.phase" in walks:
-            walks["observation.phase"] = (np.arange(N_FRAMES + 1) >= 8)[:, None]
+            walks["observation.phase"] = np.eye(2)[(np.arange(N_FRAMES + 1) >= 8).astype(int)]
         for t in range(N_FRAMES):
             frame = {key: walk[t].astype(np.float32) for key, walk in walks.items()}
             frame |= {key: rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8) for key in images}
@@ -96,6 +96,11 @@ def make_policy(
     return ObActPolicy(config, dataset_stats=stats, dataset_meta=meta)
 
 
+def phase_of(acting: torch.Tensor) -> torch.Tensor:
+    """Return the phase (..., 2) of frames that are acting as far as (...) says, 0 to 1."""
+    return torch.stack([1 - acting, acting], dim=-1)
+
+
 def make_batch(policy: ObActPolicy, n: int = 3, seed: int = 0) -> dict[str, object]:
     """Draw a training batch as LeRobot's loader would deliver it after preprocessing."""
     generator, config = torch.Generator().manual_seed(seed), policy.config
@@ -106,7 +111,7 @@ def make_batch(policy: ObActPolicy, n: int = 3, seed: int = 0) -> dict[str, obje
         batch[key] = draw(n, n_frames, *feature.shape, generator=generator)
         batch[f"{key}_is_pad"] = torch.zeros(n, n_frames, dtype=torch.bool)
     if "observation.phase" in batch:  # the hand may move: chunks planned before it may are not learned from
-        batch["observation.phase"] = torch.ones(n, n_frames, 1)
+        batch["observation.phase"] = phase_of(torch.ones(n, n_frames))
     batch["action"] = torch.randn(n, n_actions, *config.action_feature.shape, generator=generator)
     batch["action_is_pad"] = torch.zeros(n, n_actions, dtype=torch.bool)
     batch["task"] = ["catch the ball"] * n
@@ -121,7 +126,7 @@ def make_step(policy: ObActPolicy, n: int = 3, seed: int = 0, phase: float | lis
         draw = torch.rand if feature.type is FeatureType.VISUAL else torch.randn
         step[key] = draw(n, *feature.shape, generator=generator)
     if "observation.phase" in step:
-        step["observation.phase"] = torch.tensor([phase] * n if isinstance(phase, float) else phase)[:, None]
+        step["observation.phase"] = phase_of(torch.tensor([phase] * n if isinstance(phase, float) else phase))
     return step
 
 

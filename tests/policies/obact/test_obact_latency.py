@@ -9,7 +9,7 @@ from lerobot_policy_obact import ObActPolicy
 from lerobot_policy_obact.heads.base import Prefix
 from lerobot_policy_obact.heads.intercept import continued, delayed
 from lerobot_policy_obact.reach import Reach, executed
-from obact_helpers import make_policy, make_step, randomise
+from obact_helpers import make_policy, make_step, phase_of, randomise
 
 REACH = Reach(palm_step_m=0.025, joint_step_rad=1.0, spare_frames=4, closing_frames=8)
 INTERCEPTING = {
@@ -28,7 +28,7 @@ def acting_policy(**changes: object) -> ObActPolicy:
 
 def acting_step(policy: ObActPolicy) -> dict:
     """A frame of the control phase."""
-    return make_step(policy) | {"observation.phase": torch.ones(3, 1)}
+    return make_step(policy) | {"observation.phase": phase_of(torch.ones(3))}
 
 
 def committed(step: dict, n: int) -> torch.Tensor:
@@ -82,7 +82,7 @@ def test_actions_that_are_too_few_are_followed_by_the_last_one():
 @pytest.mark.parametrize("given", [True, False])
 def test_a_hand_that_does_not_move_meanwhile_stays(given: bool):
     policy = acting_policy()
-    step = make_step(policy) | {"observation.phase": torch.full((3, 1), 0.0 if given else 1.0)}
+    step = make_step(policy) | {"observation.phase": phase_of(torch.full((3,), 0.0 if given else 1.0))}
     actions = committed(step, 5) if given else None
     chunk = policy.predict_action_chunk(step, inference_delay=3, prev_chunk_left_over=actions)
     torch.testing.assert_close(chunk[:, :3], step["observation.state"][:, None].expand(-1, 3, -1))

@@ -15,13 +15,16 @@ import torch
 from accelerate.state import AcceleratorState
 from huggingface_hub import ModelCard
 from lerobot.configs import PreTrainedConfig
-from lerobot.datasets import LeRobotDataset
-from lerobot.policies import make_policy, make_pre_post_processors
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, StreamingLeRobotDataset
+from lerobot.datasets.factory import resolve_delta_timestamps
+from lerobot.policies import make_policy as open_lerobot_policy
+from lerobot.policies import make_pre_post_processors
 from lerobot.scripts.lerobot_eval import eval_policy
 from lerobot.scripts.lerobot_train import main
 from lerobot_policy_obact import ObActPolicy
-from obact_helpers import FPS, HAND_FEATURES, SIZE, TINY, make_step, write_dataset
+from obact_helpers import FPS, HAND_FEATURES, SIZE, TINY, make_policy, make_step, write_dataset
 from safetensors.torch import load_file
+from torch.utils.data import DataLoader
 
 STEP_2, STEP_4 = "checkpoints/000002/pretrained_model", "checkpoints/000004/pretrained_model"
 
@@ -57,7 +60,7 @@ def open_policy(checkpoint: Path, root: Path):
     """Open a checkpoint with its processors, the way LeRobot's commands do."""
     config = PreTrainedConfig.from_pretrained(checkpoint)
     config.pretrained_path = checkpoint
-    policy = make_policy(config, ds_meta=LeRobotDataset("local/tiny", root=root).meta)
+    policy = open_lerobot_policy(config, ds_meta=LeRobotDataset("local/tiny", root=root).meta)
     return policy.eval(), *make_pre_post_processors(config, pretrained_path=str(checkpoint))
 
 
@@ -94,6 +97,21 @@ def test_resuming_continues_where_the_run_stopped(
         sum((x[key] - y[key]).square().sum() for key in trained_keys) for x, y in ((whole, start), (whole, resumed))
     )
     assert 0 < gap < 0.5 * change
+
+
+def test_history_is_learned_from_a_stream(hand_root: Path) -> None:
+    meta = LeRobotDatasetMetadata("local/tiny", root=hand_root)
+    policy = make_policy(memory="both", stats=meta.stats).train()
+    preprocess, _ = make_pre_post_processors(policy.config, dataset_stats=meta.stats)
+    window = resolve_delta_timestamps(policy.config, meta)
+    assert len(window["observation.phase"]) > policy.config.n_obs_frames
+    frames = StreamingLeRobotDataset("local/tiny", root=hand_root, delta_timestamps=window)
+    batch = preprocess(next(iter(DataLoader(frames, batch_size=16))))
+    assert batch["observation.phase"].shape == (16, len(window["observation.phase"]), 2)
+    policy(batch)[0].backward()
+    learned = [p.grad for p in policy.model.head.parameters()]
+    assert all(grad is not None and grad.isfinite().all() for grad in learned)
+    assert any(grad.any() for grad in learned), "of 16 shuffled frames none is after the window"
 
 
 def test_fine_tuning_takes_the_units_of_the_new_data(

@@ -13,8 +13,9 @@ from lerobot.processor import NormalizerProcessorStep, TransitionKey, create_tra
 from lerobot_policy_obact.backbones.conv import StandardisedPatches, saturation
 from lerobot_policy_obact.observation import Observation
 from lerobot_policy_obact.privileged import FrameColumn
-from obact_helpers import FPS, fit, make_batch, make_policy, mean_loss, randomise, stats_of
+from obact_helpers import FPS, fit, make_batch, make_policy, mean_loss, phase_of, randomise, stats_of
 
+PHASE = "observation.phase"
 STATS = {
     key: {"mean": np.zeros(18, np.float32), "std": np.full(18, 2.0, np.float32)}
     for key in ("observation.state", "action")
@@ -112,8 +113,8 @@ def test_chunks_planned_while_observing_are_not_learned_from(reduction: str) -> 
     policy = randomise(make_policy(n_decisions=2)).eval()
     batch, now = make_batch(policy), policy.config.windows.frame_index[0][-1]
     later = policy.config.windows.frame_index[1][-1]
-    batch["observation.phase"][:] = -0.5
-    batch["observation.phase"][:, later] = 1.5
+    batch[PHASE][..., 1] = -0.5
+    batch[PHASE][:, later, 1] = 1.5
     wrong = batch | {"action": batch["action"].clone()}
     wrong["action"][:, 0] += 100.0  # only the first decision's chunk begins there
 
@@ -123,16 +124,13 @@ def test_chunks_planned_while_observing_are_not_learned_from(reduction: str) -> 
 
     torch.testing.assert_close(loss(wrong), loss(batch), rtol=0, atol=0)
     for b in (batch, wrong):
-        b["observation.phase"][:, now] = 1.5
+        b[PHASE][:, now, 1] = 1.5
     assert (loss(wrong) - loss(batch)).min() > 1
-
-
-PHASE = "observation.phase"
 
 
 def normalised(phase: torch.Tensor, mode: NormalizationMode, stats: dict) -> torch.Tensor:
     """Normalise as LeRobot's preprocessor does."""
-    features = {PHASE: PolicyFeature(FeatureType.STATE, (1,))}
+    features = {PHASE: PolicyFeature(FeatureType.STATE, (2,))}
     step = NormalizerProcessorStep(features, {FeatureType.STATE: mode}, {PHASE: stats})
     return step(create_transition(observation={PHASE: phase}))[TransitionKey.OBSERVATION][PHASE]
 
@@ -143,25 +141,26 @@ def test_executed_chunks_are_recognised_under_every_normalisation(
     mode: NormalizationMode, n_observing: int, n_acting: int
 ) -> None:
     """A decision before the rise of the phase is not learned from; in data without a rise every one is."""
-    data = (torch.arange(n_observing + n_acting) >= n_observing).float()[:, None]
+    acting = (torch.arange(n_observing + n_acting) >= n_observing).float()
+    data = phase_of(acting)
     mapping = {"STATE": mode, "ACTION": NormalizationMode.IDENTITY, "VISUAL": NormalizationMode.IDENTITY}
     policy = make_policy(n_decisions=2, normalization_mapping=mapping, stats={PHASE: stats_of(data)}).eval()
     batch, second = make_batch(policy), policy.config.windows.frame_index[1][-1]
-    phase = data.min().expand_as(batch[PHASE]).clone()
-    phase[:, second:] = data.max()
+    phase = data[0].expand_as(batch[PHASE]).clone()
+    phase[:, second:] = data[-1]
     batch[PHASE] = normalised(phase, mode, stats_of(data))
     learned = []
     for action in (0, -1):  # the first decision alone predicts the first action, the second alone the last one
         wrong = batch | {"action": batch["action"].clone()}
         wrong["action"][:, action] += 100.0
         learned.append(mean_loss(policy, wrong, 1) > mean_loss(policy, batch, 1) + 1)
-    assert learned == [len(data.unique()) == 1, True]
+    assert learned == [len(acting.unique()) == 1, True]
 
 
 def test_a_batch_that_only_observes_gives_every_weight_a_zero_gradient() -> None:
     policy = make_policy(ema_decay=0.0)
     batch = make_batch(policy)
-    batch["observation.phase"][:] = -0.5
+    batch[PHASE][..., 1] = -0.5
     policy.train()(batch)[0].backward()
     assert all(p.grad is not None and not p.grad.any() for p in policy.model.head.parameters())
 
