@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -80,7 +81,7 @@ class EyeTraining:
         """
         while not self.finished:
             ahead = min(self.recipe.save_every, self._all_updates - self.n_updates)
-            losses = [self._update(shown) for shown in islice(pictures(self.n_updates), ahead)]
+            losses = [self._update(shown) for shown in islice(_prefetched(pictures(self.n_updates)), ahead)]
             seen, minutes = self.n_updates * self.recipe.batch_size, round(self._processor_s() / 60, 3)
             line = {"pictures": seen, "processor_minutes": minutes, "loss": round(sum(losses) / len(losses), 4)}
             self._folder.log(line)
@@ -122,6 +123,16 @@ class EyeTraining:
         self.n_updates, self._spent_s = state["updates"], state["processor_s"]
         self.eye.load_state_dict(state["eye"])
         self.optimizer.load_state_dict(state["optimizer"])
+
+
+def _prefetched(pictures: Iterator[Snapshots]) -> Iterator[Snapshots]:
+    """Yield the same pictures, rendering the next batch on another core while one is learned from."""
+    with ThreadPoolExecutor(max_workers=1) as renderer:
+        coming = renderer.submit(next, pictures)
+        while True:
+            shown = coming.result()
+            coming = renderer.submit(next, pictures)
+            yield shown
 
 
 def _as_stored(recipe: EyeRecipe) -> dict[str, Any]:
