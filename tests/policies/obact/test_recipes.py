@@ -28,7 +28,9 @@ from dynahoi_lerobot.sampling.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[3] / "recipes"
 STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in yaml.safe_load(path.read_text()))
-ON_POLICY = {RECIPES / "train" / f"{name}.yaml" for name in ("standard", "gpu", "late", "unlimited", "contact", "async")}
+ON_POLICY = {
+    RECIPES / "train" / f"{name}.yaml" for name in ("standard", "gpu", "late", "unlimited", "contact", "async")
+}
 EYES = {RECIPES / "train" / f"{name}.yaml" for name in ("eye", "eye_robust")}
 TRAINING = sorted(
     [
