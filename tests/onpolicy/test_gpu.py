@@ -1,4 +1,4 @@
-"""Training in memory with a policy on a GPU, or what stands in for one: it must not mix devices."""
+"""Training in memory with a policy on a stand-in for a GPU: no devices are mixed."""
 
 from __future__ import annotations
 
