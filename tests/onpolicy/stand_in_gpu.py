@@ -70,7 +70,8 @@ def _held(value: Any) -> Any:
 
 def _backward(loss: Tensor) -> None:
     """Give every weight that a loss depends on a gradient of ones."""
-    nodes, seen = [loss.grad_fn], set()
+    nodes: list[Any] = [loss.grad_fn]
+    seen: set[Any] = set()
     while nodes:
         node = nodes.pop()
         if node is None or node in seen:

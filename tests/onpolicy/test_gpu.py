@@ -11,6 +11,7 @@ import torch
 import yaml
 from lerobot_policy_obact.eye_training import EyeTraining
 from lerobot_policy_obact.learner import make_learner
+from torch.utils._pytree import tree_map_only
 
 from dynahoi_lerobot.onpolicy.dagger import Dagger
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
@@ -38,7 +39,7 @@ def on_gpu(recipe: Path) -> Path:
 def test_the_stand_in_refuses_what_a_gpu_refuses(gpu: None):
     there = torch.ones(2, device="cuda")
     with pytest.raises(RuntimeError, match="cuda:0 and on cpu"):
-        there + torch.ones(2)
+        torch.add(there, torch.ones(2))
     with pytest.raises((RuntimeError, TypeError), match="numpy"):
         there.numpy()
 
@@ -53,7 +54,7 @@ def test_a_policy_on_a_gpu_plays_learns_and_goes_on(tmp_path: Path, gpu: None, i
     assert all(isinstance(value, OnGpu) for value in learner.lessons[0].tensors().values())
     state = learner.state_dict()
     resumed = make_learner(recipe)
-    resumed.load_state_dict(torch.utils._pytree.tree_map_only(torch.Tensor, torch.Tensor.cpu, state))
+    resumed.load_state_dict(tree_map_only(torch.Tensor, torch.Tensor.cpu, state))
     assert resumed.learn(1) > 0
     assert all(isinstance(weight, OnGpu) for weight in resumed.policy.state_dict().values())
 
