@@ -123,7 +123,9 @@ def _train(out: Path, size: Size) -> None:
     """Train in memory, with an eye that has seen pictures before; a checkpoint is written when all rounds are done."""
     recipe = out / "training.yaml"
     rounds = dict.fromkeys(("rounds", "save_every", "validate_every"), size.rounds)
-    recipe.write_text(yaml.safe_dump(read_yaml(TRAINING) | rounds | size.training, sort_keys=False))
+    values = read_yaml(TRAINING)
+    policy = {"policy": values["policy"] | {"device": _device()}}
+    recipe.write_text(yaml.safe_dump(values | policy | rounds | size.training, sort_keys=False))
     if cli.main(["dagger", "--recipe", str(recipe), "--out", str(out / "training")]):
         raise StageError("training failed; the sentence above says why")
 
@@ -151,7 +153,7 @@ def _evaluate(out: Path, size: Size) -> None:
 
 
 def _device() -> str:
-    """Return torch's name of the device on which the policy plays: the GPU if there is one."""
+    """Return torch's name of the device on which the policy learns and plays: the GPU if there is one."""
     import torch
 
     return "cuda" if torch.cuda.is_available() else "cpu"

@@ -46,7 +46,7 @@ class Dagger:
         self.round, self.processor_s = 0, 0.0
         self._rng = np.random.default_rng(recipe.seed)
         self._curriculum = Curriculum(recipe, self._rng)
-        self._batch = make_batch(recipe.episodes, recipe.worlds, threads=1)
+        self._batch = make_batch(recipe.episodes, recipe.worlds, recipe.threads)
         self._folder = RunFolder(recipe.out)
         if state := self._folder.restore():
             self._resume(state)
@@ -100,7 +100,7 @@ class Dagger:
         found: list[Episode] = []
         for first in range(0, len(specs), self.recipe.worlds):
             some = specs[first : first + self.recipe.worlds]
-            batch: WorldBatch = make_batch(episodes, len(some), threads=1)
+            batch: WorldBatch = make_batch(episodes, len(some), self.recipe.threads)
             rng = np.random.default_rng(0)
             student = acting_student(self.learner, self.recipe.inference, rng)
             found += play_round(batch, student, some, rng).episodes

@@ -97,6 +97,7 @@ class DaggerRecipe:
         inference: whether the world waits for the student's inferences, or how long they take.
         rounds: rounds in all; in the first the teacher leads all episodes.
         worlds: episodes in a round.
+        threads: of the physics, 0 for all cores; without influence on the result.
         n_episodes: how many different episodes are played; they come in the order of their seeds, then at random.
         teacher_share: share of episodes that the teacher leads, disturbed.
         updates: updates after each round.
@@ -116,6 +117,7 @@ class DaggerRecipe:
     inference: StudentInference = field(default_factory=StudentInference)
     rounds: int = 60
     worlds: int = 64
+    threads: int = 1
     n_episodes: int = 1536
     teacher_share: float = 0.15
     updates: int = 24
@@ -138,6 +140,8 @@ class DaggerRecipe:
         )
         if self.n_episodes < self.worlds:
             raise ValueError(f"n_episodes must be at least worlds, {self.worlds}, got {self.n_episodes}")
+        if self.threads < 0:
+            raise ValueError(f"threads must be 0 or more, got {self.threads}")
         _check_share(self, "teacher_share")
         if self.episodes.split != "train":
             raise ValueError(f"episodes.split must be train, got {self.episodes.split}")

@@ -32,12 +32,12 @@ class RunFolder:
         write_atomically({self.path / STATE: lambda path: torch.save(whole, path)})
 
     def restore(self) -> dict[str, Any] | None:
-        """Return what was saved last, None for nothing, and let the log end there."""
+        """Return what was saved last, on the CPU, None for nothing, and let the log end there."""
         import torch
 
         if not (self.path / STATE).exists():
             (self.path / LOG).unlink(missing_ok=True)
             return None
-        state = torch.load(self.path / STATE, weights_only=True)
+        state = torch.load(self.path / STATE, weights_only=True, map_location="cpu")
         (self.path / LOG).write_text(state["log"])
         return state

@@ -35,6 +35,13 @@ def test_it_trains_the_standard_recipe_shortened() -> None:
     assert differs == {"out", "rounds", "n_episodes", "validation_episodes", "updates"}
 
 
+def test_it_trains_on_the_device_it_is_evaluated_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quickstart, "_device", lambda: "cuda")
+    monkeypatch.setattr(quickstart.cli, "main", lambda _: 0)
+    quickstart._train(tmp_path, quickstart.TINY)
+    assert yaml.safe_load((tmp_path / "training.yaml").read_text())["policy"]["device"] == "cuda"
+
+
 @pytest.mark.slow
 def test_it_leaves_a_dataset_a_checkpoint_results_and_a_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

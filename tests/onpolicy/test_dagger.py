@@ -107,6 +107,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(
     [
         ({"rounds": 0}, "rounds must be 1 or more, got 0"),
         ({"n_episodes": 1}, "n_episodes must be at least worlds, 2, got 1"),
+        ({"threads": -1}, "threads must be 0 or more, got -1"),
         ({"teacher_share": 1.5}, "teacher_share must be 0 to 1, got 1.5"),
         ({"episodes": {"split": "test"}}, "episodes.split must be train, got test"),
         ({"policy": {"type": "act"}}, "policy.type must name a policy with a learner, such as obact, got 'act'"),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import draccus
 import torch
+from lerobot.configs import PreTrainedConfig
 from safetensors.torch import save_file
 
 from dynahoi_lerobot.evaluate.atomic import write_atomically
@@ -46,7 +47,7 @@ class EyeTraining:
     """
 
     def __init__(self, recipe: EyeRecipe) -> None:
-        """Build the eye of the recipe's policy; a run that was killed is taken up where it was saved last.
+        """Build the eye of the recipe's policy on its device; a run that was killed goes on where it was saved last.
 
         Raises:
             ValueError: if the folder holds a run of another recipe.
@@ -56,6 +57,7 @@ class EyeTraining:
         options = recipe.policy.get("backbone_options", {}) | {"frozen": False}
         self.eye: EyeBackbone = backbones.build("eye", recipe.policy.get("width", 128), options=options)
         self.eye.load_pretrained()
+        self.eye.to(draccus.decode(PreTrainedConfig, {"device": "cpu"} | recipe.policy).device)
         self.optimizer = torch.optim.AdamW(self.eye.parameters(), lr=0.0, weight_decay=1e-4)
         self.n_updates, self._spent_s = 0, 0.0
         self._folder = RunFolder(recipe.out)
@@ -89,8 +91,9 @@ class EyeTraining:
 
     def _update(self, shown: Snapshots) -> float:
         recipe, n = self.recipe, self.n_updates
-        images = torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0  # (F, 6, H, W)
-        loss = sighting_loss(self.eye, images, torch.from_numpy(shown.offset)).mean()
+        device = self.eye.camera_pos.device
+        images = torch.from_numpy(shown.images).to(device).permute(0, 3, 1, 2) / 255.0  # (F, 6, H, W)
+        loss = sighting_loss(self.eye, images, torch.from_numpy(shown.offset).to(device)).mean()
         rate = learning_rate(recipe.learning_rate, n, self._all_updates, WARMUP_UPDATES)
         self.n_updates += 1
         return take_step(self.optimizer, loss, self.eye.parameters(), max_norm=GRADIENT_CLIP, rate=rate, n=n)

@@ -75,7 +75,7 @@ class ObActLearner(Learner):
         self._looks: list[Tensor] = []
         self._proprioception: list[Tensor] = []
         self._chunks: list[Tensor] = [torch.empty(0)] * count
-        self._lead_frames = torch.zeros(count, dtype=torch.long)
+        self._lead_frames = torch.zeros(count, dtype=torch.long, device=self.policy.config.device)
 
     @torch.no_grad()
     def act(self, observation: WorldObservation) -> np.ndarray:
@@ -100,8 +100,9 @@ class ObActLearner(Learner):
     ) -> Plan:
         """Return a chunk for each of ``worlds`` (n,), which continues what is executed until it is ready."""
         self.watch(observation)
-        length = torch.from_numpy(np.zeros_like(worlds) if delays is None else delays)
-        leftover = None if executed is None else self._leftover(worlds, executed, int(length.max()))
+        delays = np.zeros_like(worlds) if delays is None else delays
+        leftover = None if executed is None else self._leftover(worlds, executed, int(delays.max()))
+        length = torch.from_numpy(delays).to(self.policy.config.device)
         chunks = self.policy.plan_after(worlds.tolist(), leftover, length)
         self._lead_frames[worlds] = length + length // 2
         for i, chunk in zip(worlds, chunks, strict=True):
@@ -192,7 +193,8 @@ class ObActLearner(Learner):
         self.optimizer.load_state_dict(state["optimizer"])
         self.generator.set_state(state["generator"])
         self.n_updates = state["updates"]
-        self.lessons.extend(Lesson(**lesson) for lesson in state["lessons"])
+        device = torch.device(self.policy.config.device)
+        self.lessons.extend(Lesson(**lesson).to(device) for lesson in state["lessons"])
 
     def save_pretrained(self, folder: Path) -> None:
         """Write the policy, averaged weights alone, and its processors, as LeRobot opens them."""
@@ -216,6 +218,7 @@ def make_learner(recipe: DaggerRecipe) -> ObActLearner:
     torch.manual_seed(recipe.seed)
     config = cast(ObActConfig, draccus.decode(PreTrainedConfig, recipe.policy))
     policy = ObActPolicy.from_pretrained(recipe.start, config=config) if recipe.start else ObActPolicy(config)
+    policy.to(config.device)
     if not (policy.model.backbone.locates and isinstance(policy.model.head, ForecastHead)):
         raise ValueError(
             f"only backbones that locate the target and heads that forecast learn on-policy, such as eye and "

@@ -21,7 +21,7 @@ IN_HAND_M = 0.15
 
 @dataclass(frozen=True)
 class Lesson:
-    """``B`` labelled episodes of up to ``T`` frames, in the frame of ``observation.state``.
+    """``B`` labelled episodes of up to ``T`` frames, in the frame of ``observation.state``, all on one device.
 
     Attributes:
         looks: at the images, shape ``(B, T, C, L)``.
@@ -52,14 +52,14 @@ class Lesson:
         """Put the labels of a round beside what was seen in each of its frames, ``(B, 1, ...)`` each.
 
         A target that was caught or touched stays where it is; of its untouched path nothing can be seen any more. Where
-        one that bounced off the hand will be is not known.
+        one that bounced off the hand will be is not known. All of it is on the device of the looks.
         """
         n_frames = played.playing.shape[1]
         paths, known = zip(*(path_ahead(path, n_frames) for path in played.path), strict=True)
         released = torch.from_numpy(played.released)[..., None]  # (B, T, 1)
         target, state = torch.from_numpy(played.target), torch.from_numpy(played.state)
         near = (target - state[..., :3]).norm(dim=-1, keepdim=True) < IN_HAND_M  # (B, T, 1)
-        return cls(
+        lesson = cls(
             looks=torch.cat(list(looks), dim=1),
             proprioception=torch.cat(list(proprioception), dim=1),
             state=state,
@@ -71,6 +71,11 @@ class Lesson:
             arrival=torch.from_numpy(played.arrival),
             texts=list(played.tasks),
         )
+        return lesson.to(lesson.looks.device)
+
+    def to(self, device: torch.device) -> Lesson:
+        """Return the lesson on a device."""
+        return replace(self, **{name: value.to(device) for name, value in self.tensors().items()})
 
     def seen_ahead(self, lead_frames: Tensor) -> Lesson:
         """Return the lesson of students that had to know where the target is ``lead_frames`` (B,) later, at least.
@@ -85,8 +90,9 @@ class Lesson:
 
     def rows(self, index: list[int]) -> Lesson:
         """Return some of the episodes, without frames at which none of them is played."""
-        n_frames = int(self.keep[index].sum(1).max())
-        chosen = {name: value[index, :n_frames] for name, value in self.tensors().items()}
+        rows = torch.tensor(index, device=self.keep.device)
+        n_frames = int(self.keep[rows].sum(1).max())
+        chosen = {name: value[rows, :n_frames] for name, value in self.tensors().items()}
         return replace(self, **chosen, texts=[self.texts[i] for i in index])
 
 

@@ -31,12 +31,13 @@ def take_step(
     Raises:
         FloatingPointError: if the loss is not finite; no weight has changed then.
     """
-    if not loss.isfinite():
-        raise FloatingPointError(f"the loss of update {n} is {loss.item()}; lower learning_rate")
+    value = loss.item()  # the one wait for the device in an update
+    if not math.isfinite(value):
+        raise FloatingPointError(f"the loss of update {n} is {value}; lower learning_rate")
     for group in optimizer.param_groups:
         group["lr"] = rate
     optimizer.zero_grad()
     loss.backward()
     torch.nn.utils.clip_grad_norm_(clipped, max_norm)
     optimizer.step()
-    return loss.item()
+    return value

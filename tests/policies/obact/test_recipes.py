@@ -28,7 +28,9 @@ from dynahoi_lerobot.sampling.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[3] / "recipes"
 STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in yaml.safe_load(path.read_text()))
-ON_POLICY = {RECIPES / "train" / f"{name}.yaml" for name in ("standard", "late", "unlimited", "contact", "async")}
+ON_POLICY = {
+    RECIPES / "train" / f"{name}.yaml" for name in ("standard", "gpu", "late", "unlimited", "contact", "async")
+}
 EYES = {RECIPES / "train" / f"{name}.yaml" for name in ("eye", "eye_robust")}
 TRAINING = sorted(
     [
@@ -77,7 +79,7 @@ def test_a_recipe_in_memory_is_read_and_its_policy_keeps_to_the_control_class(pa
     assert eyes == {recipe.episodes.image_size} == {config.image_size}
     standard = yaml.safe_load((RECIPES / "train" / "standard.yaml").read_text())["policy"]
     changed = {key for key in standard if recipe.policy.get(key) != standard[key]}
-    assert changed <= {"repo_id", "head_options"}, "the classes share their weights"
+    assert changed <= {"repo_id", "head_options", "device"}, "the classes share their weights"
 
 
 @pytest.mark.slow
