@@ -18,6 +18,7 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets.factory import make_dataset
 from lerobot.policies.factory import get_policy_class, make_policy, make_pre_post_processors
 from lerobot.utils.import_utils import register_third_party_plugins
+from lerobot_policy_obact.backbones.eye import SHIPPED
 from torch.utils.data import default_collate
 
 from dynahoi_lerobot.captures import CAPTURES
@@ -31,7 +32,7 @@ STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in 
 ON_POLICY = {
     RECIPES / "train" / f"{name}.yaml" for name in ("standard", "gpu", "late", "unlimited", "contact", "async")
 }
-EYES = {RECIPES / "train" / f"{name}.yaml" for name in ("eye", "eye_robust")}
+EYES = {RECIPES / "train" / f"{name}.yaml" for name in ("eye", "eye_robust", "eye_96")}
 TRAINING = sorted(
     [
         *(path for path in RECIPES.glob("train/*.yaml") if path not in EYES | ON_POLICY),
@@ -66,6 +67,12 @@ def test_a_training_recipe_is_read(path: Path) -> None:
     assert get_policy_class(config.policy.type).name == config.policy.type
 
 
+@pytest.mark.parametrize("path", sorted(EYES), ids=str)
+def test_an_eyes_recipe_is_read_and_an_eye_of_its_size_ships(path: Path) -> None:
+    size = read_recipe(EyeRecipe, path).episodes.image_size
+    assert SHIPPED[f"shipped_{size}"].is_file()
+
+
 @pytest.mark.parametrize("path", sorted(ON_POLICY), ids=str)
 def test_a_recipe_in_memory_is_read_and_its_policy_keeps_to_the_control_class(path: Path) -> None:
     recipe = read_recipe(DaggerRecipe, path)
@@ -75,8 +82,8 @@ def test_a_recipe_in_memory_is_read_and_its_policy_keeps_to_the_control_class(pa
     fastest = CAPTURES[recipe.episodes.capture].palm_speed_m_s(control)
     assert config.head_options["palm_speed_m_s"] <= fastest
     assert recipe.episodes.capture == "contact" or config.head_options["palm_speed_m_s"] == fastest
-    eyes = {read_recipe(EyeRecipe, eye).episodes.image_size for eye in EYES}
-    assert eyes == {recipe.episodes.image_size} == {config.image_size}
+    assert recipe.policy["backbone_options"]["weights"] == f"shipped_{config.image_size}"
+    assert recipe.episodes.image_size == config.image_size
     standard = yaml.safe_load((RECIPES / "train" / "standard.yaml").read_text())["policy"]
     changed = {key for key in standard if recipe.policy.get(key) != standard[key]}
     assert changed <= {"repo_id", "head_options", "device"}, "the classes share their weights"

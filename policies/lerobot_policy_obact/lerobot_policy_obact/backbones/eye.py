@@ -37,8 +37,8 @@ UNSEEN_SCALE = 5.0
 """Both scales of a sighting in a black picture, which shows nothing."""
 N_SIGHTING = 3 + 3 + N_SCALES
 """Numbers of a sighting: offset from the palm [m], (u, v, log depth), scales."""
-SHIPPED = "shipped"
-"""Names the weights that come with the package."""
+SHIPPED = {f"shipped_{size}": Path(__file__).with_name(f"eye_{size}.safetensors") for size in (64, 96)}
+"""The weights that come with the package, by the side of the images they have learned from [px]."""
 
 
 @backbones.register("eye")
@@ -53,8 +53,8 @@ class EyeBackbone(Backbone):
         camera_pos_m: the camera's position in the palm's frame [m].
         camera_pitch_rad: how far it looks down from the palm's +x axis.
         camera_fovy_deg: its field of view.
-        weights: safetensors file that training starts from, as `dynahoi pretrain` writes it; "shipped" for the one
-            beside this file; empty for none.
+        weights: safetensors file that training starts from, as `dynahoi pretrain` writes it; "shipped_64" or
+            "shipped_96" for those that come with the package, see `SHIPPED`; empty for none.
         frozen: train only the layer that makes tokens of what the eye sees.
     """
 
@@ -106,8 +106,7 @@ class EyeBackbone(Backbone):
             FileNotFoundError: if there is no such file.
         """
         if self.weights:
-            file = Path(__file__).with_suffix(".safetensors") if self.weights == SHIPPED else self.weights
-            self.load_state_dict(load_file(file), strict=False)
+            self.load_state_dict(load_file(SHIPPED.get(self.weights, self.weights)), strict=False)
 
     def learned_state(self) -> dict[str, Tensor]:
         """Return the weights of all but the token layer, which belongs to a policy."""
