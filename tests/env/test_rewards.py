@@ -9,17 +9,18 @@ import pytest
 
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.phase import is_acting
 
 SMALL = {"kind": "constant", "images": False, "threads": 1}
 
 
 def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Play one episode a world; return rewards, phases and distances [m] (T, N) each, and successes (N,)."""
+    """Play one episode a world; return rewards, whether it acts and distances [m] (T, N) each, and successes (N,)."""
     observation, _ = env.reset(seed=0, options={"lerobot_new_rollout": True})
     batch, rewards, phases, distances = env._batch, [], [], []
     ended, success = np.zeros(env.num_envs, bool), np.zeros(env.num_envs, bool)
     while not ended.all():
-        phases.append(observation["phase"][:, 0])
+        phases.append(is_acting(observation["phase"]))
         distances.append(np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1))
         command = (
             Intercept().act(batch.world_state(batch.observe(images=False))) if expert else observation["agent_pos"]
@@ -35,8 +36,8 @@ def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarr
 @pytest.mark.parametrize("expert", [True, False])
 def test_the_sum_is_how_much_closer_the_palm_came_in_units_of_a_decimetre_and_the_success(expert: bool):
     rewards, phases, distances, success = played(DynahoiVectorEnv(2, reward="dense", **SMALL), expert=expert)
-    assert (rewards[phases < 0.5] == 0).all(), "nothing can be done in the observation window"
-    first = (phases > 0.5).argmax(axis=0)
+    assert (rewards[~phases] == 0).all(), "nothing can be done in the observation window"
+    first = phases.argmax(axis=0)
     for world in range(2):
         came_m = distances[first[world], world] - distances[-1, world]
         assert rewards[:, world].sum() == pytest.approx(came_m / 0.1 + success[world], abs=0.05)

@@ -9,6 +9,7 @@ import numpy as np
 from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.onpolicy.late_student import LateStudent
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, StudentInference, read_recipe
+from dynahoi_lerobot.phase import one_hot_phase
 from tests.onpolicy.test_dagger import tiny_recipe
 
 
@@ -16,9 +17,8 @@ def frame(t: int, worlds: int) -> Observation:
     rng = np.random.default_rng(t)
     images = {"ego": rng.integers(0, 255, (worlds, 32, 32, 3), dtype=np.uint8)}
     state = np.tile(np.linspace(0.01, 0.1, 18, dtype=np.float32), (worlds, 1))
-    return Observation(
-        images, state, np.zeros((worlds, 30), np.float32), np.ones((worlds, 1), np.float32), ("",) * worlds
-    )
+    acting = one_hot_phase(np.ones(worlds, bool))
+    return Observation(images, state, np.zeros((worlds, 30), np.float32), acting, ("",) * worlds)
 
 
 def test_chunks_of_different_latencies_each_begin_with_their_own_old_chunk(tmp_path: Path):

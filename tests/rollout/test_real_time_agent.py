@@ -7,6 +7,7 @@ import pytest
 
 from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.rollout.inference import Inference, frames_of
 from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 
@@ -54,7 +55,7 @@ class Clock(ChunkAgent):
 
 def observation() -> Observation:
     still = np.full((2, 18), STILL, np.float32)
-    return Observation({}, still, np.zeros((2, 30), np.float32), np.ones((2, 1), np.float32), ("", ""))
+    return Observation({}, still, np.zeros((2, 30), np.float32), one_hot_phase(np.ones(2, bool)), ("", ""))
 
 
 def played(agent: RealTimeAgent, frames: int) -> np.ndarray:

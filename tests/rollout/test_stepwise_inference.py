@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.rollout.inference import Inference
 from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.rollout.stepwise_inference import QueuedPolicy, StepwiseInference
@@ -74,7 +75,7 @@ def test_it_is_the_timing_of_whole_chunks(latency_ms: float):
     for frame in range(30):
         state = np.full((1, 18), STILL, np.float32)
         state[0, 0] = frame  # what `Counter.plan` reads
-        seen = Observation({}, state, np.zeros((1, 30), np.float32), np.ones((1, 1), np.float32), ("",))
+        seen = Observation({}, state, np.zeros((1, 30), np.float32), one_hot_phase(np.ones(1, bool)), ("",))
         expected.append(float(agent.act(seen)[0, 1]))
     assert stepwise(policy, latency_ms, 30)[0] == expected
 

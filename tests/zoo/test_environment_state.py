@@ -23,6 +23,7 @@ from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.hub.leaderboards import why_unranked
+from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.report.entries import unique_labels
 from tests.verify.forgery import changed_column
 
@@ -116,7 +117,7 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(
 def test_a_policy_that_reads_it_gets_it_nowhere_else(checkpoint: str) -> None:
     nothing = np.zeros((1, 1), np.float32)
     with pytest.raises(PolicyError, match="the simulator's truth, which only `dynahoi evaluate --environment-state`"):
-        PolicyAgent(checkpoint).act(Observation({}, nothing, nothing, nothing, ("",)))
+        PolicyAgent(checkpoint).act(Observation({}, nothing, nothing, one_hot_phase(np.ones(1, bool)), ("",)))
 
 
 def test_who_does_not_read_it_is_not_given_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

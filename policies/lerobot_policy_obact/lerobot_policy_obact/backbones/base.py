@@ -20,12 +20,13 @@ class Backbone(nn.Module, ABC):
     """Encodes frames independently into tokens.
 
     A subclass takes ``width`` first and its own options as keywords, and implements `forward`. One that ``locates`` the
-    target begins its looks with a sighting, see `track.py`, and knows where its camera is.
+    target begins its looks with a sighting, see `track.py`.
 
     Args:
         width: token size ``D`` it must return.
         mean: channel means its weights were trained with, for images in [0, 1].
         std: channel standard deviations.
+        camera_pos_m: the camera's position relative to the palm [m], of one that locates.
     """
 
     reads_text: ClassVar[bool] = False
@@ -36,11 +37,16 @@ class Backbone(nn.Module, ABC):
     pixel_std: Tensor
 
     def __init__(
-        self, width: int, mean: tuple[float, ...] = IMAGENET_MEAN, std: tuple[float, ...] = IMAGENET_STD
+        self,
+        width: int,
+        mean: tuple[float, ...] = IMAGENET_MEAN,
+        std: tuple[float, ...] = IMAGENET_STD,
+        camera_pos_m: tuple[float, ...] = (0.0, 0.0, 0.0),
     ) -> None:
         super().__init__()
         self.width = width
         self.register_buffer("pixel_mean", torch.tensor(mean).view(-1, 1, 1), persistent=False)
+        self.register_buffer("camera_pos", torch.tensor(camera_pos_m), persistent=False)
         self.register_buffer("pixel_std", torch.tensor(std).view(-1, 1, 1), persistent=False)
 
     def standardise(self, images: Tensor) -> Tensor:

@@ -60,7 +60,6 @@ class EyeBackbone(Backbone):
 
     locates = True
     sees_motion = True
-    camera_pos: Tensor
     camera_axes: Tensor
 
     def __init__(
@@ -76,10 +75,9 @@ class EyeBackbone(Backbone):
         weights: str = "",
         frozen: bool = True,
     ) -> None:
-        super().__init__(width, (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25,) * 4 + (CHANGE,) * 3)
+        super().__init__(width, (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25,) * 4 + (CHANGE,) * 3, camera_pos_m)
         self.weights = weights
         self.fovea, self.half_view = fovea, math.tan(math.radians(camera_fovy_deg) / 2)
-        self.register_buffer("camera_pos", torch.tensor(camera_pos_m), persistent=False)
         self.register_buffer("camera_axes", _camera_axes(camera_pitch_rad), persistent=False)
         self.patches, self.refine = StandardisedPatches(N_CHANNELS, channels), conv(channels, channels)
         self.deep = nn.Sequential(conv(channels, 2 * channels, stride=2), conv(2 * channels, 2 * channels))
