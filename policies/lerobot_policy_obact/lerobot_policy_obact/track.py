@@ -55,9 +55,10 @@ class Track:
         places = frames.position[..., :3] + frames.sightings[..., :3]  # (B, T, 3)
         points = decisions.windows(places) - position[:, None, :3]  # (R, W, 3)
         seen, keep = decisions.windows(frames.sightings), decisions.pick(decisions.keep)  # (R, W, S), (R, W)
-        of_places = fit_places(points, keep / sighting_error(seen).square(), decisions.age_s)
         rays = seen[..., :3] - camera_pos
-        of_lines = fit_lines_of_sight(points, rays, keep[..., None] / errors_of_sight(seen, rays), decisions.age_s)
+        with torch.autocast(points.device.type, enabled=False):  # half precision would move a fit by millimetres
+            of_places = fit_places(points, keep / sighting_error(seen).square(), decisions.age_s)
+            of_lines = fit_lines_of_sight(points, rays, keep[..., None] / errors_of_sight(seen, rays), decisions.age_s)
         motion, misfit = (torch.cat(fits, dim=1) for fits in zip(of_places, of_lines, strict=True))
         return cls(motion, misfit, decisions.current(frames.sightings))
 

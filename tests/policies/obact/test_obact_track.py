@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 from lerobot_policy_obact.backbones.eye import N_SIGHTING, UNSEEN_SCALE, EyeBackbone
+from lerobot_policy_obact.decisions import Decisions
+from lerobot_policy_obact.frames import EncodedFrames
 from lerobot_policy_obact.motion_models import GRAVITY_M_S2, MODELS, fit_places
 from lerobot_policy_obact.track import Track, sighting_error
 from lerobot_policy_obact.triangulation import fit_lines_of_sight
@@ -120,3 +122,13 @@ def test_unseen_frames_do_not_count_in_lines_of_sight():
     points[:, :6] += 10.0
     for got, expected in zip(fit_lines_of_sight(points, points, trust, age_s), all_but_six, strict=True):
         torch.testing.assert_close(got, expected)
+
+
+def test_half_precision_of_the_network_does_not_move_a_fit():
+    yes, nothing = torch.ones(1, 5, dtype=torch.bool), torch.zeros(1, 5, 1)
+    frames = EncodedFrames(nothing, nothing, torch.zeros(1, 5, 18), yes, yes, sightings(POINTS)[None], [""])
+    decisions = Decisions.among(yes, [range(5)], AGE_S)
+    whole = Track.of(frames, decisions, torch.zeros(1, 18), torch.zeros(3))
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = Track.of(frames, decisions, torch.zeros(1, 18), torch.zeros(3))
+    torch.testing.assert_close(mixed.motion, whole.motion, rtol=0, atol=0)
