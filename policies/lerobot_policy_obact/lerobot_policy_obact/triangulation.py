@@ -1,6 +1,6 @@
 """Motion models fitted to lines of sight and distances from a hand that moves.
 
-A small picture tells the direction to a millimetre and the distance to a few centimetres. And the errors of distances
+A small picture tells the direction to half a centimetre and the distance to several. And the errors of distances
 are not independent: a large ball far away looks like a small one near by, in every picture of an episode. On what a
 policy sees, the logarithmic errors of consecutive frames have a correlation of 0.8, and 0.5 over half a second. So
 errors along and across the line of sight are weighted apart, and one factor 1 + f of all distances is estimated with
@@ -10,7 +10,7 @@ the motion::
                                + |v / V|^2 + |(c - g) / C|^2 + (f / F)^2
 
 with ``r_i`` from the camera to the sighting ``q_i`` and ``|.|_i`` in units of the errors expected of sighting i along
-and across ``r_i``. As the hand moves, the lines of sight cross where the target is (triangulation).
+and across ``r_i``. Lines of sight from a hand that turns cross where the target is (triangulation).
 """
 
 from __future__ import annotations
