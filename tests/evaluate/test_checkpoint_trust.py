@@ -208,7 +208,7 @@ def test_a_harmless_hub_repository_plays_without_its_other_files(checkpoint: Pat
     (checkpoint / "optimizer.pt").write_bytes(b"never fetched")
     agent = PolicyAgent("you/obact")
     assert agent.name == "you/obact"
-    assert agent.image_size == 64
+    assert agent.image_size == 96
     assert "model.safetensors" in hub
     assert "optimizer.pt" not in hub
 

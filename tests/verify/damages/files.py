@@ -46,7 +46,7 @@ FILES: Table = {
     },
     # where the byte falls decides whether the file cannot be read or has other values
     "a flipped byte within the frames": (file(DATA, flip(0.3)), "default", "data"),
-    "a flipped byte within the episode table": (file(ROWS, flip(0.3)), "default", "episode"),
+    "a flipped byte within the episode table": (file(ROWS, flip(0.25)), "default", "episode"),
     "a flipped byte in a video's index": (
         file(VIDEO, lambda c: flip((c.index(b"stsz") + 21) / len(c))(c)), "default", "file-000.mp4"
     ),
