@@ -35,7 +35,10 @@ def main() -> None:
         minutes, scores = zip(*points, strict=True)
         axes.plot([begins[name] + minute for minute in minutes], scores, marker="o", label=name)
     axes.set(
-        xlabel="processor minutes, eye included", ylabel=f"{args.metric} on val [%]", xlim=(0, None), ylim=(0, 100)
+        xlabel=f"processor minutes, eye {'included' if args.eye_minutes else 'not included'}",
+        ylabel=f"{args.metric} on val [%]",
+        xlim=(0, None),
+        ylim=(0, 100),
     )
     axes.grid(alpha=0.3)
     axes.legend(loc="lower left")
