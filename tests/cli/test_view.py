@@ -97,7 +97,7 @@ def test_a_policy_plays_at_the_size_it_was_trained_for(tmp_path: Path, capsys: p
     assert view("--motion", "planar", "--policy", CHECKPOINT, "--out", out) == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith(f"{CHECKPOINT}: Catch")
     with av.open(str(out)) as film:
-        assert next(film.decode(video=0)).width == 64
+        assert next(film.decode(video=0)).width == 96
 
 
 def test_results_without_a_readable_recipe_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
