@@ -81,7 +81,7 @@ class EyeTraining:
         """
         while not self.finished:
             ahead = min(self.recipe.save_every, self._all_updates - self.n_updates)
-            losses = [self._update(shown) for shown in islice(_prefetched(pictures(self.n_updates)), ahead)]
+            losses = [self._update(shown) for shown in _prefetched(islice(pictures(self.n_updates), ahead))]
             seen, minutes = self.n_updates * self.recipe.batch_size, round(self._processor_s() / 60, 3)
             line = {"pictures": seen, "processor_minutes": minutes, "loss": round(sum(losses) / len(losses), 4)}
             self._folder.log(line)
@@ -128,10 +128,9 @@ class EyeTraining:
 def _prefetched(pictures: Iterator[Snapshots]) -> Iterator[Snapshots]:
     """Yield the same pictures, rendering the next batch on another core while one is learned from."""
     with ThreadPoolExecutor(max_workers=1) as renderer:
-        coming = renderer.submit(next, pictures)
-        while True:
-            shown = coming.result()
-            coming = renderer.submit(next, pictures)
+        coming = renderer.submit(next, pictures, None)
+        while (shown := coming.result()) is not None:
+            coming = renderer.submit(next, pictures, None)
             yield shown
 
 

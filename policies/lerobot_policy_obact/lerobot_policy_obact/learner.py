@@ -193,8 +193,7 @@ class ObActLearner(Learner):
         self.optimizer.load_state_dict(state["optimizer"])
         self.generator.set_state(state["generator"])
         self.n_updates = state["updates"]
-        device = next(self.policy.parameters()).device
-        self.lessons.extend(Lesson(**lesson).to(device) for lesson in state["lessons"])
+        self.lessons.extend(Lesson(**lesson).to(self.policy.config.device) for lesson in state["lessons"])
 
     def save_pretrained(self, folder: Path) -> None:
         """Write the policy, averaged weights alone, and its processors, as LeRobot opens them."""

@@ -73,7 +73,7 @@ class Lesson:
         )
         return lesson.to(lesson.looks.device)
 
-    def to(self, device: torch.device) -> Lesson:
+    def to(self, device: torch.device | str | None) -> Lesson:
         """Return the lesson on a device."""
         return replace(self, **{name: value.to(device) for name, value in self.tensors().items()})
 

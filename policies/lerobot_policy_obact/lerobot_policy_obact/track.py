@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from .decisions import Decisions
 from .frames import EncodedFrames
-from .motion_models import MODELS, fit_places
+from .motion_models import MODELS, fit_places, powers
 from .triangulation import fit_lines_of_sight
 
 N_SIGHTING = 8
@@ -69,8 +69,7 @@ class Track:
 
     def along(self, ahead_s: Tensor) -> Tensor:
         """Return where each fit leads at times ``(K,)`` [s], ``(R, N_FITS, K, 3)``."""
-        powers = torch.stack([torch.ones_like(ahead_s), ahead_s, ahead_s.square() / 2], dim=-1)  # (K, 3)
-        return powers @ self.motion
+        return powers(-ahead_s) @ self.motion
 
     def along_line(self, ahead_s: Tensor, damping: Tensor) -> Tensor:
         """Return where the straight line leads at times ``(K,)`` [s], slowed down by ``(R, K)``, ``(R, K, 3)``."""

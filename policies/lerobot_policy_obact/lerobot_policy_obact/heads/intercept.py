@@ -78,7 +78,7 @@ class InterceptHead(ForecastHead):
         bend, damping, share, closed = self.out(self.hidden(context)).split(self.sizes, dim=-1)
         ahead = self.ahead_s
         straight = track.along_line(ahead, torch.sigmoid(damping + 1 - ahead))
-        led = track.along(ahead)[:, 1:] - straight[:, None]
+        led = track.along(ahead)[:, 1:] - straight[:, None]  # (R, N_FITS - 1, K, 3)
         turned = (share.unflatten(-1, led.shape[1:3])[..., None] * led).sum(1)
         bend = bend.unflatten(-1, (-1, 3)) * (0.05 + 0.5 * ahead[:, None])
         return Forecast(straight + turned + bend, closed)
