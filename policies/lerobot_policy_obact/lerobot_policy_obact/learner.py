@@ -7,6 +7,7 @@ decision, and all decisions of an episode share its tokens.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -24,8 +25,9 @@ from dynahoi_lerobot.env.spaces import as_gym
 from dynahoi_lerobot.onpolicy.student import Learner
 
 from .configuration_obact import ObActConfig
-from .decisions import window_decisions
+from .decisions import Decisions, window_decisions
 from .eye_training import EyeTraining
+from .frames import EncodedFrames
 from .heads.base import Forecast, ForecastHead
 from .lesson import Lesson
 from .modeling_obact import ObActPolicy
@@ -132,7 +134,7 @@ class ObActLearner(Learner):
     def study(self, played: Round) -> None:
         """Keep a round that was just acted."""
         lesson = Lesson.of(played, self._looks, self._proprioception)
-        self.lessons.append(lesson.seen_ahead(self._lead_frames))
+        self.lessons.append(self._tracked(lesson.seen_ahead(self._lead_frames)))
 
     def learn(self, updates: int) -> float:
         """Update the policy; return the mean loss.
@@ -145,6 +147,17 @@ class ObActLearner(Learner):
 
     def loss(self, lesson: Lesson) -> Tensor:
         """Return the mean loss over all frames of a lesson, a scalar."""
+        model = self.policy.model
+        frames, decisions = self._decisions(lesson, wanted=lesson.keep)
+        track = None if lesson.track is None else lesson.track.map(decisions.pick)
+        condition = model.conditions(frames, decisions, track)
+        palm = condition.position[:, None, :3]
+        label = Forecast(decisions.pick(lesson.path) - palm, decisions.pick(lesson.closed))
+        arrival, known = decisions.pick(lesson.arrival), decisions.pick(lesson.known)
+        return model.head.forecast_loss(label, condition, arrival, known).mean()
+
+    def _decisions(self, lesson: Lesson, wanted: Tensor | None = None) -> tuple[EncodedFrames, Decisions]:
+        """Return the frames of a lesson, and a decision at each of them, or at those wanted ``(B, T)``."""
         model, config = self.policy.model, self.policy.config
         no_images = lesson.looks[..., :0]
         observation = Observation(
@@ -152,12 +165,14 @@ class ObActLearner(Learner):
         )
         frames = model.encode_looks(observation, lesson.looks)
         windows = torch.arange(lesson.keep.shape[1])[:, None] + torch.tensor(config.windows.lookback)  # (T, W)
-        decisions = window_decisions(frames, windows, config, wanted=lesson.keep)
-        condition = model.conditions(frames, decisions)
-        palm = condition.position[:, None, :3]
-        label = Forecast(decisions.pick(lesson.path) - palm, decisions.pick(lesson.closed))
-        arrival, known = decisions.pick(lesson.arrival), decisions.pick(lesson.known)
-        return model.head.forecast_loss(label, condition, arrival, known).mean()
+        return frames, window_decisions(frames, windows, config, wanted)
+
+    @torch.no_grad()
+    def _tracked(self, lesson: Lesson) -> Lesson:
+        """Return the lesson with its track, which no update changes: fitting it once spares half of every update."""
+        track = self.policy.model.track(*self._decisions(lesson))
+        assert track is not None
+        return replace(lesson, track=track.map(lambda x: x.unflatten(0, lesson.keep.shape)))
 
     def _update(self, lesson: Lesson) -> float:
         recipe, policy, n = self.recipe, self.policy, self.n_updates
@@ -193,7 +208,8 @@ class ObActLearner(Learner):
         self.optimizer.load_state_dict(state["optimizer"])
         self.generator.set_state(state["generator"])
         self.n_updates = state["updates"]
-        self.lessons.extend(Lesson(**lesson).to(self.policy.config.device) for lesson in state["lessons"])
+        device = self.policy.config.device
+        self.lessons.extend(self._tracked(Lesson(**lesson).to(device)) for lesson in state["lessons"])
 
     def save_pretrained(self, folder: Path) -> None:
         """Write the policy, averaged weights alone, and its processors, as LeRobot opens them."""

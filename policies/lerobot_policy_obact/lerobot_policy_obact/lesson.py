@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from .heads.intercept import KNOTS
+from .track import Track
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.onpolicy.rounds import Round
@@ -34,6 +35,7 @@ class Lesson:
         closed: joints that close the hand around the target [rad], shape ``(B, T, J)``.
         arrival: frames until the teacher meets the target, shape ``(B, T)``.
         texts: instructions.
+        track: where the target of every frame's decision is, ``(B, T, ...)``; it follows from all the others.
     """
 
     looks: Tensor
@@ -46,6 +48,7 @@ class Lesson:
     closed: Tensor
     arrival: Tensor
     texts: list[str]
+    track: Track | None = None
 
     @classmethod
     def of(cls, played: Round, looks: Sequence[Tensor], proprioception: Sequence[Tensor]) -> Lesson:
@@ -75,7 +78,7 @@ class Lesson:
 
     def to(self, device: torch.device | str | None) -> Lesson:
         """Return the lesson on a device."""
-        return replace(self, **{name: value.to(device) for name, value in self.tensors().items()})
+        return self._changed(lambda x: x.to(device))
 
     def seen_ahead(self, lead_frames: Tensor) -> Lesson:
         """Return the lesson of students that had to know where the target is ``lead_frames`` (B,) later, at least.
@@ -85,15 +88,18 @@ class Lesson:
         return replace(self, arrival=torch.maximum(self.arrival, lead_frames[:, None]))
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return all tensors by name."""
+        """Return all tensors by name, without those of the track."""
         return {name: value for name, value in vars(self).items() if isinstance(value, Tensor)}
 
     def rows(self, index: list[int]) -> Lesson:
         """Return some of the episodes, without frames at which none of them is played."""
         rows = torch.tensor(index, device=self.keep.device)
         n_frames = int(self.keep[rows].sum(1).max())
-        chosen = {name: value[rows, :n_frames] for name, value in self.tensors().items()}
-        return replace(self, **chosen, texts=[self.texts[i] for i in index])
+        return replace(self._changed(lambda x: x[rows, :n_frames]), texts=[self.texts[i] for i in index])
+
+    def _changed(self, change: Callable[[Tensor], Tensor]) -> Lesson:
+        track = None if self.track is None else self.track.map(change)
+        return replace(self, **{name: change(value) for name, value in self.tensors().items()}, track=track)
 
 
 def path_ahead(path: np.ndarray, n_frames: int) -> tuple[np.ndarray, np.ndarray]:

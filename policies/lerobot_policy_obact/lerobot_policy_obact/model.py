@@ -58,17 +58,24 @@ class ObActModel(nn.Module):
         for part in (self.backbone, self.memory, *self.head.children()):
             part.compile(backend=backend)
 
-    def conditions(self, frames: EncodedFrames, decisions: Decisions) -> Condition:
-        """Fuse the window of each wanted decision into the condition of its chunk, ``R`` rows ordered by sample."""
+    def track(self, frames: EncodedFrames, decisions: Decisions) -> Track | None:
+        """Return where the target of each wanted decision is, if the backbone locates it; nothing of it is learned."""
+        return None if self.motion is None else Track.of(frames, decisions, self.backbone.camera_pos)
+
+    def conditions(self, frames: EncodedFrames, decisions: Decisions, track: Track | None = None) -> Condition:
+        """Fuse the window of each wanted decision into the condition of its chunk, ``R`` rows ordered by sample.
+
+        Args:
+            frames: encoded frames.
+            decisions: which are wanted.
+            track: what `track` returned for them, if it is known.
+        """
         fused = self.memory(frames.tokens, decisions)  # (R, N, D)
         if self.text is not None:
             text_tokens = decisions.of_sample(self.text(frames.texts))  # (B, 1, D) -> (R, 1, D)
             fused = torch.cat([fused, text_tokens.to(fused.dtype)], dim=1)
-        position = decisions.current(frames.position)
-        track = None
-        if self.motion is not None:
-            track = Track.of(frames, decisions, position, self.backbone.camera_pos)
-        return Condition(fused, decisions.current(frames.proprioception), position, track)
+        track = self.track(frames, decisions) if track is None else track
+        return Condition(fused, decisions.current(frames.proprioception), decisions.current(frames.position), track)
 
     def encode(self, observation: Observation) -> EncodedFrames:
         """Encode each frame independently into the tokens of its images and one token of proprioception."""
