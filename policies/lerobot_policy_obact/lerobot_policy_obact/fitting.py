@@ -60,22 +60,33 @@ def _fit(model: MotionModel, points: Tensor, rays: Tensor, errors_m: Tensor, age
     left, shift = points - known, TYPICAL_FACTOR * (known - points + rays)  # (R, W, 3)
     weighed, pulled = ((measure @ x[..., None])[..., 0] for x in (left, shift))
 
-    # Unknowns in units of their typical sizes, so that 1 is what is expected of each.
-    of_path = torch.einsum("rwij,wk,wl->rikjl", measure, basis, basis).flatten(3).flatten(1, 2)  # (R, 3 B, 3 B)
-    of_both = torch.einsum("rwi,wk->rik", pulled, basis).flatten(1)[..., None]
-    of_factor = (shift * pulled).sum((1, 2))[:, None, None]
-    normal = torch.cat([torch.cat([of_path, of_both], -1), torch.cat([of_both.mT, of_factor], -1)], 1)
-    root = torch.linalg.cholesky(normal + torch.eye(normal.shape[1], dtype=normal.dtype, device=normal.device))
+    root = torch.linalg.cholesky(_normal(measure, basis, shift, pulled))
     right = torch.einsum("rwi,wk->rik", weighed, basis).flatten(1)
     right = torch.cat([right, (shift * weighed).sum((1, 2))[:, None]], dim=1)
     solution = torch.cholesky_solve(right[..., None], root)[..., 0]
-
     squares = (left * weighed).sum((1, 2)) - (right * solution).sum(1)
-    volume = root.diagonal(dim1=1, dim2=2).log().sum(1)
     sharpness = torch.where(weights > 0, weights, 1.0).log() @ weights.new_tensor([1.0, 0.5])  # (R, W)
-    evidence = sharpness.sum(1) - squares / 2 - volume
+    evidence = sharpness.sum(1) - squares / 2 - root.diagonal(dim1=1, dim2=2).log().sum(1)
     factor = (1 + TYPICAL_FACTOR * solution[:, -1:, None]).clamp_min(LEAST_FACTOR)
     return solution[:, :-1].unflatten(1, (3, -1)) * scales / factor + expected, evidence
+
+
+def _normal(measure: Tensor, basis: Tensor, shift: Tensor, pulled: Tensor) -> Tensor:
+    """Return the normal equations' matrix, ``(R, 3 B + 1, 3 B + 1)``; its unknowns are in units of what is expected.
+
+    Args:
+        measure: see `_measure`.
+        basis: of the path, shape ``(W, B)``.
+        shift: by which the factor moves each sighting, shape ``(R, W, 3)``.
+        pulled: the measure times that.
+    """
+    squared = (basis[:, :, None] * basis[:, None]).flatten(1)  # (W, B B)
+    of_path = (measure.flatten(2).mT @ squared).unflatten(1, (3, 3)).unflatten(3, (basis.shape[1], -1))
+    of_path = of_path.transpose(2, 3).flatten(3).flatten(1, 2)  # (R, 3, 3, B, B) to (R, 3 B, 3 B)
+    of_both = torch.einsum("rwi,wk->rik", pulled, basis).flatten(1)[..., None]
+    of_factor = (shift * pulled).sum((1, 2))[:, None, None]
+    normal = torch.cat([torch.cat([of_path, of_both], -1), torch.cat([of_both.mT, of_factor], -1)], 1)
+    return normal + torch.eye(normal.shape[1], dtype=normal.dtype, device=normal.device)
 
 
 def _measure(rays: Tensor, weights: Tensor) -> Tensor:
