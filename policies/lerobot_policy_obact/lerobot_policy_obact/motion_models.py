@@ -102,16 +102,26 @@ def paths(coefficients: Tensor, ahead_s: Tensor, floor_m: Tensor) -> Tensor:
         floor_m: height of the floor in the frame of the paths [m], shape ``(R,)``. What falls there bounces once.
     """
     led = _bases(ahead_s) @ coefficients.mT
-    lowest = floor_m[:, None] + RESTING_HEIGHT_M
-    height = (_bases(ahead_s.new_zeros(1)) @ coefficients[..., 2, :, None])[..., 0, 0] - lowest  # (R, M)
-    rise = velocities(coefficients)[..., 2]
-    hit_s = (rise + (rise.square() + 2 * GRAVITY_M_S2 * height.clamp_min(0.0) + 1e-9).sqrt()) / GRAVITY_M_S2
-    after_s = ahead_s - hit_s[..., None]  # (R, M, K)
-    rebound = RESTITUTION * (GRAVITY_M_S2 * hit_s - rise)[..., None]
-    bounced = (rebound * after_s - GRAVITY_M_S2 * after_s.square() / 2).clamp_min(0.0) + lowest[..., None]
+    lowest = floor_m[:, None] + RESTING_HEIGHT_M  # (R, 1)
+    height = (_bases(ahead_s.new_zeros(1)) @ coefficients[..., 2, :, None])[..., 0, 0]  # (R, M)
+    bounced, after_s = _rebound(height - lowest, velocities(coefficients)[..., 2], ahead_s)
     falls = torch.tensor([model.falls for model in MODELS], device=led.device)[:, None]  # (M, 1)
-    heights = torch.where(falls & (after_s > 0), bounced, led[..., 2])
+    heights = torch.where(falls & (after_s > 0), bounced + lowest[..., None], led[..., 2])
     return torch.cat([led[..., :2], heights[..., None]], dim=-1)
+
+
+def _rebound(height_m: Tensor, rise_m_s: Tensor, ahead_s: Tensor) -> tuple[Tensor, Tensor]:
+    """Return heights after the next bounce [m], and how long that will have been [s], ``(..., K)`` each.
+
+    Args:
+        height_m: now, above where the target rests, shape ``(...)``.
+        rise_m_s: vertical velocity now, shape ``(...)``.
+        ahead_s: times from now, shape ``(K,)``.
+    """
+    impact_m_s = (rise_m_s.square() + 2 * GRAVITY_M_S2 * height_m.clamp_min(0.0) + 1e-9).sqrt()
+    after_s = ahead_s - ((rise_m_s + impact_m_s) / GRAVITY_M_S2)[..., None]
+    rising = RESTITUTION * impact_m_s[..., None] * after_s
+    return (rising - GRAVITY_M_S2 * after_s.square() / 2).clamp_min(0.0), after_s
 
 
 def velocities(coefficients: Tensor) -> Tensor:
