@@ -12,7 +12,7 @@ from lerobot.policies.rtc import RTCConfig
 from .windows import DecisionWindows
 
 ACTION_FRAMES = ("auto", "absolute", "relative")
-MEMORIES = ("recent", "window", "both")
+MEMORIES = ("recent", "window", "both", "episode")
 MEMORY_MODULES = ("attention", "gru")
 
 
@@ -26,8 +26,8 @@ class ObActConfig(PreTrainedConfig):
             control.
         obs_stride: distance between observed frames [frames].
         memory: which frames a decision sees: "recent" those, "window" frames of the observation window, which stay
-            for the whole episode, or "both".
-        n_window_frames: offsets at which frames of the observation window are looked for, spaced geometrically.
+            for the whole episode, "both", or "episode", where older frames are seen whether the hand moved or not.
+        n_window_frames: offsets at which those older frames are looked for, spaced geometrically.
         window_reach: the largest of those offsets [frames].
         memory_module: what fuses the frames: spatiotemporal "attention", or a "gru" over all frames in turn.
         fps: frame rate of the data [Hz]; taken from the dataset when training starts.
@@ -155,10 +155,13 @@ class ObActConfig(PreTrainedConfig):
     def windows(self) -> DecisionWindows:
         """The frame offsets of a training sample."""
         n_recent = 0 if self.memory == "window" else self.n_obs_frames
-        offsets = () if self.memory == "recent" else self._window_offsets(n_recent * self.obs_stride + 1)
-        return DecisionWindows(n_recent, self.obs_stride, self.horizon, self.n_decisions, self.decision_stride, offsets)
+        offsets = () if self.memory == "recent" else self._older_offsets(n_recent * self.obs_stride + 1)
+        forgets = self.memory != "episode"
+        return DecisionWindows(
+            n_recent, self.obs_stride, self.horizon, self.n_decisions, self.decision_stride, offsets, forgets
+        )
 
-    def _window_offsets(self, nearest: int) -> tuple[int, ...]:
+    def _older_offsets(self, nearest: int) -> tuple[int, ...]:
         """Spread `n_window_frames` offsets geometrically from the nearest to `window_reach`, without repeats."""
         ratio = (self.window_reach / nearest) ** (1 / max(self.n_window_frames - 1, 1))
         return tuple(sorted({round(nearest * ratio**i) for i in range(self.n_window_frames)}))

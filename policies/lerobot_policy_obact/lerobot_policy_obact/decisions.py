@@ -99,6 +99,6 @@ def window_decisions(
     windows, device = config.windows, frames.keep.device
     age_s = -torch.tensor(windows.lookback, device=device) / config.fps  # (W,)
     index = torch.as_tensor(frame_index, device=device)
-    recent = torch.tensor(windows.is_recent, device=device)
-    hidden = ~(recent | frames.watching[:, index.clamp_min(0)])  # (B, K, W)
+    seen_acting = torch.tensor(windows.seen_acting, device=device)
+    hidden = ~(seen_acting | frames.watching[:, index.clamp_min(0)])  # (B, K, W)
     return Decisions.among(frames.keep, index, age_s, wanted, hidden)

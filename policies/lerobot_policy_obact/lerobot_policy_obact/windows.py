@@ -33,7 +33,8 @@ class DecisionWindows:
         horizon: actions in a chunk.
         n_decisions: decisions in a sample.
         decision_stride: distance between those decisions.
-        window_offsets: how far back a decision looks for frames of the observation window, besides.
+        older_offsets: how far back a decision looks for older frames, besides.
+        forgets_acting: whether it sees of those the ones of the observation window alone.
     """
 
     n_obs_frames: int
@@ -41,7 +42,8 @@ class DecisionWindows:
     horizon: int
     n_decisions: int = 1
     decision_stride: int = 1
-    window_offsets: tuple[int, ...] = ()
+    older_offsets: tuple[int, ...] = ()
+    forgets_acting: bool = True
 
     @property
     def decision_moments(self) -> list[int]:
@@ -52,12 +54,13 @@ class DecisionWindows:
     def lookback(self) -> list[int]:
         """Offsets a decision sees, oldest first and 0 last, shape ``(W,)`` [frames]."""
         recent = {-j * self.obs_stride for j in range(self.n_obs_frames + 1)}
-        return sorted(recent | {-offset for offset in self.window_offsets})
+        return sorted(recent | {-offset for offset in self.older_offsets})
 
     @property
-    def is_recent(self) -> list[bool]:
+    def seen_acting(self) -> list[bool]:
         """Whether each frame of `lookback` is seen even if it is not part of the observation window."""
-        return [-back in range(0, self.n_obs_frames * self.obs_stride + 1, self.obs_stride) for back in self.lookback]
+        recent = range(0, self.n_obs_frames * self.obs_stride + 1, self.obs_stride)
+        return [not self.forgets_acting or -back in recent for back in self.lookback]
 
     @property
     def observation_offsets(self) -> list[int]:

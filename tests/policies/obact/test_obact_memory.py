@@ -51,7 +51,8 @@ def _offsets(policy: ObActPolicy) -> list[int]:
 
 
 def _visible(offset: int, memory: str) -> bool:
-    return (memory != "window" and offset <= 2) or (memory != "recent" and N_FRAMES - 1 - offset < N_WATCHED)
+    recent, watched = offset <= 2, N_FRAMES - 1 - offset < N_WATCHED
+    return {"recent": recent, "window": watched, "both": recent or watched, "episode": True}[memory]
 
 
 def test_memories_differ_in_what_they_reach():
