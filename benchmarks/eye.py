@@ -1,6 +1,6 @@
-"""How well an eye sees where the target is: errors along and across the line of sight, by distance from the palm.
+"""How well an eye sees where the target is: errors along and across the line of sight, by distance from the palm, or from home.
 
-python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--pictures 4096] [--split val] [--json FILE]
+python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--pictures 4096] [--camera side] [--json FILE]
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/obact_standard --episodes 110
 
 Random poses of episodes of a split that the eye was not trained on, or what the hand sees while a policy acts, until it
@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from lerobot_policy_obact.backbones.eye import EyeBackbone
+from lerobot_policy_obact.backbones.pinhole import CAMERAS
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
@@ -36,6 +37,7 @@ def main() -> None:
     parser = benchmark_parser(__doc__, **TINY)
     parser.add_argument("--eye", type=Path, help="weights; random ones if left out")
     parser.add_argument("--split", default="val")
+    parser.add_argument("--camera", choices=CAMERAS, default=EGO_VIEW)
     parser.add_argument("--episodes", type=int, default=220)
     parser.add_argument("--pictures", type=int, default=8192)
     parser.add_argument("--batch-size", type=int, default=128)
@@ -43,14 +45,15 @@ def main() -> None:
     parser.add_argument("--visited-by", type=Path, help="checkpoint whose pictures are looked at, not random ones")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    recipe = Recipe(split=args.split, image_size=args.image_size)
+    views = () if args.camera == EGO_VIEW else (args.camera,)
+    recipe = Recipe(split=args.split, image_size=args.image_size, views=views)
     specs = sample_specs(recipe, range(args.episodes))
-    eye = EyeBackbone(128, weights="" if args.eye is None else str(args.eye)).eval()
+    eye = EyeBackbone(128, camera=args.camera, weights="" if args.eye is None else str(args.eye)).eval()
     eye.load_pretrained()
-    random = snapshots(recipe, specs, args.batch_size, np.random.default_rng(1))
+    random = snapshots(recipe, specs, args.batch_size, np.random.default_rng(1), args.camera)
     stream = islice(random, args.pictures // args.batch_size)
     if args.visited_by is not None:
-        stream = _visited(PolicyAgent(str(args.visited_by)), recipe, specs)
+        stream = _visited(PolicyAgent(str(args.visited_by)), recipe, specs, args.camera)
     rows = _table(np.concatenate([_errors(eye, shown) for shown in stream]))
     print("distance [cm]   pictures   median (90 %) error along / across the line of sight [cm]")
     for row in rows:
@@ -60,7 +63,7 @@ def main() -> None:
     write_numbers(args, rows=rows)
 
 
-def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec]) -> Iterator[Snapshots]:
+def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], camera: str) -> Iterator[Snapshots]:
     """Let a policy play each episode in a world of its own, and yield what it sees while it acts."""
     batch = make_batch(recipe, len(specs), threads=1)
     session = Session(batch, record_images=False)
@@ -70,11 +73,12 @@ def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec]) -> I
     before, frame = None, 0
     while session.playing.size:
         observation = session.observe(images=True)
-        now = observation.images[EGO_VIEW].copy()
+        now = observation.images[camera].copy()
         acting = np.isin(np.arange(len(specs)), session.playing) & (frame >= window) & (frame < meeting)
         if before is not None and acting.any():
-            offset = (batch.target_pose[:, :PALM_DOF] - observation.state[:, :PALM_DOF]).astype(np.float32)
-            yield Snapshots(np.concatenate([now, before], axis=-1)[acting], offset[acting])
+            origin = observation.state[:, :PALM_DOF] if camera == EGO_VIEW else 0.0
+            place = (batch.target_pose[:, :PALM_DOF] - origin).astype(np.float32)
+            yield Snapshots(np.concatenate([now, before], axis=-1)[acting], place[acting])
         for i in session.step(policy.act(observation)).worlds:
             session.finish(int(i), policy.name)
         before, frame = now, frame + 1
@@ -82,15 +86,15 @@ def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec]) -> I
 
 @torch.no_grad()
 def _errors(eye: EyeBackbone, shown: Snapshots) -> np.ndarray:
-    """Return (n, 3): distance from the palm, error along and across the line of sight [m] of targets in the image."""
-    offset = torch.from_numpy(shown.offset)
+    """Return (n, 3): distance from the origin, error along and across the line of sight [m] of targets in the image."""
+    place = torch.from_numpy(shown.place)
     looks = eye.look(torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0)
-    sight = torch.nn.functional.normalize(offset - eye.camera_pos, dim=-1)
-    missed = looks[:, :3] - offset
+    sight = torch.nn.functional.normalize(place - eye.camera.pos, dim=-1)
+    missed = looks[:, :3] - place
     along = (missed * sight).sum(-1, keepdim=True)
     across = (missed - along * sight).norm(dim=-1, keepdim=True)
-    inside = (eye.camera_coordinates(offset)[:, :2].abs() < 1).all(-1)
-    return torch.cat([offset.norm(dim=-1, keepdim=True), along.abs(), across], dim=-1)[inside].numpy()
+    inside = (eye.camera.seen(place)[:, :2].abs() < 1).all(-1)
+    return torch.cat([place.norm(dim=-1, keepdim=True), along.abs(), across], dim=-1)[inside].numpy()
 
 
 def _table(errors: np.ndarray) -> list[dict[str, object]]:

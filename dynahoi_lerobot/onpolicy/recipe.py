@@ -8,6 +8,7 @@ from typing import Any
 
 import draccus
 
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW
 from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.rollout.inference import RTC, SYNC, Inference
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -41,6 +42,11 @@ class EyeRecipe:
     learning_rate: float = 2e-3
     save_every: int = 100
     seed: int = 0
+
+    @property
+    def camera(self) -> str:
+        """Whose pictures the eye sees."""
+        return self.policy.get("backbone_options", {}).get("camera", EGO_VIEW)
 
     def __post_init__(self) -> None:
         """Check what could only fail after minutes.

@@ -57,12 +57,13 @@ class Snapshots:
     """N pictures of as many worlds.
 
     Attributes:
-        images: (N, H, W, 6) uint8 RGB of the hand's camera, and RGB one frame before.
-        offset: (N, 3) float32 target centre relative to the palm centre [m], world axes.
+        images: (N, H, W, 6) uint8 RGB of a camera, and RGB one frame before.
+        place: (N, 3) float32 target centre relative to the palm centre, or, if the camera stands still, to where that
+            is at home [m], world axes.
     """
 
     images: np.ndarray
-    offset: np.ndarray
+    place: np.ndarray
 
 
 class PictureStream:
@@ -76,7 +77,7 @@ class PictureStream:
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
         """Yield pictures for ever, as a run shows them that goes on from ``update``."""
-        return _shown(self._batch, self.specs, np.random.default_rng([self._recipe.seed, update]))
+        return _shown(self._batch, self.specs, self._recipe.camera, np.random.default_rng([self._recipe.seed, update]))
 
     @cached_property
     def _batch(self) -> WorldBatch:
@@ -91,7 +92,9 @@ class PictureStream:
         return sample_specs(recipe.episodes, range(n_plain)) + sample_specs(randomized, range(n_plain, n))
 
 
-def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator) -> Iterator[Snapshots]:
+def snapshots(
+    recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator, camera: str = EGO_VIEW
+) -> Iterator[Snapshots]:
     """Yield pictures for ever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
 
     Args:
@@ -99,11 +102,14 @@ def snapshots(recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.r
         specs: episodes whose objects, paths and surroundings are shown; each serves many pictures.
         size: worlds that are rendered together.
         rng: source of every draw.
+        camera: whose pictures these are, ``ego`` or ``side``.
     """
-    yield from _shown(make_batch(recipe, size, threads=1), specs, rng)
+    yield from _shown(make_batch(recipe, size, threads=1), specs, camera, rng)
 
 
-def _shown(batch: WorldBatch, specs: Sequence[EpisodeSpec], rng: np.random.Generator) -> Iterator[Snapshots]:
+def _shown(
+    batch: WorldBatch, specs: Sequence[EpisodeSpec], camera: str, rng: np.random.Generator
+) -> Iterator[Snapshots]:
     """Yield pictures for ever, of all worlds of a batch together; see `snapshots`."""
     size, everyone = batch.size, np.arange(batch.size)
     while True:
@@ -116,9 +122,11 @@ def _shown(batch: WorldBatch, specs: Sequence[EpisodeSpec], rng: np.random.Gener
             for pose in ([pose.now for pose in poses], [pose.before for pose in poses]):
                 hand, target = (np.stack(part) for part in zip(*pose, strict=True))
                 batch.place(hand, np.concatenate([target, turns], axis=1))
-                images.append(batch.observe(images=True).images[EGO_VIEW])
-            offset = np.stack([pose.now[1] - pose.now[0][:PALM_DOF] for pose in poses])
-            yield Snapshots(np.concatenate(images, axis=-1), offset.astype(np.float32))
+                images.append(batch.cameras.render(view=camera))
+            place = np.stack([target for _, target in (pose.now for pose in poses)])
+            if camera == EGO_VIEW:
+                place -= np.stack([hand[:PALM_DOF] for hand, _ in (pose.now for pose in poses)])
+            yield Snapshots(np.concatenate(images, axis=-1), place.astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)

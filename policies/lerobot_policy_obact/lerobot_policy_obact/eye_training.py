@@ -91,9 +91,9 @@ class EyeTraining:
 
     def _update(self, shown: Snapshots) -> float:
         recipe, n = self.recipe, self.n_updates
-        device = self.eye.camera_pos.device
+        device = self.eye.heat.weight.device
         images = torch.from_numpy(shown.images).to(device).permute(0, 3, 1, 2) / 255.0  # (F, 6, H, W)
-        loss = sighting_loss(self.eye, images, torch.from_numpy(shown.offset).to(device)).mean()
+        loss = sighting_loss(self.eye, images, torch.from_numpy(shown.place).to(device)).mean()
         rate = learning_rate(recipe.learning_rate, n, self._all_updates, WARMUP_UPDATES)
         self.n_updates += 1
         return take_step(self.optimizer, loss, self.eye.parameters(), max_norm=GRADIENT_CLIP, rate=rate, n=n)

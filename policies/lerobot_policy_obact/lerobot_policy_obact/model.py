@@ -14,7 +14,7 @@ from .memory import build_memory
 from .observation import Observation
 from .privileged import PositionProbe
 from .text import ByteTextEncoder
-from .track import N_SIGHTING, MotionEncoder, Track
+from .track import MotionEncoder, Track
 
 
 class ObActModel(nn.Module):
@@ -30,7 +30,13 @@ class ObActModel(nn.Module):
         self.backbone = backbones.build(config.backbone, width, options=config.backbone_options)
         if config.motion and not self.backbone.sees_motion:
             raise ValueError(f"motion is True, but backbone {config.backbone!r} takes one image at a time.")
-        self.camera = nn.Parameter(0.02 * torch.randn(len(config.image_features), 1, width))
+        n_cameras = len(config.image_features)
+        if self.backbone.n_cameras not in (None, n_cameras):
+            raise ValueError(
+                f"backbone {config.backbone!r} needs {self.backbone.n_cameras} cameras, got {n_cameras}: "
+                f"{', '.join(config.image_features)}."
+            )
+        self.camera = nn.Parameter(0.02 * torch.randn(n_cameras, 1, width))
         self.proprioception = nn.Sequential(nn.Linear(config.state_dim, width), nn.SiLU(), nn.Linear(width, width))
         self.text = None if self.backbone.reads_text else ByteTextEncoder(width)
         self.memory = build_memory(config)
@@ -60,7 +66,9 @@ class ObActModel(nn.Module):
 
     def track(self, frames: EncodedFrames, decisions: Decisions) -> Track | None:
         """Return where the target of each wanted decision is, if the backbone locates it; nothing of it is learned."""
-        return None if self.motion is None else Track.of(frames, decisions, self.backbone.camera_pos)
+        if self.motion is None:
+            return None
+        return Track.of(frames, decisions, self.backbone.cameras(frames.position[..., :3]))
 
     def conditions(self, frames: EncodedFrames, decisions: Decisions, track: Track | None = None) -> Condition:
         """Fuse the window of each wanted decision into the condition of its chunk, ``R`` rows ordered by sample.
@@ -97,10 +105,10 @@ class ObActModel(nn.Module):
         """
         image_tokens = self.backbone.tokens(looks.flatten(0, 2)).unflatten(0, looks.shape[:3])  # (B, T, C, n, D)
         image_tokens = image_tokens + self.camera
-        sightings = looks[:, :, 0, :0]
+        sightings = looks[:, :, :0, :0]
         if self.motion is not None:
-            sightings = looks[:, :, 0, :N_SIGHTING]
-            image_tokens = image_tokens + self.motion(sightings, observation.position)[:, :, None, None]
+            sightings = self.backbone.sightings(looks, observation.position[..., :3])
+            image_tokens = image_tokens + self.motion(sightings, observation.position[:, :, None])[..., None, :]
         proprio_tokens = self.proprioception(observation.proprioception)[:, :, None]  # (B, T, 1, D)
         tokens = torch.cat([image_tokens.flatten(2, 3), proprio_tokens.to(image_tokens.dtype)], dim=2)  # N = C*n + 1
         return EncodedFrames(

@@ -37,7 +37,7 @@ class Track:
     Attributes:
         coefficients: of the path by each of `MODELS`, shape ``(R, N_FITS, 3, N_COEFFICIENTS)``.
         evidence: how likely each of them is, less the likeliest, logarithmic, shape ``(R, N_FITS)``.
-        sighting: of the current frame, shape ``(R, N_SIGHTING)``.
+        sighting: of the current frame by the first eye, shape ``(R, N_SIGHTING)``.
         floor_m: height of the floor [m], shape ``(R,)``.
     """
 
@@ -47,26 +47,26 @@ class Track:
     floor_m: Tensor
 
     @classmethod
-    def of(cls, frames: EncodedFrames, decisions: Decisions, camera_pos: Tensor) -> Self:
+    def of(cls, frames: EncodedFrames, decisions: Decisions, cameras: Tensor) -> Self:
         """Fit the tracks of decisions.
 
         Args:
             frames: with sightings.
             decisions: which are wanted.
-            camera_pos: the camera's position relative to the palm [m], shape ``(3,)``.
+            cameras: where those of the sightings were [m], in the frame of the state, shape ``(B, T, C', 3)``.
         """
         palm = decisions.current(frames.position)[:, :3]
-        places = frames.position[..., :3] + frames.sightings[..., :3]  # (B, T, 3)
-        points, seen = (
-            decisions.windows(places) - palm[:, None],
-            decisions.windows(frames.sightings),
-        )  # (R, W, 3), (R, W, S)
-        rays, keep = seen[..., :3] - camera_pos, decisions.pick(decisions.keep)
-        errors_m = errors_of_sight(seen, rays).masked_fill(~keep[..., None], torch.inf)
+        places, n_eyes = frames.position[:, :, None, :3] + frames.sightings[..., :3], cameras.shape[2]
+        points = decisions.windows(places).flatten(1, 2)  # (R, W C', 3), so all others
+        rays = points - decisions.windows(cameras).flatten(1, 2)
+        keep = decisions.pick(decisions.keep).repeat_interleave(n_eyes, dim=1)
+        errors_m = errors_of_sight(decisions.windows(frames.sightings).flatten(1, 2), rays)
+        errors_m = errors_m.masked_fill(~keep[..., None], torch.inf)
+        age_s = decisions.age_s.repeat_interleave(n_eyes)
         with torch.autocast(points.device.type, enabled=False):  # half precision would move a fit by millimetres
-            coefficients, evidence = fit_lines_of_sight(points, rays, errors_m, decisions.age_s)
+            coefficients, evidence = fit_lines_of_sight(points - palm[:, None], rays, errors_m, age_s)
         evidence = (evidence - evidence.amax(1, keepdim=True)).clamp_min(LEAST_EVIDENCE)
-        return cls(coefficients.to(points), evidence.to(points), decisions.current(frames.sightings), -palm[:, 2])
+        return cls(coefficients.to(points), evidence.to(points), decisions.current(frames.sightings)[:, 0], -palm[:, 2])
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Self:
         """Return the track with every tensor changed alike: of other decisions, or on another device."""
@@ -111,6 +111,6 @@ class MotionEncoder(nn.Module):
         self.net = nn.Sequential(nn.Linear(N_SIGHTING + 6, width), nn.SiLU(), nn.Linear(width, width))
 
     def forward(self, sightings: Tensor, position: Tensor) -> Tensor:
-        """Map sightings ``(B, T, N_SIGHTING)`` and states ``(B, T, P)`` to tokens ``(B, T, D)``."""
-        palm = position[..., :3]
+        """Map sightings ``(B, T, C', N_SIGHTING)`` and states ``(B, T, 1, P)`` to tokens ``(B, T, C', D)``."""
+        palm = position[..., :3].expand_as(sightings[..., :3])
         return self.net(torch.cat([scaled(sightings), palm / LENGTH_M, (palm + sightings[..., :3]) / LENGTH_M], dim=-1))

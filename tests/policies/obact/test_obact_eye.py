@@ -7,19 +7,21 @@ from pathlib import Path
 import pytest
 import torch
 from lerobot_policy_obact.backbones.eye import EyeBackbone, sighting_loss
+from lerobot_policy_obact.backbones.pinhole import CAMERAS
 from safetensors.torch import save_file
 
 
-def test_camera_coordinates_and_offsets_are_inverse():
-    eye = EyeBackbone(16)
+@pytest.mark.parametrize("name", CAMERAS)
+def test_what_is_seen_and_places_are_inverse(name: str):
+    camera = CAMERAS[name]()
     offset = torch.tensor([[0.1, 0.2, -0.1], [0.5, -0.3, 0.2], [0.02, 0.0, 0.03]])
-    torch.testing.assert_close(eye.offset(eye.camera_coordinates(offset)), offset, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(camera.place(camera.seen(offset)), offset, rtol=1e-4, atol=1e-5)
 
 
 def test_u_grows_to_the_right_and_v_upwards():
-    eye = EyeBackbone(16)
-    right, above = eye.camera_coordinates(torch.tensor([[0.3, -0.2, 0.0], [0.3, 0.0, 0.3]]))
-    middle = eye.camera_coordinates(torch.tensor([0.3, 0.0, 0.0]))
+    camera = CAMERAS["ego"]()
+    right, above = camera.seen(torch.tensor([[0.3, -0.2, 0.0], [0.3, 0.0, 0.3]]))
+    middle = camera.seen(torch.tensor([0.3, 0.0, 0.0]))
     assert right[0] > middle[0]
     assert above[1] > middle[1]
 
@@ -44,7 +46,7 @@ def dots(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
         images[i, 0, y - half : y + half, x - half : x + half] = 1.0
         images[i, 1:, y - half : y + half, x - half : x + half] = 0.0
         camera[i] = torch.tensor([2 * x / 32 - 1, 1 - 2 * y / 32, 0.5 - half / 3])
-    return images, eye.offset(camera)
+    return images, eye.camera.place(camera)
 
 
 def test_it_learns_where_a_square_is_and_says_how_sure_it_is():

@@ -18,7 +18,7 @@ POSITION, VELOCITY = torch.tensor([0.4, 0.1, -0.1]), torch.tensor([-0.3, 0.5, 0.
 FALLING = (0.0, 0.0, -GRAVITY_M_S2)
 LINE, FALLS = 1, [model.falls for model in MODELS].index(True) + 2
 RELEASES_S = [model.released_s for model in MODELS]
-CAMERA = torch.zeros(3)
+CAMERAS = torch.zeros(1, 12, 1, 3)
 ON_THE_FLOOR = torch.tensor([-10.0])
 
 
@@ -37,8 +37,8 @@ def seen_by(sightings: torch.Tensor) -> Track:
     """Return the track of a hand at the origin with sightings ``(W, N_SIGHTING)``."""
     n = len(sightings)
     yes, nothing = torch.ones(1, n, dtype=torch.bool), torch.zeros(1, n, 1)
-    frames = EncodedFrames(nothing, nothing, torch.zeros(1, n, 18), yes, yes, sightings[None], [""])
-    return Track.of(frames, Decisions.among(yes, [range(n)], AGE_S), CAMERA)
+    frames = EncodedFrames(nothing, nothing, torch.zeros(1, n, 18), yes, yes, sightings[None, :, None], [""])
+    return Track.of(frames, Decisions.among(yes, [range(n)], AGE_S), CAMERAS)
 
 
 def sightings(points: torch.Tensor) -> torch.Tensor:

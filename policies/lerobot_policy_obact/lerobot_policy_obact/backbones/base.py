@@ -20,19 +20,18 @@ class Backbone(nn.Module, ABC):
     """Encodes frames independently into tokens.
 
     A subclass takes ``width`` first and its own options as keywords, and implements `forward`. One that ``locates`` the
-    target begins its looks with a sighting, see `track.py`.
+    target implements `sightings` and `cameras`, too. ``n_cameras`` is how many it must have, None if any number will do.
 
     Args:
         width: token size ``D`` it must return.
         mean: channel means its weights were trained with, for images in [0, 1].
         std: channel standard deviations.
-        camera_pos_m: the camera's position relative to the palm [m], of one that locates.
     """
 
     reads_text: ClassVar[bool] = False
     locates: ClassVar[bool] = False
     sees_motion: ClassVar[bool] = False
-    camera_pos: Tensor
+    n_cameras: ClassVar[int | None] = None
     pixel_mean: Tensor
     pixel_std: Tensor
 
@@ -41,12 +40,10 @@ class Backbone(nn.Module, ABC):
         width: int,
         mean: tuple[float, ...] = IMAGENET_MEAN,
         std: tuple[float, ...] = IMAGENET_STD,
-        camera_pos_m: tuple[float, ...] = (0.0, 0.0, 0.0),
     ) -> None:
         super().__init__()
         self.width = width
         self.register_buffer("pixel_mean", torch.tensor(mean).view(-1, 1, 1), persistent=False)
-        self.register_buffer("camera_pos", torch.tensor(camera_pos_m), persistent=False)
         self.register_buffer("pixel_std", torch.tensor(std).view(-1, 1, 1), persistent=False)
 
     def standardise(self, images: Tensor) -> Tensor:
@@ -64,12 +61,25 @@ class Backbone(nn.Module, ABC):
         """Do the rest, from looks ``(F, ...)`` to tokens ``(F, N, D)``."""
         return looks
 
+    def sightings(self, looks: Tensor, palm: Tensor) -> Tensor:
+        """Return where the target was seen, ``(B, T, C', N_SIGHTING)``, see `track.py`.
+
+        Args:
+            looks: at the images of each frame, shape ``(B, T, C, L)``.
+            palm: where it was [m], in the frame of the state, shape ``(B, T, 3)``.
+        """
+        raise NotImplementedError
+
+    def cameras(self, palm: Tensor) -> Tensor:
+        """Return where the cameras of those sightings were [m], in the frame of the state, ``(B, T, C', 3)``."""
+        raise NotImplementedError
+
     @abstractmethod
     def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
         """Encode frames.
 
         Args:
-            images: RGB in [0, 1], shape ``(F, 3, H, W)`` with ``F`` frames of any time and camera.
+            images: RGB in [0, 1], shape ``(F, 3, H, W)``: all times, and of each the images of all cameras in turn.
             texts: one instruction per frame, for backbones with ``reads_text``.
 
         Returns:

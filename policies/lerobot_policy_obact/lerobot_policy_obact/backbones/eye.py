@@ -4,9 +4,8 @@
     fovea    the pixels around (u, v), uncompressed -> convolutions: how far off (u, v) is, and how far away
     sighting (u, v, log depth) in the camera frame, each with the scale of its error; the offset from the palm follows
 
-The change since the image before shows what moves; an image without one counts as unchanged. Positions in the image are
-tangents in units of half the field of view: u rightwards and v upwards in [-1, 1]. Errors are taken as Laplace
-distributed; their logarithmic scales tell a memory how far to trust each sighting.
+The change since the image before shows what moves; an image without one counts as unchanged. Errors are taken as
+Laplace distributed; their logarithmic scales tell a memory how far to trust each sighting.
 """
 
 from __future__ import annotations
@@ -22,8 +21,8 @@ from torch import Tensor, nn
 from .base import Backbone, backbones
 from .conv import StandardisedPatches, conv, saturation
 from .keypoints import pixel_grid
+from .pinhole import CAMERAS
 
-TYPICAL_DEPTH_M = 0.4
 N_CHANNELS = 7
 """RGB, saturation, and the change of RGB since the image before."""
 CHANGE = 0.1
@@ -36,8 +35,8 @@ N_SCALES = 2
 UNSEEN_SCALE = 5.0
 """Both scales of a sighting in a black picture, which shows nothing."""
 N_SIGHTING = 3 + 3 + N_SCALES
-"""Numbers of a sighting: offset from the palm [m], (u, v, log depth), scales."""
-SHIPPED = {f"shipped_{size}": Path(__file__).with_name(f"eye_{size}.safetensors") for size in (64, 96)}
+"""Numbers of a sighting: position relative to the camera's origin [m], (u, v, log depth), scales."""
+SHIPPED = {f"shipped_{name}": Path(__file__).with_name(f"eye_{name}.safetensors") for name in ("64", "96", "side_96")}
 """The weights that come with the package, by the side of the images they have learned from [px]."""
 
 
@@ -50,17 +49,14 @@ class EyeBackbone(Backbone):
         channels: channels of the glance at 1/4 resolution, a multiple of 8; twice as many at 1/8.
         fovea: side of the fovea [px].
         embedding: numbers that describe the fovea beside the sighting.
-        camera_pos_m: the camera's position in the palm's frame [m].
-        camera_pitch_rad: how far it looks down from the palm's +x axis.
-        camera_fovy_deg: its field of view.
-        weights: safetensors file that training starts from, as `dynahoi pretrain` writes it; "shipped_64" or
-            "shipped_96" for those that come with the package, see `SHIPPED`; empty for none.
+        camera: whose images it sees, one of `CAMERAS`.
+        weights: safetensors file that training starts from, as `dynahoi pretrain` writes it; "shipped_64",
+            "shipped_96" or "shipped_side_96" for those that come with the package, see `SHIPPED`; empty for none.
         frozen: train only the layer that makes tokens of what the eye sees.
     """
 
     locates = True
     sees_motion = True
-    camera_axes: Tensor
 
     def __init__(
         self,
@@ -69,16 +65,15 @@ class EyeBackbone(Backbone):
         channels: int = 32,
         fovea: int = 20,
         embedding: int = 64,
-        camera_pos_m: tuple[float, ...] = (-0.15, 0.03, 0.21),
-        camera_pitch_rad: float = 0.45,
-        camera_fovy_deg: float = 84.0,
+        camera: str = "ego",
         weights: str = "",
         frozen: bool = True,
     ) -> None:
-        super().__init__(width, (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25,) * 4 + (CHANGE,) * 3, camera_pos_m)
+        super().__init__(width, (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25,) * 4 + (CHANGE,) * 3)
         self.weights = weights
-        self.fovea, self.half_view = fovea, math.tan(math.radians(camera_fovy_deg) / 2)
-        self.register_buffer("camera_axes", _camera_axes(camera_pitch_rad), persistent=False)
+        if camera not in CAMERAS:
+            raise ValueError(f"camera must be one of {', '.join(CAMERAS)}, got {camera!r}.")
+        self.fovea, self.camera = fovea, CAMERAS[camera]()
         self.patches, self.refine = StandardisedPatches(N_CHANNELS, channels), conv(channels, channels)
         self.deep = nn.Sequential(conv(channels, 2 * channels, stride=2), conv(2 * channels, 2 * channels))
         self.lateral = nn.Conv2d(2 * channels, channels, kernel_size=1)
@@ -141,20 +136,18 @@ class EyeBackbone(Backbone):
         read = self.read(torch.cat([seen, glance, room, centre], dim=-1))
         shift, log_depth, scales, embedding = read.split([2, 1, N_SCALES, self.embedding], dim=-1)
         scales = torch.where(now.amax((1, 2, 3))[:, None] > 0, scales, UNSEEN_SCALE)
-        camera = torch.cat([centre + self.fovea / images.shape[-1] * shift, log_depth], dim=-1)
-        return torch.cat([self.offset(camera), camera, scales, embedding], dim=-1), heat
+        sighted = torch.cat([centre + self.fovea / images.shape[-1] * shift, log_depth], dim=-1)
+        return torch.cat([self.camera.place(sighted), sighted, scales, embedding], dim=-1), heat
 
-    def offset(self, camera: Tensor) -> Tensor:
-        """Map ``(u, v, log depth)`` in the camera frame to offsets from the palm [m], world axes, ``(..., 3)``."""
-        depth = TYPICAL_DEPTH_M * camera[..., 2:].clamp(-4.0, 3.0).exp()
-        ray = torch.cat([self.half_view * camera[..., :2], torch.ones_like(depth)], dim=-1)
-        return self.camera_pos + depth * ray @ self.camera_axes
+    def sightings(self, looks: Tensor, palm: Tensor) -> Tensor:
+        """See `Backbone.sightings`: those in the images of the first camera."""
+        first = looks[:, :, :1, :N_SIGHTING]
+        carried = palm[:, :, None]
+        return torch.cat([first[..., :3] + self.camera.origin(carried) - carried, first[..., 3:]], dim=-1)
 
-    def camera_coordinates(self, offset: Tensor) -> Tensor:
-        """Invert `offset`; what is behind the camera counts as 1 cm in front of it."""
-        local = (offset - self.camera_pos) @ self.camera_axes.T
-        depth = local[..., 2:].clamp_min(0.01)
-        return torch.cat([local[..., :2] / (depth * self.half_view), (depth / TYPICAL_DEPTH_M).log()], dim=-1)
+    def cameras(self, palm: Tensor) -> Tensor:
+        """See `Backbone.cameras`."""
+        return self.camera.origin(palm[:, :, None]) + self.camera.pos
 
     def _glance(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return the logarithmic heat map ``(F, h, w)``, features under it ``(F, C, h, w)`` and of all ``(F, 2C)``."""
@@ -187,22 +180,22 @@ class EyeBackbone(Backbone):
         return (crop - self.pixel_mean) / self.pixel_std
 
 
-def sighting_loss(eye: EyeBackbone, images: Tensor, offset: Tensor) -> Tensor:
+def sighting_loss(eye: EyeBackbone, images: Tensor, place: Tensor) -> Tensor:
     """Return the loss of each picture: heat map, Laplace likelihood of direction and depth, and error in metres.
 
     Args:
         eye: whose loss it is.
         images: see `EyeBackbone.look_with_heat`.
-        offset: true offsets of the target from the palm [m], world axes, shape ``(F, 3)``.
+        place: where the target truly is, relative to the camera's origin [m], world axes, shape ``(F, 3)``.
     """
     looks, heat = eye.look_with_heat(images)
     seen, scales = looks[:, 3:6], looks[:, 6:8]
-    true = eye.camera_coordinates(offset)
+    true = eye.camera.seen(place)
     across = (seen[:, :2] - true[:, :2]).square().sum(-1).add(1e-8).sqrt()
     along = (seen[:, 2] - true[:, 2]).abs()
     error = torch.stack([across, along], dim=-1)  # (F, 2)
     likelihood = (error * (-scales).exp() + scales * scales.new_tensor([2.0, 1.0])).sum(-1)
-    metric = (looks[:, :3] - offset).norm(dim=-1) / (0.05 + 0.3 * offset.norm(dim=-1))
+    metric = (looks[:, :3] - place).norm(dim=-1) / (0.05 + 0.3 * place.norm(dim=-1))
     return HEAT_WEIGHT * _heat_loss(heat, true) + 0.1 * likelihood + across + along + metric.clamp_max(4.0)
 
 
@@ -212,10 +205,3 @@ def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
     place = ((true[:, :2] * true.new_tensor([1.0, -1.0]) + 1) / 2 * size).floor().long()
     cell = torch.minimum(place.clamp_min(0), size.long() - 1)
     return -heat[torch.arange(len(heat)), cell[:, 1], cell[:, 0]] * (place == cell).all(-1)
-
-
-def _camera_axes(pitch: float) -> Tensor:
-    """Return (3, 3) right, up and forward of a camera that looks along +x and down by ``pitch``, in palm axes."""
-    forward = torch.tensor([math.cos(pitch), 0.0, -math.sin(pitch)])
-    right = torch.tensor([0.0, -1.0, 0.0])
-    return torch.stack([right, torch.linalg.cross(right, forward), forward])

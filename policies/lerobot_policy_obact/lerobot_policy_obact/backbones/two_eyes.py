@@ -1,0 +1,72 @@
+"""Two eyes: one for the hand's camera, one for the camera that stands still beside it.
+
+One small picture tells the direction to the target and hardly its distance. Two lines of sight that cross tell both.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from .base import Backbone, backbones
+from .eye import UNSEEN_SCALE, EyeBackbone
+
+
+@backbones.register("two_eyes")
+class TwoEyes(Backbone):
+    """An `EyeBackbone` for the images of each camera: first ``observation.images.ego``, then ``.side``.
+
+    Args:
+        width: token size.
+        ego: options of the eye for the hand's camera.
+        side: options of the other one.
+    """
+
+    locates = True
+    sees_motion = True
+    n_cameras = 2
+
+    def __init__(self, width: int, *, ego: dict[str, Any] | None = None, side: dict[str, Any] | None = None) -> None:
+        super().__init__(width)
+        self.eyes = nn.ModuleList(
+            [EyeBackbone(width, **(ego or {}), camera="ego"), EyeBackbone(width, **(side or {}), camera="side")]
+        )
+
+    def load_pretrained(self) -> None:
+        """Load what the eyes have learned, where their options name a file."""
+        for eye in self.eyes:
+            eye.load_pretrained()
+
+    def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
+        """See `Backbone.forward`; one token."""
+        return self.tokens(self.look(images))
+
+    def look(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
+        """Return what `EyeBackbone.look` returns, ``(F, 3, H, W) -> (F, L)``."""
+        return self._by_camera("look", images)
+
+    def tokens(self, looks: Tensor) -> Tensor:
+        """Map looks ``(F, L)`` to tokens ``(F, 1, D)``."""
+        return self._by_camera("tokens", looks)
+
+    def _by_camera(self, method: str, frames: Tensor) -> Tensor:
+        parts = frames.unflatten(0, (-1, self.n_cameras)).unbind(1)
+        return torch.stack([getattr(eye, method)(part) for eye, part in zip(self.eyes, parts, strict=True)], 1).flatten(
+            0, 1
+        )
+
+    def sightings(self, looks: Tensor, palm: Tensor) -> Tensor:
+        """See `Backbone.sightings`; the second line of sight is taken without its distance.
+
+        Its errors of distance are as alike from frame to frame as those of the first; the factor that is fitted to
+        them, see `fitting.py`, is one.
+        """
+        first, second = (eye.sightings(looks[:, :, i : i + 1], palm) for i, eye in enumerate(self.eyes))
+        unknown = torch.full_like(second[..., -1:], UNSEEN_SCALE)
+        return torch.cat([first, torch.cat([second[..., :-1], unknown], dim=-1)], dim=2)
+
+    def cameras(self, palm: Tensor) -> Tensor:
+        """See `Backbone.cameras`."""
+        return torch.cat([eye.cameras(palm) for eye in self.eyes], dim=2)
