@@ -1,4 +1,4 @@
-"""How well an eye sees where the target is: errors along and across the line of sight, by distance from the palm, or from home.
+"""How well an eye sees where the target is: errors along and across the line of sight, by distance from the origin.
 
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--pictures 4096] [--camera side] [--json FILE]
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/obact_standard --episodes 110

@@ -17,6 +17,8 @@ Recognition and Machine Learning, section 3.5), so a model is not preferred for 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -40,7 +42,10 @@ def fit_lines_of_sight(points: Tensor, rays: Tensor, errors_m: Tensor, age_s: Te
         Coefficients of the models, shape ``(R, M, 3, N_COEFFICIENTS)``, and their logarithmic evidence ``(R, M)``.
     """
     points, rays, errors_m, age_s = (x.to(_exact_device(x), torch.float64) for x in (points, rays, errors_m, age_s))
-    fits = [_fit(model, points, rays, errors_m, age_s) for model in MODELS]
+    toward = rays / rays.norm(dim=-1, keepdim=True).clamp_min(1e-3)
+    along = toward[..., :, None] * toward[..., None, :]  # (R, W, 3, 3)
+    seen = _Sightings(points, rays, along, errors_m.square(), age_s)
+    fits = [_fit(model, seen) for model in MODELS]
     coefficients, evidence = (torch.stack(parts, dim=1) for parts in zip(*fits, strict=True))
     return coefficients, evidence
 
@@ -50,14 +55,25 @@ def _exact_device(x: Tensor) -> torch.device:
     return torch.device("cpu") if x.device.type == "mps" else x.device
 
 
-def _fit(model: MotionModel, points: Tensor, rays: Tensor, errors_m: Tensor, age_s: Tensor) -> tuple[Tensor, Tensor]:
-    strayed = model.stray_m_s2 * age_s.square() / 2
-    weights = (errors_m.square() + strayed.square()[:, None]).reciprocal()  # (R, W, 2)
-    measure = _measure(rays, weights)  # (R, W, 3, 3)
-    basis = model.basis(-age_s)  # (W, B)
-    expected, scales = model.expected(points), points.new_tensor(model.scales)
+@dataclass(frozen=True)
+class _Sightings:
+    """See `fit_lines_of_sight`; ``along`` (R, W, 3, 3) projects onto the rays, and errors are squared."""
+
+    points: Tensor
+    rays: Tensor
+    along: Tensor
+    errors_m2: Tensor
+    age_s: Tensor
+
+
+def _fit(model: MotionModel, seen: _Sightings) -> tuple[Tensor, Tensor]:
+    strayed = model.stray_m_s2 * seen.age_s.square() / 2
+    weights = (seen.errors_m2 + strayed.square()[:, None]).reciprocal()  # (R, W, 2)
+    measure = _measure(seen.along, weights)  # (R, W, 3, 3)
+    basis = model.basis(-seen.age_s)  # (W, B)
+    expected, scales = model.expected(seen.points), basis.new_tensor(model.scales)
     basis, known = basis * scales, basis @ expected.T
-    left, shift = points - known, TYPICAL_FACTOR * (known - points + rays)  # (R, W, 3)
+    left, shift = seen.points - known, TYPICAL_FACTOR * (known - seen.points + seen.rays)  # (R, W, 3)
     weighed, pulled = ((measure @ x[..., None])[..., 0] for x in (left, shift))
 
     root = torch.linalg.cholesky(_normal(measure, basis, shift, pulled))
@@ -89,9 +105,12 @@ def _normal(measure: Tensor, basis: Tensor, shift: Tensor, pulled: Tensor) -> Te
     return normal + torch.eye(normal.shape[1], dtype=normal.dtype, device=normal.device)
 
 
-def _measure(rays: Tensor, weights: Tensor) -> Tensor:
-    """Return the matrices of squared errors in units of what is expected across and along rays, ``(R, W, 3, 3)``."""
-    toward = rays / rays.norm(dim=-1, keepdim=True).clamp_min(1e-3)
-    along = toward[..., :, None] * toward[..., None, :]
-    across = torch.eye(3, dtype=rays.dtype, device=rays.device) - along
+def _measure(along: Tensor, weights: Tensor) -> Tensor:
+    """Return the matrices of squared errors in units of what is expected across and along rays, ``(R, W, 3, 3)``.
+
+    Args:
+        along: projections onto the rays, shape ``(R, W, 3, 3)``.
+        weights: squared units across and along them, inverted, shape ``(R, W, 2)``.
+    """
+    across = torch.eye(3, dtype=along.dtype, device=along.device) - along
     return weights[..., 0, None, None] * across + weights[..., 1, None, None] * along

@@ -149,8 +149,8 @@ class ObActLearner(Learner):
         """Return the mean loss over all frames of a lesson, a scalar."""
         model = self.policy.model
         frames, decisions = self._decisions(lesson, wanted=lesson.keep)
-        track = None if lesson.track is None else lesson.track.map(decisions.pick)
-        condition = model.conditions(frames, decisions, track)
+        assert lesson.track is not None, "lessons that are kept have one"
+        condition = model.conditions(frames, decisions, lesson.track.map(decisions.pick))
         palm = condition.position[:, None, :3]
         label = Forecast(decisions.pick(lesson.path) - palm, decisions.pick(lesson.closed))
         arrival, known = decisions.pick(lesson.arrival), decisions.pick(lesson.known)
@@ -169,7 +169,7 @@ class ObActLearner(Learner):
 
     @torch.no_grad()
     def _tracked(self, lesson: Lesson) -> Lesson:
-        """Return the lesson with its track, which no update changes: fitting it once spares half of every update."""
+        """Return the lesson with its track, which no update changes, so that it is fitted once."""
         track = self.policy.model.track(*self._decisions(lesson))
         assert track is not None
         return replace(lesson, track=track.map(lambda x: x.unflatten(0, lesson.keep.shape)))

@@ -77,6 +77,7 @@ RATES_RAD_S = tuple(1.6 * 1.24**i for i in range(10))
 """Periods from 3.9 to 0.6 s."""
 
 RELEASES_S = (0.05, 0.1, 0.17, 0.25, 0.35, 0.47, 0.6)
+"""How long ago a throw was released."""
 
 MODELS = (
     MotionModel(stray_m_s2=1.5, speed_m_s=0.6),

@@ -20,7 +20,7 @@ class Backbone(nn.Module, ABC):
     """Encodes frames independently into tokens.
 
     A subclass takes ``width`` first and its own options as keywords, and implements `forward`. One that ``locates`` the
-    target implements `sightings` and `cameras`, too. ``n_cameras`` is how many it must have, None if any number will do.
+    target implements `sightings` and `cameras`, too. ``n_cameras`` is how many it must have, None for any number.
 
     Args:
         width: token size ``D`` it must return.
