@@ -5,6 +5,7 @@ One small picture tells the direction to the target and hardly its distance. Two
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -61,11 +62,12 @@ class TwoEyes(Backbone):
         """See `Backbone.sightings`; the second line of sight is taken without its distance.
 
         Its errors of distance are as alike from frame to frame as those of the first; the factor that is fitted to
-        them, see `fitting.py`, is one.
+        them, see `fitting.py`, is one. Its errors across are in units of half its view, which is narrower.
         """
         first, second = (eye.sightings(looks[:, :, i : i + 1], palm) for i, eye in enumerate(self.eyes))
-        unknown = torch.full_like(second[..., -1:], UNSEEN_SCALE)
-        return torch.cat([first, torch.cat([second[..., :-1], unknown], dim=-1)], dim=2)
+        place, across, along = second.split([6, 1, 1], dim=-1)
+        across = across + math.log(self.eyes[1].camera.half_view)
+        return torch.cat([first, torch.cat([place, across, torch.full_like(along, UNSEEN_SCALE)], dim=-1)], dim=2)
 
     def cameras(self, palm: Tensor) -> Tensor:
         """See `Backbone.cameras`."""
