@@ -20,13 +20,13 @@ from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
-STANDARD = Path(__file__).parents[2] / "recipes" / "train" / "standard.yaml"
+RECIPES = Path(__file__).parents[2] / "recipes" / "train"
 TINY_EYE = {"channels": 8, "fovea": 12, "embedding": 4}
 
 
-def tiny_recipe(folder: Path, **changes: object) -> Path:
-    """Write the recipe for the standard class, made tiny, with an eye that has learned nothing."""
-    recipe = yaml.safe_load(STANDARD.read_text())
+def tiny_recipe(folder: Path, name: str = "standard", **changes: object) -> Path:
+    """Write a recipe for the standard class, made tiny, with eyes that have learned nothing."""
+    recipe = yaml.safe_load((RECIPES / f"{name}.yaml").read_text())
     torch.manual_seed(0)
     save_file(EyeBackbone(16, **TINY_EYE).learned_state(), folder / "eye.safetensors")
     recipe["episodes"] |= {"image_size": 32, "motions": ["lob"]}
@@ -34,8 +34,10 @@ def tiny_recipe(folder: Path, **changes: object) -> Path:
     recipe |= {"validate_every": 2, "validation_episodes": 2}
     policy = recipe["policy"]
     policy |= {"width": 16, "n_attention_heads": 2, "n_obs_frames": 3, "n_window_frames": 2, "image_size": 32}
-    policy["backbone_options"] = TINY_EYE | {"weights": str(folder / "eye.safetensors")}
-    policy["input_features"]["observation.images.ego"]["shape"] = [3, 32, 32]
+    eye = TINY_EYE | {"weights": str(folder / "eye.safetensors")}
+    policy["backbone_options"] = {"ego": eye, "side": dict(eye)} if policy["backbone"] == "two_eyes" else eye
+    for key, feature in policy["input_features"].items():
+        feature["shape"] = [3, 32, 32] if "images" in key else feature["shape"]
     path = folder / "recipe.yaml"
     path.write_text(yaml.safe_dump(recipe | changes))
     return path
@@ -72,10 +74,21 @@ def test_the_checkpoint_acts_as_any_lerobot_policy_does(finished: Path):
     policy = ObActPolicy.from_pretrained(checkpoint)
     stored = load_file(checkpoint / "model.safetensors")
     assert set(stored) == set(policy.state_dict())
-    agent = PolicyAgent(str(checkpoint))
-    specs = sample_specs(Recipe(split="val", image_size=32), [0])
-    (episode,) = evaluate(make_batch(Recipe(image_size=32), 1, threads=1), agent, specs)
+    assert_acts(checkpoint)
+
+
+def assert_acts(checkpoint: Path, *views: str) -> None:
+    agent, recipe = PolicyAgent(str(checkpoint)), Recipe(split="val", image_size=32, views=views)
+    assert agent.views == views
+    (episode,) = evaluate(make_batch(recipe, 1, threads=1), agent, sample_specs(recipe, [0]))
     assert len(episode) > episode.meta.window_frames
+
+
+def test_a_policy_with_a_second_camera_learns_and_acts(tmp_path: Path):
+    recipe = tiny_recipe(tmp_path, "two_views", rounds=1)
+    (line,) = run(recipe, tmp_path / "out")
+    assert line["loss"] > 0
+    assert_acts(tmp_path / "out" / dagger.CHECKPOINT, "side")
 
 
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(
