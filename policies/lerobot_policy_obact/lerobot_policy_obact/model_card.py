@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from .configuration_obact import ObActConfig
 
+EGO = "ego"
+"""The view that the environment always has."""
+
 _SECTION = """
 ## ObAct
 
@@ -15,7 +18,7 @@ evaluated in simulation only.
 | Setting | Value |
 | --- | --- |
 | Parameters | {parameters:.2f} M |
-| Image encoder | `{backbone}` at {image_size} |
+| Image encoder | `{backbone}` at {image_size}, {cameras} |
 | Observed frames (s) | {n_obs_frames}, {spacing_s:.3g} s apart ({window}) |
 | Action head | `{head}`, {horizon} actions ({horizon_s:.3g} s) a chunk |
 | Actions executed before replanning | {n_action_steps} |
@@ -30,7 +33,7 @@ lerobot-eval --policy.path={policy} --env.type=dynahoi --env.split=test_small{en
 dynahoi evaluate --policy {policy} --split test_small --out results
 ```
 
-**Limits.** The policy sees {memory_s:.3g} s of the past. It was trained by imitation of a scripted expert in
+**Limits.** The policy sees up to {memory_s:.3g} s of the past. It was trained by imitation of a scripted expert in
 simulation, and is untested outside the objects, motions and camera views of its training data.
 """
 
@@ -47,6 +50,10 @@ def describe(config: ObActConfig, n_parameters: int, dataset: str = "", policy: 
     spacing_s = config.obs_stride / config.fps
     relative = f"relative to the current state in the first {config.relative_dims} dimensions"
     sizes = {feature.shape[-1] for feature in config.image_features.values()}
+    cameras = [key.rsplit(".", 1)[-1] for key in config.image_features]
+    further = [camera for camera in cameras if camera != EGO]
+    env_options = f" --env.image_size={sizes.pop()}" if len(sizes) == 1 else ""
+    env_options += f" --env.views='[{','.join(further)}]'" if further else ""
     return _SECTION.format(
         parameters=n_parameters / 1e6,
         backbone=config.backbone,
@@ -62,8 +69,9 @@ def describe(config: ObActConfig, n_parameters: int, dataset: str = "", policy: 
         ema=config.ema_decay or "off",
         dataset=f"`{dataset}`" if dataset else "not recorded",
         policy=policy or config.repo_id or ".",
-        env_options=f" --env.image_size={sizes.pop()}" if len(sizes) == 1 else "",
-        memory_s=config.n_obs_frames * spacing_s,
+        cameras="images of " + " and ".join(f"`{camera}`" for camera in cameras),
+        env_options=env_options,
+        memory_s=-config.windows.lookback[0] / config.fps,
     )
 
 

@@ -8,8 +8,9 @@ from lerobot_policy_obact.backbones.eye import N_SIGHTING
 from lerobot_policy_obact.backbones.two_eyes import TwoEyes
 from lerobot_policy_obact.decisions import Decisions
 from lerobot_policy_obact.frames import EncodedFrames
+from lerobot_policy_obact.model_card import describe
 from lerobot_policy_obact.track import Track
-from obact_helpers import make_policy
+from obact_helpers import HAND_FEATURES, make_policy
 
 TINY_EYE = {"channels": 8, "fovea": 12, "embedding": 4}
 N_FRAMES = 12
@@ -68,3 +69,12 @@ def test_another_number_of_cameras_is_refused():
 def test_an_unknown_camera_is_refused():
     with pytest.raises(ValueError, match="camera must be one of ego, side, got 'top'"):
         make_policy(backbone="eye", backbone_options={"camera": "top"})
+
+
+def test_the_model_card_names_both_cameras_and_asks_the_environment_for_the_second():
+    side = {"observation.images.side": HAND_FEATURES["observation.images.ego"]}
+    options = {"ego": TINY_EYE, "side": TINY_EYE}
+    policy = make_policy(HAND_FEATURES | side, backbone="two_eyes", backbone_options=options)
+    section = describe(policy.config, 1)
+    assert "images of `ego` and `side`" in section
+    assert "--env.image_size=64 --env.views='[side]'" in section
