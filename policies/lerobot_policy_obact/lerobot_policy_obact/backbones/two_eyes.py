@@ -6,7 +6,8 @@ One small picture tells the direction to the target and hardly its distance. Two
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -35,9 +36,13 @@ class TwoEyes(Backbone):
             [EyeBackbone(width, **(ego or {}), camera="ego"), EyeBackbone(width, **(side or {}), camera="side")]
         )
 
+    @property
+    def _pair(self) -> list[EyeBackbone]:
+        return cast(list[EyeBackbone], list(self.eyes))
+
     def load_pretrained(self) -> None:
         """Load what the eyes have learned, where their options name a file."""
-        for eye in self.eyes:
+        for eye in self._pair:
             eye.load_pretrained()
 
     def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
@@ -46,17 +51,11 @@ class TwoEyes(Backbone):
 
     def look(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
         """Return what `EyeBackbone.look` returns, ``(F, 3, H, W) -> (F, L)``."""
-        return self._by_camera("look", images)
+        return _in_turn([eye.look for eye in self._pair], images)
 
     def tokens(self, looks: Tensor) -> Tensor:
         """Map looks ``(F, L)`` to tokens ``(F, 1, D)``."""
-        return self._by_camera("tokens", looks)
-
-    def _by_camera(self, method: str, frames: Tensor) -> Tensor:
-        parts = frames.unflatten(0, (-1, self.n_cameras)).unbind(1)
-        return torch.stack([getattr(eye, method)(part) for eye, part in zip(self.eyes, parts, strict=True)], 1).flatten(
-            0, 1
-        )
+        return _in_turn([eye.tokens for eye in self._pair], looks)
 
     def sightings(self, looks: Tensor, palm: Tensor) -> Tensor:
         """See `Backbone.sightings`; the second line of sight is taken without its distance.
@@ -64,11 +63,17 @@ class TwoEyes(Backbone):
         Its errors of distance are as alike from frame to frame as those of the first; the factor that is fitted to
         them, see `fitting.py`, is one. Its errors across are in units of half its view, which is narrower.
         """
-        first, second = (eye.sightings(looks[:, :, i : i + 1], palm) for i, eye in enumerate(self.eyes))
+        first, second = (eye.sightings(looks[:, :, i : i + 1], palm) for i, eye in enumerate(self._pair))
         place, across, along = second.split([6, 1, 1], dim=-1)
-        across = across + math.log(self.eyes[1].camera.half_view)
+        across = across + math.log(self._pair[1].camera.half_view)
         return torch.cat([first, torch.cat([place, across, torch.full_like(along, UNSEEN_SCALE)], dim=-1)], dim=2)
 
     def cameras(self, palm: Tensor) -> Tensor:
         """See `Backbone.cameras`."""
-        return torch.cat([eye.cameras(palm) for eye in self.eyes], dim=2)
+        return torch.cat([eye.cameras(palm) for eye in self._pair], dim=2)
+
+
+def _in_turn(views: list[Callable[[Tensor], Tensor]], frames: Tensor) -> Tensor:
+    """Map frames ``(F, ...)``, of all cameras in turn, each by the function of its camera."""
+    parts = frames.unflatten(0, (-1, len(views))).unbind(1)
+    return torch.stack([view(part) for view, part in zip(views, parts, strict=True)], dim=1).flatten(0, 1)
