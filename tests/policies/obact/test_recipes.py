@@ -24,15 +24,14 @@ from torch.utils.data import default_collate
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import control_class_of
 from dynahoi_lerobot.evaluate import command as evaluate_command
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
 from dynahoi_lerobot.sampling.recipe import load_recipe
 
 RECIPES = Path(__file__).parents[3] / "recipes"
 STUDIES = sorted(path for path in RECIPES.glob("study/*.yaml") if "variants" in yaml.safe_load(path.read_text()))
-ON_POLICY = {
-    RECIPES / "train" / f"{name}.yaml" for name in ("standard", "gpu", "late", "unlimited", "contact", "async")
-}
-EYES = {RECIPES / "train" / f"{name}.yaml" for name in ("eye", "eye_robust", "eye_96")}
+ON_POLICY = {path for path in RECIPES.glob("train/*.yaml") if "rounds" in yaml.safe_load(path.read_text())}
+EYES = {path for path in RECIPES.glob("train/*.yaml") if "pictures" in yaml.safe_load(path.read_text())}
 TRAINING = sorted(
     [
         *(path for path in RECIPES.glob("train/*.yaml") if path not in EYES | ON_POLICY),
@@ -69,8 +68,9 @@ def test_a_training_recipe_is_read(path: Path) -> None:
 
 @pytest.mark.parametrize("path", sorted(EYES), ids=str)
 def test_an_eyes_recipe_is_read_and_an_eye_of_its_size_ships(path: Path) -> None:
-    size = read_recipe(EyeRecipe, path).episodes.image_size
-    assert SHIPPED[f"shipped_{size}"].is_file()
+    recipe = read_recipe(EyeRecipe, path)
+    camera = "" if recipe.camera == EGO_VIEW else f"{recipe.camera}_"
+    assert SHIPPED[f"shipped_{camera}{recipe.episodes.image_size}"].is_file()
 
 
 @pytest.mark.parametrize("path", sorted(ON_POLICY), ids=str)
@@ -82,18 +82,22 @@ def test_a_recipe_in_memory_is_read_and_its_policy_keeps_to_the_control_class(pa
     fastest = CAPTURES[recipe.episodes.capture].palm_speed_m_s(control)
     assert config.head_options["palm_speed_m_s"] <= fastest
     assert recipe.episodes.capture == "contact" or config.head_options["palm_speed_m_s"] == fastest
-    assert recipe.policy["backbone_options"]["weights"] == f"shipped_{config.image_size}"
-    assert recipe.episodes.image_size == config.image_size
-    standard = yaml.safe_load((RECIPES / "train" / "standard.yaml").read_text())["policy"]
+    options, size = recipe.policy["backbone_options"], config.image_size
+    two = {"ego": {"weights": f"shipped_{size}"}, "side": {"weights": f"shipped_side_{size}"}}
+    assert options == (two if recipe.episodes.views else {"weights": f"shipped_{size}"})
+    assert recipe.episodes.image_size == size
+    base = "two_views" if recipe.episodes.views else "standard"
+    standard = yaml.safe_load((RECIPES / "train" / f"{base}.yaml").read_text())["policy"]
     changed = {key for key in standard if recipe.policy.get(key) != standard[key]}
     assert changed <= {"repo_id", "head_options", "device"}, "the classes share their weights"
 
 
 @pytest.mark.slow
-def test_the_cpu_recipe_learns_from_the_lean_copy(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "learned"), [("obact_cpu", "backbone.slot"), ("demonstrations", "head.out.weight")])
+def test_the_cpu_recipes_learn_from_the_lean_copy(name: str, learned: str, tmp_path: Path) -> None:
     register_third_party_plugins()
     root = STUDY.generate({"recipe": "recipes/generate/train_small.yaml", "episodes": 2}, tmp_path)
-    config = draccus.parse(TrainPipelineConfig, RECIPES / "train/obact_cpu.yaml", args=[f"--dataset.root={root}"])
+    config = draccus.parse(TrainPipelineConfig, RECIPES / f"train/{name}.yaml", args=[f"--dataset.root={root}"])
     dataset = make_dataset(config)
     removed = yaml.safe_load((RECIPES / "lean.yaml").read_text())["operation"]["feature_names"]
     full = json.loads((tmp_path / "data/meta/info.json").read_text())["features"]
@@ -106,8 +110,7 @@ def test_the_cpu_recipe_learns_from_the_lean_copy(tmp_path: Path) -> None:
     camera = "observation.images.ego"
     loss, _ = policy(preprocess(batch | {camera: batch[camera] / 255.0}))
     loss.backward()
-    assert policy.model.probe is not None
-    assert policy.model.backbone.slot.grad.abs().max() > 0
+    assert policy.model.get_parameter(learned).grad.abs().max() > 0
 
 
 def _lerobot_train(row: dict[str, Any], options: dict[str, Any]) -> TrainPipelineConfig:
