@@ -2,7 +2,7 @@
 
 The network predicts where the target will be at a few times, as a correction of the straight line through its latest
 sightings, towards what other motion models expect and beyond, and how far the fingers must close. The chunk follows
-from that by `reach.py`: at a limit, *where* to go is a question for the network, and how fast is none.
+from that by `reach.py` or `matching.py`: at a limit, *where* to go is a question for the network, and how fast is none.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ..attention import Attention
+from ..matching import matched_path
 from ..reach import Reach, close_in_time, earliest_meeting, executed, first_contact, palm_path
 from ..track import N_FITS, N_TRACK, Track
 from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, Prefix, heads
@@ -18,13 +19,14 @@ from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, Prefix, 
 KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
 """Frames ahead at which the path is predicted; a spline leads from one to the next."""
 PALM_DIM = 3
+ARRIVALS = ("straight", "matched")
 CLOSED_QUANTILE = 0.7
 """Fingers that close too little lose the target, and fingers that close a little too much do not."""
 
 
 @heads.register("intercept")
 class InterceptHead(ForecastHead):
-    """Forecast, meeting point, straight approach. Needs an eye, and states and actions in metres and radians.
+    """Forecast, meeting point, approach. Needs an eye, and states and actions in metres and radians.
 
     Args:
         spec: sizes of the head and of its inputs.
@@ -35,6 +37,10 @@ class InterceptHead(ForecastHead):
         closing_frames: fingers close over at most this many frames.
         squeeze_rad: each joint is commanded this far beyond where it touches, so that it presses.
         seat_m: where the target should be in the hand, from the palm's centre.
+        arrival: "straight" at full speed to the earliest meeting point, or "matched" to the target's velocity there.
+
+    Raises:
+        ValueError: if there is no such arrival.
     """
 
     accepts_prefix = True
@@ -52,8 +58,12 @@ class InterceptHead(ForecastHead):
         closing_frames: int = 8,
         squeeze_rad: float = 0.0,
         seat_m: tuple[float, ...] = (0.0, 0.0, 0.0),
+        arrival: str = "straight",
     ) -> None:
         super().__init__(spec)
+        if arrival not in ARRIVALS:
+            raise ValueError(f"arrival is {arrival!r}, but must be one of {', '.join(ARRIVALS)}.")
+        self.arrival = arrival
         self.reach = Reach(palm_speed_m_s / spec.fps, joint_speed_rad_s / spec.fps, spare_frames, closing_frames)
         self.squeeze_rad = squeeze_rad
         self.register_buffer("seat_m", torch.tensor(seat_m), persistent=False)
@@ -94,6 +104,12 @@ class InterceptHead(ForecastHead):
         late, here = self.spec.latency_frames, self._here(condition)
         return Prefix(here[:, None].expand(-1, late, -1), torch.full((len(here),), late, device=here.device))
 
+    def _approach(self, path: Tensor, turn_rad: Tensor) -> Tensor:
+        """Return where palms will be on their way to targets on paths ``(B, F + 1, 3)``, of the same shape."""
+        if self.arrival == "matched":
+            return matched_path(path, self.reach, self.spec.fps)
+        return palm_path(path, earliest_meeting(path, turn_rad, self.reach), self.reach)
+
     def _joints(self, condition: Condition) -> Tensor:
         return condition.position[:, PALM_DIM : self.spec.action_dim]
 
@@ -117,8 +133,7 @@ class InterceptHead(ForecastHead):
         start = executed(self._here(condition), prefix.actions, prefix.length, self.reach)
         joints, origin = start[:, PALM_DIM:], start[:, None, :PALM_DIM]
         path = delayed(self.between @ forecast.path, prefix.length) - origin - self.seat_m  # (B, F + 1, 3)
-        turn = (forecast.closed - joints).abs().amax(-1)
-        palm = palm_path(path, earliest_meeting(path, turn, self.reach), self.reach)
+        palm = self._approach(path, (forecast.closed - joints).abs().amax(-1))
         n_steps = self.spec.horizon - self.spec.latency_frames
         closed = forecast.closed + self.squeeze_rad
         fingers = close_in_time(joints, closed, first_contact(palm, path), n_steps, self.reach)
