@@ -54,8 +54,10 @@ def card_with_results(checkpoint: Path, results: list[Path]) -> str:
 
 def results_section(head: dict[str, Any]) -> str:
     """Return the table of one evaluation, given the content of its ``metrics.json``; fractions are in percent."""
-    control = head.get("extra", {}).get("recipe", {}).get("control_class")
+    extra = head.get("extra", {})
+    control, inference = extra.get("recipe", {}).get("control_class"), extra.get("inference")
     rules = f"capture rule `{head['capture']}`" + (f", control class `{control}`" if control else "")
+    rules += f", inference {inference}" if inference else ""
     title = f"\n## Results on `{head['split']}`, {head['n']} episodes, {rules}\n"
     lines = [title, "| Metric | Value | 95 % interval | Unit | Episodes |", "| --- | --- | --- | --- | --- |"]
     lines += [_row(name, metric, head["n"]) for name, metric in head["metrics"].items() if metric["value"] is not None]
