@@ -86,7 +86,8 @@ def options_of(case: str, root: Path, **changes: object) -> tuple[str, dict]:
 
 
 def test_every_backbone_has_a_case() -> None:
-    assert {name for name, _ in CASES.values()} == set(backbones.names())
+    """Those of several cameras have tests of their own, such as test_obact_two_eyes.py."""
+    assert {name for name, _ in CASES.values()} == {name for name in backbones.names() if name != "two_eyes"}
 
 
 @pytest.mark.parametrize("case", CASES)
