@@ -18,6 +18,7 @@ import dynahoi_lerobot
 from dynahoi_lerobot.agent import Agent, Observation
 from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, PolicyError, trusted_checkpoint
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
 ACTING = ("env/spaces.py", "evaluate/frame_history.py", "evaluate/policy_agent.py")
@@ -68,12 +69,18 @@ def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
     """Load a policy on the CPU.
 
     Raises:
-        PolicyError: if there is no such policy, or a repository is to be trusted, whose content would not be named.
+        PolicyError: if there is no such policy, if it reads the simulator's truth, which recordings do not show it, or
+            a repository is to be trusted, whose content would not be named.
         UntrustedCheckpointError: if loading it could run code of its own, unless ``trust`` allows that.
     """
     if trust and not Path(path).is_dir():
         raise PolicyError(f"--trust needs a folder as the actor, got {path!r}; download the repository first")
-    return PolicyAgent(path, "cpu", trust=trust)
+    policy = PolicyAgent(path, "cpu", trust=trust)
+    if policy.sees_environment_state:
+        raise PolicyError(
+            f"{path} reads {ENVIRONMENT_STATE}, the simulator's truth; an actor sees pictures and the hand"
+        )
+    return policy
 
 
 @cache

@@ -6,13 +6,11 @@ import base64
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from dynahoi_lerobot.report.entries import Entry
 
 INK = "#0a0b0c"
 """Placeholder for the text colour while drawing; in the SVG the page's text colour replaces it."""
@@ -44,6 +42,20 @@ _RC: dict[Any, Any] = {
 }
 
 
+class Labelled(Protocol):
+    """What a legend names."""
+
+    @property
+    def label(self) -> str:
+        """Its name."""
+        ...
+
+    @property
+    def colour(self) -> str:
+        """Hexadecimal RGB."""
+        ...
+
+
 @contextmanager
 def figure_style() -> Iterator[None]:
     """Draw in the report's style, whatever the user's own matplotlib settings are."""
@@ -65,12 +77,12 @@ def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[
     return figure, list(grid.ravel())
 
 
-def legend(figure: Figure, entries: Sequence[Entry]) -> None:
-    """Put the entries' colours above the axes."""
+def legend(figure: Figure, shown: Sequence[Labelled]) -> None:
+    """Put the colours of what is shown above the axes."""
     from matplotlib.patches import Patch
 
-    handles = [Patch(color=entry.colour, label=entry.label) for entry in entries]
-    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(entries), 4))
+    handles = [Patch(color=entry.colour, label=entry.label) for entry in shown]
+    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(shown), 4))
 
 
 def hide_unused(axes: Sequence[Axes], used: int) -> None:

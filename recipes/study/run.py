@@ -85,10 +85,16 @@ def main() -> None:
 
 
 def generate(data: dict[str, Any], out: Path) -> Path:
-    """Write what is still missing of the training data; return the copy to train on, which is faster to read."""
+    """Write what is still missing of the training data, with options of ``dynahoi generate``.
+
+    Returns:
+        What to train on: of data with pictures a copy that is faster to read.
+    """
     full, lean, partial = out / "data", out / "data_lean", out / "data_lean.partial"
-    what = ["--recipe", str(ROOT / data["recipe"]), "--episodes", str(data["episodes"])]
-    dynahoi("generate", *what, "--workers", str(os.cpu_count() or 1), "--root", str(full))
+    what = {**data, "recipe": ROOT / data["recipe"], "workers": os.cpu_count() or 1, "root": full}
+    dynahoi("generate", *repeated(what))
+    if data.get("image-size") == 0:
+        return full
     if not lean.exists():
         shutil.rmtree(partial, ignore_errors=True)
         which = [f"--config_path={ROOT / 'recipes/lean.yaml'}", f"--root={full}", f"--new_root={partial}"]
@@ -183,9 +189,9 @@ def play(policy: str, folder: Path, how: dict[str, Any]) -> None:
 
 
 def repeated(options: dict[str, Any]) -> list[str]:
-    """Return options as our commands read them; each entry of a list is an option of its own."""
+    """Return options as our commands read them; each entry of a list is an option of its own, and ``true`` a flag."""
     flat = [(name, one) for name, value in options.items() for one in (value if isinstance(value, list) else [value])]
-    return [word for name, value in flat for word in (f"--{name}", str(value))]
+    return [word for name, value in flat for word in ([f"--{name}"] if value is True else [f"--{name}", str(value)])]
 
 
 def checkpoint(variant: Variant, out: Path) -> Path:

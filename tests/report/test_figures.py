@@ -16,6 +16,7 @@ from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.figures.base import FIGURES, in_order
+from dynahoi_lerobot.report.figures.curves import by_condition
 from dynahoi_lerobot.report.figures.grasp_magnitude import by_object
 from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay
 from dynahoi_lerobot.report.figures.panels import scaled
@@ -81,6 +82,17 @@ def test_a_curve_needs_two_numbers(tmp_path: Path):
     entries = read_entries([tmp_path / "a", tmp_path / "b"])
     assert FIGURES["obs-frames"].render(entries) is None
     assert FIGURES["data-scaling"].render(entries) is None
+
+
+def test_a_study_has_a_curve_for_each_condition(tmp_path: Path):
+    for name, condition, s in (("a", "late", 0), ("b", "late", 5), ("c", "replanning", 5), ("d", "replanning", 0)):
+        example_run(tmp_path / name, name, 0.5, 2, n_obs_frames=s, condition=condition)
+    drawn = by_condition(read_entries([tmp_path / name for name in "abcd"]))
+    assert {curve.label: {entry.results.folder.name for entry in curve.entries} for curve in drawn} == {
+        "late": {"a", "b"},
+        "replanning": {"c", "d"},
+    }
+    assert len({curve.colour for curve in drawn}) == 2
 
 
 def test_commands_that_never_change_still_have_a_histogram(lone: list[Entry]):

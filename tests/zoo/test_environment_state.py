@@ -120,6 +120,12 @@ def test_a_policy_that_reads_it_gets_it_nowhere_else(checkpoint: str) -> None:
         PolicyAgent(checkpoint).act(Observation({}, nothing, nothing, one_hot_phase(np.ones(1, bool)), ("",)))
 
 
+def test_it_is_no_actor_of_recordings(checkpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["generate", "--actor", checkpoint, "--episodes", "1", "--root", str(tmp_path / "d")]) == 2
+    assert f"reads {KEY}, the simulator's truth; an actor sees pictures and the hand" in capsys.readouterr().err
+    assert not (tmp_path / "d").exists()
+
+
 def test_who_does_not_read_it_is_not_given_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "--policy", "hold", "--environment-state", "--out", str(tmp_path / "r")]) == 2
     assert f"--environment-state is for policies that read {KEY}, and hold does not" in capsys.readouterr().err

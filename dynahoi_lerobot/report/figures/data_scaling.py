@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.figures.base import figure
-from dynahoi_lerobot.report.figures.panels import curves
+from dynahoi_lerobot.report.figures.curves import curves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.figures.base import figure
-from dynahoi_lerobot.report.figures.panels import curves
+from dynahoi_lerobot.report.figures.curves import curves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,6 +17,6 @@ if TYPE_CHECKING:
 def obs_frames(entries: Sequence[Entry]) -> Figure | None:
     """The metrics over the number of observed frames s (Figure "Obs-frames ablation").
 
-    Drawn from evaluations that say ``n_obs_frames``.
+    Drawn from evaluations that say ``n_obs_frames``, a line for each ``condition`` of a study.
     """
     return curves(entries, "n_obs_frames", "observed frames s")

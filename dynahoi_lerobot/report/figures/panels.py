@@ -11,7 +11,7 @@ from dynahoi_lerobot.evaluate.strata import STRATA
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary
 from dynahoi_lerobot.evaluate.table import columns_for, heading
 from dynahoi_lerobot.report.entries import Entry
-from dynahoi_lerobot.report.style import hide_unused, legend, new_figure
+from dynahoi_lerobot.report.style import Labelled, hide_unused, legend, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 ACROSS = 4
 """Panels in a row."""
-
-LARGEST_ON_AXIS = 1e12
 
 
 def columns_of(entries: Sequence[Entry]) -> tuple[str, ...]:
@@ -36,14 +34,14 @@ def scaled(estimates: Sequence[Estimate]) -> tuple[np.ndarray, np.ndarray]:
     return value, np.stack([value - low, high - value])
 
 
-def metric_panels(names: Sequence[str], entries: Sequence[Entry]) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a titled panel for each metric and a legend of the entries."""
+def metric_panels(names: Sequence[str], shown: Sequence[Labelled]) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a titled panel for each metric and a legend of what it shows."""
     rows = -(-len(names) // ACROSS)
     figure, axes = new_figure(rows, min(ACROSS, len(names)), 2.2 * rows + 0.4)
     hide_unused(axes, len(names))
     for panel, name in zip(axes, names, strict=False):
         panel.set_title(heading(name))
-    legend(figure, entries)
+    legend(figure, shown)
     return figure, axes
 
 
@@ -57,52 +55,19 @@ def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
         for place, entry in enumerate(entries):
             shift = 0.12 * (place - (len(entries) - 1) / 2) / max(1, len(entries) / 4)
             estimates = [_pick(entry.by(stratum), label, name) for label in labels]
-            _points(panel, np.arange(len(labels)) + shift, estimates, entry)
+            draw_points(panel, np.arange(len(labels)) + shift, estimates, entry.colour)
         panel.set_xticks(range(len(labels)), labels)
         panel.set_xlim(-0.5, len(labels) - 0.5)
     return figure
 
 
-def curves(entries: Sequence[Entry], key: str, axis_label: str) -> Figure | None:
-    """Draw every metric over the number ``extra[key]`` of each entry; None with fewer than two numbers."""
-    known = sorted((e for e in entries if _is_number(e.results.info.extra.get(key))), key=lambda e: _extra(e, key))
-    if len({_extra(entry, key) for entry in known}) < 2:
-        return None
-    names = columns_of(known)
-    figure, axes = metric_panels(names, known)
-    for panel, name in zip(axes, names, strict=False):
-        for entry in known:
-            _points(panel, np.array([_extra(entry, key)]), [entry.summary[name]], entry)
-        for group in _same_run(known):
-            values, _ = scaled([entry.summary[name] for entry in group])
-            panel.plot([_extra(entry, key) for entry in group], values, color="#808080", lw=1, zorder=1)
-        panel.set_xlabel(axis_label)
-    return figure
-
-
-def _points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate], entry: Entry) -> None:
+def draw_points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate], colour: str) -> None:
+    """Draw estimates over (K,) numbers with their 95 % intervals, joined by a line."""
     values, errors = scaled(estimates)
     line = "-" if len(x) > 1 else "none"
-    panel.errorbar(x, values, errors, fmt="o", ms=4, lw=1.2, linestyle=line, capsize=2, color=entry.colour)
+    panel.errorbar(x, values, errors, fmt="o", ms=4, lw=1.2, linestyle=line, capsize=2, color=colour)
 
 
 def _pick(groups: dict[str, Summary], label: str, name: str) -> Estimate:
     missing = Estimate(None, None, None, "score", 0)
     return groups[label][name] if label in groups else missing
-
-
-def _same_run(entries: Sequence[Entry]) -> list[list[Entry]]:
-    """Return the entries joined by a line: those of one split and capture rule."""
-    groups: dict[tuple[str, str], list[Entry]] = {}
-    for entry in entries:
-        groups.setdefault((entry.results.info.split, entry.results.info.capture), []).append(entry)
-    return list(groups.values())
-
-
-def _extra(entry: Entry, key: str) -> float:
-    return float(entry.results.info.extra[key])
-
-
-def _is_number(value: object) -> bool:
-    """Tell whether ``value`` is a number that an axis can show; JSON knows greater ones."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST_ON_AXIS
