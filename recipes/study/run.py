@@ -44,6 +44,7 @@ class Variant:
         conditions: names of the study's conditions that it is evaluated under.
         data_fraction: share of the episodes it learns from, the first ones.
         as_long_as: another variant, whose training time this one gets instead of its number of steps.
+        times: so many times that time.
         extra: what its results say about it.
     """
 
@@ -54,6 +55,7 @@ class Variant:
     conditions: list[str] = field(default_factory=lambda: [AS_IT_IS])
     data_fraction: float = 1.0
     as_long_as: str = ""
+    times: float = 1.0
     extra: dict[str, Any] = field(default_factory=dict)
 
 
@@ -140,7 +142,7 @@ def train_on_data(variant: Variant, common: dict[str, Any], data: Path, out: Pat
         episodes = json.loads((data / "meta" / "info.json").read_text())["total_episodes"]
         options["dataset.episodes"] = list(range(round(variant.data_fraction * episodes)))
     if variant.as_long_as:
-        seconds = json.loads((out.parent / variant.as_long_as / "seconds.json").read_text())
+        seconds = variant.times * json.loads((out.parent / variant.as_long_as / "seconds.json").read_text())
         options["steps"] = steps_within(seconds, variant, options, out)
     return lerobot_train(variant, options, out / "training")
 

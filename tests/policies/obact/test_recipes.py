@@ -155,10 +155,11 @@ def test_a_study_changes_options_that_exist(path: Path) -> None:
             assert found == value, variant["name"]
 
 
+@pytest.mark.parametrize(("times", "steps"), [(1, 1000), (10, 10630)])
 def test_a_variant_gets_as_many_steps_as_fit_in_the_time_of_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    times: int, steps: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A second per ten steps after 7 s of start-up: 107 s are 1,000 steps."""
+    """A second per ten steps after 7 s of start-up: 107 s are 1,000 steps, and 1,070 s are 10,630."""
     trained: list[int] = []
 
     def lerobot_train(variant: Any, options: dict[str, Any], out: Path) -> float:
@@ -169,7 +170,7 @@ def test_a_variant_gets_as_many_steps_as_fit_in_the_time_of_another(
     (tmp_path / "slow").mkdir()
     (tmp_path / "fast").mkdir()
     (tmp_path / "slow" / "seconds.json").write_text("107")
-    variant = STUDY.Variant("fast", "any.yaml", as_long_as="slow")
+    variant = STUDY.Variant("fast", "any.yaml", as_long_as="slow", times=times)
     STUDY.train(variant, {"steps": 5}, tmp_path / "data", tmp_path / "fast")
-    assert trained == [*STUDY.PACE_STEPS, 1000]
-    assert json.loads((tmp_path / "fast" / "seconds.json").read_text()) == 107
+    assert trained == [*STUDY.PACE_STEPS, steps]
+    assert json.loads((tmp_path / "fast" / "seconds.json").read_text()) == 107 * times
