@@ -130,12 +130,9 @@ def test_a_study_evaluates_under_conditions_that_exist(path: Path) -> None:
     named = {name for row in study["variants"] for name in {**study["defaults"], **row}.get("conditions", [])}
     assert named == set(study.get("conditions", {}))
     for how in study.get("conditions", {}).values():
-        words = [
-            f"--{name}={one}" for name, value in how.items() for one in (value if type(value) is list else [value])
-        ]
         parser = argparse.ArgumentParser()
         evaluate_command.add_arguments(parser)
-        assert parser.parse_args(["--policy=hold", *words]).policy == "hold"
+        assert parser.parse_args(["--policy=hold", *STUDY.repeated(how)]).policy == "hold"
 
 
 @pytest.mark.parametrize("path", STUDIES, ids=str)
