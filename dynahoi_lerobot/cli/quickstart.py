@@ -1,13 +1,14 @@
 """``dynahoi quickstart``: dataset, training, evaluation and report, in minutes on two CPU cores.
 
-generate -> dagger (ObAct) -> lerobot-eval -> privileged baselines -> report. Each stage writes a folder and is skipped
-if that exists, so a stopped quickstart can be resumed.
+generate -> dagger (ObAct) -> lerobot-eval -> privileged baselines -> report. Each stage is skipped if what it leaves
+when it is done is there, so a stopped quickstart can be resumed.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+import importlib.util
+import shutil
 import sys
 import time
 import webbrowser
@@ -21,6 +22,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.lerobot_process import run_lerobot
+from dynahoi_lerobot.doctor.parts.processor import cores
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.foundation.arguments import path, whole
@@ -34,6 +36,9 @@ TRAINING = Path(__file__).with_suffix(".yaml")
 KINDS = BENCHMARK.splits[SMALL_TEST].motions
 GIFS = 6
 BASELINES = ("intercept", "constant_velocity", "hold")
+NEEDS = ("torch", "lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
+"""Packages that the core install leaves out."""
+TABLE = "table.txt"
 TASK_DONE = "metrics so far:"
 """How the environment's line begins when ``lerobot-eval`` has played a kind of motion."""
 
@@ -81,7 +86,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the stages that are not done yet; return the exit code."""
+    """Run the stages that are not done yet; return the exit code.
+
+    Raises:
+        ValueError: if what training needs is not installed.
+    """
+    if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
+        raise ValueError(
+            f"training needs {', '.join(missing)}: pip install 'dynahoi_lerobot[lerobot]' lerobot_env_dynahoi "
+            "lerobot_policy_obact"
+        )
     out = args.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
@@ -99,7 +113,7 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
         ("generate a dataset", out / "dataset", _generate),
         ("train ObAct on its own episodes", _checkpoint(out), _train),
         ("evaluate it with lerobot-eval", out / "results" / "obact", _evaluate),
-        ("evaluate the privileged baselines", out / "results" / BASELINES[-1], _baselines),
+        ("evaluate the privileged baselines", out / TABLE, _baselines),
     ]
     for number, (what, product, stage) in enumerate(stages, 1):
         done = product.exists()
@@ -111,7 +125,7 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
 
 def _generate(out: Path, size: Size) -> None:
     words = ["--root", str(out / "dataset"), "--episodes", str(size.episodes), "--image-size", str(IMAGE_SIZE)]
-    if cli.main(["generate", *words, "--workers", str(os.cpu_count() or 1)]):
+    if cli.main(["generate", *words, "--workers", str(cores())]):
         raise StageError("the dataset could not be generated; the sentence above says why")
 
 
@@ -131,7 +145,9 @@ def _train(out: Path, size: Size) -> None:
 
 
 def _evaluate(out: Path, size: Size) -> None:
-    kinds = KINDS[: size.kinds]
+    """Evaluate in a folder of its own, which becomes the results' when all kinds are played."""
+    kinds, results, partial = KINDS[: size.kinds], out / "results" / "obact", out / "results" / "obact.partial"
+    shutil.rmtree(partial, ignore_errors=True)
     words = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
@@ -139,7 +155,7 @@ def _evaluate(out: Path, size: Size) -> None:
         f"--env.task={','.join(kinds)}",
         f"--env.split={SMALL_TEST}",
         f"--env.image_size={IMAGE_SIZE}",
-        f"--env.results_dir={out / 'results' / 'obact'}",
+        f"--env.results_dir={partial}",
         f"--eval.n_episodes={size.per_kind}",
         f"--eval.batch_size={size.per_kind}",
         "--seed=0",
@@ -150,6 +166,7 @@ def _evaluate(out: Path, size: Size) -> None:
     with tqdm(total=len(kinds), desc="evaluating", unit="kind", disable=None) as bar:
         if code := run_lerobot("lerobot_eval", words, log, TASK_DONE, bar):
             raise StageError(f"lerobot-eval ended with code {code}; see {log}")
+    partial.rename(results)
 
 
 def _device() -> str:
@@ -175,7 +192,7 @@ def _conclude(out: Path, start: float, *, show: bool) -> None:
     folders = [out / "results" / name for name in ("obact", *BASELINES)]
     page = render_report(folders, out / "report.html")
     table = results_table([read_results(folder) for folder in folders])
-    (out / "table.txt").write_text(table + "\n")
+    (out / TABLE).write_text(table + "\n")
     print(f"\n{table}\n\nThis is a few minutes of training; docs/experiments.md says what more brings.")
     print(f"everything is in {out}, after {time.monotonic() - start:.0f} s; this opens the report:")
     print(f"python -m webbrowser {page.resolve().as_uri()}")

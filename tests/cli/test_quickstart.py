@@ -93,6 +93,49 @@ def test_every_stage_shows_a_bar_with_the_time_left_and_nothing_else_speaks(tmp_
     assert last == f"python -m webbrowser {(tmp_path / 'tiny' / 'report.html').as_uri()}"
 
 
+def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The environment writes results after every kind of motion, so a folder with some of them is not all."""
+    partial, results = tmp_path / "results" / "obact.partial", tmp_path / "results" / "obact"
+    codes = iter((1, 0))
+
+    def run_lerobot(_: str, words: list[str], *__: object) -> int:
+        assert f"--env.results_dir={partial}" in words
+        assert not partial.exists(), "what an earlier run left is not mixed in"
+        example_run(partial, "obact", skill=0.5)
+        return next(codes)
+
+    monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
+    with pytest.raises(quickstart.StageError, match="code 1"):
+        quickstart._evaluate(tmp_path, quickstart.TINY)
+    assert not results.exists()
+    quickstart._evaluate(tmp_path, quickstart.TINY)
+    assert read_results(results).rows
+    assert not partial.exists()
+
+
+def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[str] = []
+    for name in ("_generate", "_train", "_evaluate", "_baselines"):
+        monkeypatch.setattr(quickstart, name, lambda *_, name=name: ran.append(name))
+    for folder in ("dataset", "training/pretrained_model", "results/obact", "results/hold"):
+        (tmp_path / folder).mkdir(parents=True)
+    quickstart._run_stages(tmp_path, quickstart.TINY, 0.0)
+    assert ran == ["_baselines"]
+    (tmp_path / quickstart.TABLE).touch()
+    quickstart._run_stages(tmp_path, quickstart.TINY, 0.0)
+    assert ran == ["_baselines"]
+
+
+def test_the_core_install_is_told_what_the_quickstart_needs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(quickstart.importlib.util, "find_spec", lambda name: None if name == "torch" else name)
+    out = tmp_path / "quickstart"
+    assert main(["quickstart", "--out", str(out)]) == 2
+    assert "training needs torch: pip install" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_open_opens_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
     for name in ("obact", *quickstart.BASELINES):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from .configuration_obact import ObActConfig
 
 EGO = "ego"
@@ -30,7 +32,7 @@ With the plugins `lerobot_policy_obact` and `lerobot_env_dynahoi` installed from
 
 ```bash
 lerobot-eval --policy.path={policy} --env.type=dynahoi --env.split=test_small{env_options} --eval.n_episodes=110
-dynahoi evaluate --policy {policy} --split test_small --out results
+dynahoi evaluate --policy {policy} --split test_small{rules} --out results
 ```
 
 **Limits.** The policy sees up to {memory_s:.3g} s of the past. It was trained by imitation of a scripted expert in
@@ -38,7 +40,13 @@ simulation, and is untested outside the objects, motions and camera views of its
 """
 
 
-def describe(config: ObActConfig, n_parameters: int, dataset: str = "", policy: str = "") -> str:
+def describe(
+    config: ObActConfig,
+    n_parameters: int,
+    dataset: str = "",
+    policy: str = "",
+    rules: Mapping[str, str] | None = None,
+) -> str:
     """Return the section as Markdown.
 
     Args:
@@ -46,6 +54,7 @@ def describe(config: ObActConfig, n_parameters: int, dataset: str = "", policy: 
         n_parameters: trained and frozen parameters of the network, without the averaged copy.
         dataset: Hub name of the training data; "" if unknown.
         policy: folder or Hub name for the commands; "" takes the config's ``repo_id``, else this folder.
+        rules: what the commands change of the benchmark's rules, by fields of the env, such as ``control_class``.
     """
     spacing_s = config.obs_stride / config.fps
     relative = f"relative to the current state in the first {config.relative_dims} dimensions"
@@ -54,6 +63,8 @@ def describe(config: ObActConfig, n_parameters: int, dataset: str = "", policy: 
     further = [camera for camera in cameras if camera != EGO]
     env_options = f" --env.image_size={sizes.pop()}" if len(sizes) == 1 else ""
     env_options += f" --env.views='[{','.join(further)}]'" if further else ""
+    rules = rules or {}
+    env_options += "".join(f" --env.{name}={value}" for name, value in rules.items())
     return _SECTION.format(
         parameters=n_parameters / 1e6,
         backbone=config.backbone,
@@ -71,6 +82,7 @@ def describe(config: ObActConfig, n_parameters: int, dataset: str = "", policy: 
         policy=policy or config.repo_id or ".",
         cameras="images of " + " and ".join(f"`{camera}`" for camera in cameras),
         env_options=env_options,
+        rules="".join(f" --{name.replace('_', '-')} {value}" for name, value in rules.items()),
         memory_s=-config.windows.lookback[0] / config.fps,
     )
 

@@ -12,7 +12,7 @@ from lerobot.utils.constants import OBS_STATE
 from torch import Tensor
 
 from .configuration_obact import ObActConfig
-from .replan import indicator, rise_threshold
+from .replan import indicator, rise_threshold, risen
 
 Batch = Mapping[str, Any]
 """A preprocessed LeRobot batch: tensors by key, and the instruction(s) under "task"."""
@@ -42,12 +42,15 @@ class Observation:
 
     @classmethod
     def from_batch(cls, batch: Batch, config: ObActConfig) -> Observation:
-        """Read a preprocessed LeRobot batch, with a time axis (dataset) or without one (environment)."""
+        """Read a preprocessed LeRobot batch, with a time axis (dataset) or without one (environment).
+
+        Without its ``replan_key``, which robots and LeRobot's asynchronous server do not send, the hand may move.
+        """
         images = torch.stack(
             [_resize(_with_time(batch[key], 5), config.image_size) for key in config.image_features], 2
         )
         shape, device = images.shape[:2], images.device
-        vectors = [_with_time(batch[key], 3).reshape(*shape, -1) for key in config.proprioceptive_keys]
+        vectors = [_vector(batch, key, config, images) for key in config.proprioceptive_keys]
         empty = torch.zeros(*shape, 0, device=device)
         observation = cls(
             images=images,
@@ -83,6 +86,13 @@ class Observation:
 
 def _with_time(x: Tensor, n_axes: int) -> Tensor:
     return x if x.dim() == n_axes else x.unsqueeze(1)  # (B, ...) -> (B, 1, ...)
+
+
+def _vector(batch: Batch, key: str, config: ObActConfig, images: Tensor) -> Tensor:
+    """Return a vector observation of the frames of ``images``, ``(B, T, D)``."""
+    if key == config.replan_key and key not in batch:
+        return risen(config).to(images.device).expand(*images.shape[:2], -1)
+    return _with_time(batch[key], 3).reshape(*images.shape[:2], -1)
 
 
 def _resize(images: Tensor, size: int) -> Tensor:

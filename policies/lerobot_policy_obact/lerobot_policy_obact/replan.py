@@ -49,6 +49,15 @@ def rise_threshold(config: ObActConfig, stats: dict[str, dict[str, Any]] | None)
     return float(((low + high) / 2 - shift[-1]) / scale[-1].clamp_min(EPS))
 
 
+def risen(config: ObActConfig) -> Tensor:
+    """Return ``config.replan_key`` after its rise, ``(D,)``: all 0 but the last; its mean, 0, if it is normalised."""
+    size = (config.input_features or {})[config.replan_key].shape[0]
+    value = torch.zeros(size)
+    if _mode(config) is NormalizationMode.IDENTITY:
+        value[-1] = 1.0
+    return value
+
+
 def _mode(config: ObActConfig) -> NormalizationMode:
     """Return how LeRobot normalises the indicator; what is no input of the policy it leaves as it is."""
     feature = (config.input_features or {}).get(config.replan_key)

@@ -21,6 +21,9 @@ from safetensors import safe_open
 from .configuration_obact import ObActConfig
 from .model_card import describe
 
+DEFAULT_RULES = {"capture": "attach", "control_class": "standard", "protocol": "observe_before_act"}
+"""What `dynahoi evaluate` and the env do unless told otherwise."""
+
 HEADER = """---
 library_name: lerobot
 license: {license}
@@ -48,8 +51,15 @@ def card_with_results(checkpoint: Path, results: list[Path]) -> str:
     name = (config.repo_id or checkpoint.resolve().name).rsplit("/", 1)[-1]
     header = HEADER.format(license=config.license or "apache-2.0", datasets=datasets, name=name)
     policy = config.repo_id or checkpoint.as_posix()
-    section = describe(config, _parameters(checkpoint), dataset, policy)
-    return header + section + "".join(results_section(_metrics(folder)) for folder in results)
+    heads = [_metrics(folder) for folder in results]
+    section = describe(config, _parameters(checkpoint), dataset, policy, changed_rules(heads[0]) if heads else {})
+    return header + section + "".join(results_section(head) for head in heads)
+
+
+def changed_rules(head: dict[str, Any]) -> dict[str, str]:
+    """Return the rules of an evaluation that are not the benchmark's defaults, by fields of the env."""
+    recipe = head.get("extra", {}).get("recipe", {})
+    return {name: recipe[name] for name, usual in DEFAULT_RULES.items() if recipe.get(name, usual) != usual}
 
 
 def results_section(head: dict[str, Any]) -> str:

@@ -10,7 +10,7 @@ import pytest
 import torch
 import torch.distributed as dist
 from lerobot.async_inference.configs import PolicyServerConfig
-from lerobot.async_inference.helpers import RemotePolicyConfig, TimedObservation
+from lerobot.async_inference.helpers import RemotePolicyConfig, TimedAction, TimedObservation
 from lerobot.async_inference.policy_server import PolicyServer
 from lerobot.policies import make_pre_post_processors
 from lerobot_policy_obact import ObActPolicy
@@ -18,6 +18,8 @@ from lerobot_policy_obact.augment import jitter_colors, shift_images
 from lerobot_policy_obact.launch_policy_server import allow_obact
 from lerobot_policy_obact.text import ByteTextEncoder, encode_bytes
 from obact_helpers import PUSH_FEATURES, SIZE, make_batch, make_policy, randomise
+
+CHECKPOINTS = Path(__file__).parents[3] / "checkpoints"
 
 
 def train_steps(policy: ObActPolicy, n: int, lr: float = 1e-2) -> None:
@@ -177,22 +179,48 @@ def test_bytes_are_shifted_and_cut() -> None:
 # -- the asynchronous server ---------------------------------------------------------------------------------------
 
 
+def served(checkpoint: Path, camera: str, n_joints: int, size: int) -> list[TimedAction]:
+    """Return what LeRobot's server answers to the picture of a camera, ``size`` px, and joints, at time step 7."""
+    allow_obact()
+    joints = [f"joint_{i}" for i in range(n_joints)]
+    features = {
+        "observation.state": {"dtype": "float32", "shape": (n_joints,), "names": joints},
+        f"observation.images.{camera}": {"dtype": "image", "shape": (size, size, 3), "names": ["h", "w", "c"]},
+    }
+    specs = RemotePolicyConfig("obact", str(checkpoint), features, actions_per_chunk=5, device="cpu")
+    server, client = PolicyServer(PolicyServerConfig()), SimpleNamespace(peer=lambda: "test")
+    server.Ready(None, client)
+    server.SendPolicyInstructions(SimpleNamespace(data=pickle.dumps(specs)), client)
+    image = torch.zeros(size, size, 3, dtype=torch.uint8).numpy()
+    observation = {**dict.fromkeys(joints, 0.1), camera: image, "task": "push"}
+    return server._predict_action_chunk(TimedObservation(timestamp=1.0, timestep=7, observation=observation))
+
+
 def test_the_policy_server_serves_obact(tmp_path: Path) -> None:
     policy = make_policy({key.replace("image", "images.top"): value for key, value in PUSH_FEATURES.items()})
     policy.save_pretrained(tmp_path)
     for processor in make_pre_post_processors(policy.config):
         processor.save_pretrained(tmp_path)
-    allow_obact()
-    features = {
-        "observation.state": {"dtype": "float32", "shape": (2,), "names": ["x", "y"]},
-        "observation.images.top": {"dtype": "image", "shape": (SIZE, SIZE, 3), "names": ["h", "w", "c"]},
-    }
-    specs = RemotePolicyConfig("obact", str(tmp_path), features, actions_per_chunk=5, device="cpu")
-    server, client = PolicyServer(PolicyServerConfig()), SimpleNamespace(peer=lambda: "test")
-    server.Ready(None, client)
-    server.SendPolicyInstructions(SimpleNamespace(data=pickle.dumps(specs)), client)
-    image = torch.zeros(SIZE, SIZE, 3, dtype=torch.uint8).numpy()
-    observation = {"x": 0.1, "y": 0.2, "top": image, "task": "push"}
-    actions = server._predict_action_chunk(TimedObservation(timestamp=1.0, timestep=7, observation=observation))
+    actions = served(tmp_path, "top", 2, SIZE)
     assert [action.get_timestep() for action in actions] == [7, 8, 9, 10, 11]
     assert all(action.get_action().shape == (2,) for action in actions)
+
+
+def test_the_policy_server_serves_a_checkpoint_that_learned_with_the_phase_of_an_episode() -> None:
+    """The server's clients send pictures and joints, not whether the hand may move."""
+    actions = served(CHECKPOINTS / "obact_standard", "ego", 18, 96)
+    assert [action.get_timestep() for action in actions] == [7, 8, 9, 10, 11]
+    assert all(action.get_action().isfinite().all() for action in actions)
+
+
+@pytest.mark.parametrize("mode", ["IDENTITY", "MEAN_STD"])
+def test_without_its_phase_the_hand_may_move(mode: str) -> None:
+    """Normalised to mean 0, its mean is taken."""
+    policy = make_policy(normalization_mapping={"VISUAL": "IDENTITY", "STATE": mode, "ACTION": "IDENTITY"}).eval()
+    batch = make_batch(policy)
+    told = torch.eye(2)[1] if mode == "IDENTITY" else torch.zeros(2)
+    batch["observation.phase"] = told.expand_as(batch["observation.phase"])
+    expected = policy.predict_action_chunk(batch)
+    policy.reset()
+    del batch["observation.phase"]
+    torch.testing.assert_close(policy.predict_action_chunk(batch), expected)

@@ -7,7 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from lerobot_policy_obact.write_card import card_with_results, main
+from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
+from lerobot_policy_obact.write_card import DEFAULT_RULES, card_with_results, main
 from obact_helpers import make_policy
 
 METRICS = {
@@ -50,6 +51,19 @@ def test_the_card_names_what_exists(checkpoint: Path, results: Path) -> None:
     assert not re.search(r"<\w+>", card)
     n_parameters = sum(p.numel() for p in make_policy().model.parameters())
     assert f"| Parameters | {n_parameters / 1e6:.2f} M |" in card
+
+
+def test_commands_evaluate_under_the_rules_of_the_results(checkpoint: Path, results: Path) -> None:
+    recipe = {"capture": "contact", "control_class": "late", "protocol": "observe_before_act"}
+    (results / "metrics.json").write_text(json.dumps(HEAD | {"extra": {"recipe": recipe}}))
+    card = card_with_results(checkpoint, [results])
+    assert "--env.capture=contact --env.control_class=late --eval.n_episodes=110" in card
+    assert "--split test_small --capture contact --control-class late --out results" in card
+    assert "--env.protocol" not in card
+
+
+def test_rules_that_go_unsaid_are_those_of_the_env() -> None:
+    assert {name: getattr(DynahoiEnvConfig(), name) for name in DEFAULT_RULES} == DEFAULT_RULES
 
 
 def test_the_dataset_is_named_when_it_is_known(checkpoint: Path, results: Path) -> None:
