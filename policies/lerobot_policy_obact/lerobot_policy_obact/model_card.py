@@ -31,7 +31,7 @@ evaluated in simulation only.
 With the plugins `lerobot_policy_obact` and `lerobot_env_dynahoi` installed from their repository:
 
 ```bash
-lerobot-eval --policy.path={policy} --env.type=dynahoi --env.split=test_small{env_options} --eval.n_episodes=110
+lerobot-eval --policy.path={policy} --env.type=dynahoi --env.split=test_small{env_options} --eval.n_episodes=5
 dynahoi evaluate --policy {policy} --split test_small{rules} --out results
 ```
 

@@ -47,7 +47,7 @@ def card_with_results(checkpoint: Path, results: list[Path]) -> str:
     """
     config = _config(checkpoint)
     dataset = _dataset(checkpoint)
-    datasets = f"datasets: [{dataset}]\n" if dataset else ""
+    datasets = f"datasets: [{dataset}]\n" if "/" in dataset else ""  # a name of the Hub, not "on-policy"
     name = (config.repo_id or checkpoint.resolve().name).rsplit("/", 1)[-1]
     header = HEADER.format(license=config.license or "apache-2.0", datasets=datasets, name=name)
     policy = config.repo_id or checkpoint.as_posix()
@@ -113,7 +113,7 @@ def _parameters(checkpoint: Path) -> int:
 
 
 def _dataset(checkpoint: Path) -> str:
-    """Return the Hub name of the training data as `lerobot-train` recorded it, "" if it did not."""
+    """Return the training data's name as training recorded it, "on-policy" of none that is kept; "" if unknown."""
     file = checkpoint / "train_config.json"
     return json.loads(file.read_text(encoding="utf-8"))["dataset"]["repo_id"] if file.is_file() else ""
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
+from lerobot_policy_obact.learner import ON_POLICY
 from lerobot_policy_obact.write_card import DEFAULT_RULES, card_with_results, main
 from obact_helpers import make_policy
 
@@ -57,7 +58,7 @@ def test_commands_evaluate_under_the_rules_of_the_results(checkpoint: Path, resu
     recipe = {"capture": "contact", "control_class": "late", "protocol": "observe_before_act"}
     (results / "metrics.json").write_text(json.dumps(HEAD | {"extra": {"recipe": recipe}}))
     card = card_with_results(checkpoint, [results])
-    assert "--env.capture=contact --env.control_class=late --eval.n_episodes=110" in card
+    assert "--env.capture=contact --env.control_class=late --eval.n_episodes=5" in card
     assert "--split test_small --capture contact --control-class late --out results" in card
     assert "--env.protocol" not in card
 
@@ -71,6 +72,15 @@ def test_the_dataset_is_named_when_it_is_known(checkpoint: Path, results: Path) 
     card = card_with_results(checkpoint, [results])
     assert "datasets: [me/catches]" in card
     assert "| Training dataset | `me/catches` |" in card
+
+
+def test_a_policy_that_learned_from_its_own_episodes_names_no_dataset_of_the_hub(
+    checkpoint: Path, results: Path
+) -> None:
+    (checkpoint / "train_config.json").write_text(json.dumps({"dataset": {"repo_id": ON_POLICY}}))
+    card = card_with_results(checkpoint, [results])
+    assert "datasets:" not in card
+    assert "| Training dataset | `on-policy` |" in card
 
 
 def test_every_results_folder_has_its_table(checkpoint: Path, results: Path, tmp_path: Path) -> None:
