@@ -103,7 +103,11 @@ def _motions(found: Reference, wanted: Reference) -> Fact:
     off = np.abs(found.poses - wanted.poses).max(axis=0)
     told += f"; palm off by at most {off[:3].max():.2g} m, target by {off[HAND_DOF:][:3].max():.2g} m"
     close = bool(off.max() <= TOLERANCE)
-    follows = "`dynahoi certify` confirms results across both" if close else "results differ from ours"
+    follows = (
+        "`dynahoi certify` confirms results across both, with the same library versions"
+        if close
+        else "results differ from ours"
+    )
     return Fact("motion", told, follows, problem=not close)
 
 

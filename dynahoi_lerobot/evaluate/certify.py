@@ -1,7 +1,8 @@
 """Checking a published result: every number follows from the logged commands, played again from the seeds.
 
 A certificate says that the commands in the folder, given in the episodes of the split, lead to the results in it. It
-does not say who gave the commands: a log of the expert's commands under another name is certified, too.
+does not say who gave the commands, what he saw and how long he thought: a log of the expert's commands under another
+name is certified, too.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import batched
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +20,12 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.loop import Job, make_batch, play
+from dynahoi_lerobot.rollout.replay import ActionLog, Player
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import seal, split_of
+from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
 
 TOLERANCE = 1e-5
@@ -28,6 +33,9 @@ TOLERANCE = 1e-5
 PLAYED_TOGETHER = 32
 NOT_REPLAYED = {"agent"}
 """Columns that do not follow from the commands."""
+COMPUTED = ("n", "metrics", "per_kind")
+"""Entries of ``metrics.json`` that follow from the rows."""
+UNCERTIFIED = "not checked, because no command tells it: policy, privileged, inference and settings"
 
 
 def open_recipe(results: Results, salt: str = "") -> Recipe:
@@ -59,7 +67,12 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     """
     info, split = results.info, split_of(results.info.split)
     if (here := recipe.fingerprint()) != info.fingerprint:
-        yield f"the results were made by other code or another recipe ({info.fingerprint}, here is {here})"
+        yield (
+            "the results were made by other code, library versions or kind of processor, or another recipe "
+            f"({info.fingerprint}, here is {here})"
+        )
+    if info.benchmark != BENCHMARK.version:
+        yield f"the results are of version {info.benchmark} of the benchmark, here is {BENCHMARK.version}"
     if recipe.split != seed_stream(split) or recipe.capture != info.capture:
         played = f"{recipe.split} under {recipe.capture}"
         yield f"metrics.json names split {info.split} and capture rule {info.capture}, but its recipe plays {played}"
@@ -68,15 +81,33 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
         yield f"seed {repeated[0]} is there {seeds[repeated[0]]} times"
     if foreign := sorted(set(seeds) - set(split_seeds(split))):
         yield f"seed {foreign[0]} is not in split {info.split}"
-    yield from _wrong_sums(result_files.read_head(results.folder)["metrics"], results.as_json()["metrics"])
+    if not results.privileged and (again := [row for row in results.rows if row["attempts"] != 1]):
+        yield f"seed {again[0]['seed']} took {again[0]['attempts']} attempts; a policy has one"
+    stored, recomputed = result_files.read_head(results.folder), results.as_json()
+    for name in COMPUTED:
+        yield from _wrong_sums(name, stored[name], recomputed[name])
 
 
 def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:
     """Play rows ``indices`` again and yield what differs, a list for each of them in their order."""
     for chosen in batched(indices, PLAYED_TOGETHER):
-        episodes = replay(recipe, [results.log(i) for i in chosen], images=False)
+        episodes = evaluate_again(recipe, [results.log(i) for i in chosen])
         for i, episode in zip(chosen, episodes, strict=True):
             yield [*_wrong_values(episode, results.rows[i]), *_wrong_actions(episode, results.actions[i])]
+
+
+def evaluate_again(recipe: Recipe, logs: Sequence[ActionLog]) -> list[Episode]:
+    """Return the episodes of an evaluation in which logged commands are given, in the order of the logs.
+
+    An episode ends when an evaluation ends it: before a log that goes on, and after one that stops.
+    """
+    specs = sample_specs(recipe, [log.seed for log in logs])
+    jobs = [
+        replace(Job.evaluation(i, spec), attempt=log.attempt)
+        for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
+    ]
+    played = play(make_batch(recipe, len(logs)), Player(logs), jobs, images=False)
+    return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]
 
 
 def sample(n_rows: int, count: int | None) -> list[int]:
@@ -86,13 +117,13 @@ def sample(n_rows: int, count: int | None) -> list[int]:
     return sorted({int(i) for i in np.linspace(0, n_rows - 1, count)})
 
 
-def _wrong_sums(stored: dict, recomputed: dict) -> Iterator[str]:
-    """Yield metrics whose value in ``metrics.json`` does not follow from the rows."""
-    for name, estimate in recomputed.items():
-        told = stored.get(name)
-        value = told.get("value") if isinstance(told, dict) else told
-        if not _equal(value, estimate["value"]):
-            yield f"{name} is {value} in metrics.json and {estimate['value']} over the episodes"
+def _wrong_sums(name: str, stored: Any, recomputed: Any) -> Iterator[str]:
+    """Yield what in ``metrics.json`` below ``name`` does not follow from the rows."""
+    if isinstance(stored, dict) and isinstance(recomputed, dict):
+        for key in [*recomputed, *(stored.keys() - recomputed.keys())]:
+            yield from _wrong_sums(f"{name}.{key}", stored.get(key), recomputed.get(key))
+    elif not _equal(stored, recomputed):
+        yield f"{name} is {stored} in metrics.json and {recomputed} over the episodes"
 
 
 def _wrong_values(episode: Episode, row: Row) -> Iterator[str]:
@@ -103,10 +134,14 @@ def _wrong_values(episode: Episode, row: Row) -> Iterator[str]:
 
 
 def _wrong_actions(episode: Episode, actions: np.ndarray) -> Iterator[str]:
-    """Yield the first frame whose logged command the world did not take as it is."""
+    """Yield that a log is not as long as its episode, or its first command that the world did not take as it is."""
+    seed = episode.meta.seed
+    if len(episode) != len(actions):
+        yield f"seed {seed}: the log has {len(actions)} commands, an evaluation with them {len(episode)} frames"
+        return
     differs = np.abs(episode.action - actions).max(axis=1) > TOLERANCE
     if differs.any():
-        yield f"seed {episode.meta.seed}: the command of frame {differs.argmax()} is beyond what the hand can do"
+        yield f"seed {seed}: the command of frame {differs.argmax()} is beyond what the hand can do"
 
 
 def _equal(one: object, other: object) -> bool:

@@ -6,7 +6,7 @@ import argparse
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.evaluate.certify import check_episodes, check_results, open_recipe, sample
+from dynahoi_lerobot.evaluate.certify import UNCERTIFIED, check_episodes, check_results, open_recipe, sample
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.sampling.salt import add_salt_argument, split_of
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     if findings:
         print(f"not certified, {len(findings)} found")
         return DIFFERS
-    print(f"certified: {_scope(results, len(chosen))}")
+    print(f"certified: {_scope(results, len(chosen))}\n{UNCERTIFIED}")
     return CERTIFIED
 
 

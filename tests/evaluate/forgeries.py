@@ -7,8 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from dynahoi_lerobot.evaluate import result_files
+from dynahoi_lerobot.evaluate.episode_row import episode_row
 from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.rollout.replay import replay
 
 
 def rewritten(folder: Path, **changes: object) -> None:
@@ -56,13 +60,61 @@ def another_fingerprint(folder: Path) -> None:
     edited_head(folder, fingerprint="0123456789abcdef")
 
 
+def another_interval(folder: Path) -> None:
+    head = json.loads((folder / "metrics.json").read_text())
+    head["per_kind"][next(iter(head["per_kind"]))]["S_loc"]["low"] += 0.125
+    edited_head(folder, per_kind=head["per_kind"])
+
+
+def invented_metric(folder: Path) -> None:
+    head = json.loads((folder / "metrics.json").read_text())
+    edited_head(folder, metrics=head["metrics"] | {"S_grace": {"value": 1.0}})
+
+
+def more_attempts(folder: Path) -> None:
+    results = read_results(folder)
+    unmarked = replace(results.info, extra=results.info.extra | {"privileged": False})
+    rewritten(folder, rows=(results.rows[0] | {"attempts": 3}, *results.rows[1:]), info=unmarked)
+
+
+def longer_logs(folder: Path) -> None:
+    """Give every hand more time than an evaluation does."""
+    results = read_results(folder)
+    logs = [results.log(i) for i in range(len(results.rows))]
+    longer = [replace(log, actions=np.concatenate([log.actions, log.actions[-1:].repeat(60, 0)])) for log in logs]
+    played = replay(results.recipe(), longer, images=False)
+    rewritten(
+        folder,
+        rows=tuple(episode_row(episode) for episode in played),
+        actions=tuple(np.array(episode.action, np.float32) for episode in played),
+    )
+
+
+def shorter_log(folder: Path) -> None:
+    """Stop before the episode ends."""
+    results = read_results(folder)
+    log = results.log(1)
+    (played,) = replay(results.recipe(), [replace(log, actions=log.actions[:-5])], images=False)
+    rewritten(
+        folder,
+        rows=(results.rows[0], episode_row(played), *results.rows[2:]),
+        actions=(results.actions[0], np.array(played.action, np.float32), *results.actions[2:]),
+    )
+
+
 FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (better_sum, " over the episodes"),
     (better_row, "seed {0}: E_loc is "),
     (another_log, "seed {1}: "),
     (faster_hand, "seed {2}: the command of frame "),
     (easy_seed_twice, "seed {0} is there 2 times"),
-    (another_fingerprint, "made by other code or another recipe (0123456789abcdef, here is "),
+    (another_interval, ".S_loc.low is "),
+    (invented_metric, "metrics.S_grace"),
+    (more_attempts, "seed {0} took 3 attempts; a policy has one"),
+    (longer_logs, "an evaluation with them"),
+    (shorter_log, "seed {1}: the log has "),
+    (lambda folder: edited_head(folder, benchmark="v9"), "are of version v9 of the benchmark, here is v"),
+    (another_fingerprint, "or another recipe (0123456789abcdef, here is "),
     (lambda folder: edited_head(folder, split="val"), "names split val and capture rule attach, but its recipe plays"),
 ]
 """What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+from collections.abc import Sequence
 from pathlib import Path
 
 from docs.extensions.api_pages import reference
@@ -74,7 +75,7 @@ def _motion(kind: str) -> str:
         "## Definition\n\n" + "\n\n".join(theory),
         "## Parameters\n\n" + _ranges(parameter_ranges(kind)),
         _objects_of(kind),
-        "## Scores of privileged baselines\n\n" + _scores(motion.category),
+        "## Scores of privileged baselines\n\n" + _scores(kind),
         _tests("motions", {kind, *(cls.__name__ for cls in bases)}),
         f"## Try it\n\n```bash\ndynahoi view --motion {kind} --split {_split('motion', kind)} --out {kind}.gif\n```",
         f"Code: {reference(motion)}",
@@ -150,8 +151,13 @@ def _metric(name: str) -> str:
 SOURCE = "On the 1,000 episodes of `test`; [the benchmark](../../benchmark.md) has all of them."
 
 
-def _scores(category: str) -> str:
-    table = scores.of_category(category)
+def _scores(kind: str) -> str:
+    """Return what baselines score on the category of a kind, or that `test` does not play the kind."""
+    splits = BENCHMARK.splits_with("motion", kind)
+    if "test" not in splits:
+        played = f"It is held out: only {_named(splits)} plays it" if splits else "No split plays it"
+        return f"{played}, so [the benchmark](../../benchmark.md), whose scores are those of `test`, has none of it."
+    table = scores.of_category(MOTIONS[kind].category)
     return f"{_table(table)}\n\nOf the whole category. {SOURCE}" if table else "None yet."
 
 
@@ -186,7 +192,11 @@ def _splits(noun: str, name: str) -> str:
     splits = BENCHMARK.splits_with(noun, name)
     if "train" in splits:
         return "in distribution"
-    return f"held out for {', '.join(f'`{split}`' for split in splits)}" if splits else "played by name only"
+    return f"held out for {_named(splits)}" if splits else "played by name only"
+
+
+def _named(splits: Sequence[str]) -> str:
+    return ", ".join(f"`{split}`" for split in splits)
 
 
 def _split(noun: str, name: str) -> str:
