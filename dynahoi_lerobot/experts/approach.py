@@ -7,6 +7,7 @@ import numpy as np
 from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
+from dynahoi_lerobot.foundation.products import norm
 
 CLOSING_FRAMES = 8
 """Fingers close over at most this many frames."""
@@ -35,7 +36,7 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
     arrival = earliest_arrival(world.state, closed, path_w, speed_m_s, world.control)
     towards = path_w[arrival] - palm
     longest_m = speed_m_s * CONTROL_DT
-    step = towards * min(1.0 / arrival, longest_m / max(float(np.linalg.norm(towards)), 1e-12))
+    step = towards * min(1.0 / arrival, longest_m / max(norm(towards), 1e-12))
     progress = (np.arange(arrival + 1) / arrival)[:, None]
     reach_m = world.localization_radius_m + CLOSED_EARLY_M
     contact = _first_contact(palm + progress * towards, path_w[: arrival + 1], reach_m)

@@ -11,6 +11,7 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.experts.planned import PlannedExpert
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, GANTRY_SPEED_M_S, PALM_DOF
+from dynahoi_lerobot.foundation.products import norm, product
 
 PALM_FACE_M = -0.036
 """The palm's surface, from the palm centre along x."""
@@ -111,7 +112,7 @@ def _difficulty(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> float:
     offset = goal[spec.window_frames : moment + 1] - palm  # (K, 3) of the target from its seat
     near = np.linalg.norm(offset, axis=1) < NEAR_M
     behind = np.maximum(-offset[near, 0] - BEHIND_MARGIN_M, 0.0).sum()
-    speed = np.linalg.norm(_velocity(goal, moment))
+    speed = norm(_velocity(goal, moment))
     carried = goal[moment : moment + FOLLOW_FRAMES + 1]
     jolt = np.linalg.norm(np.diff(carried, n=2, axis=0), axis=1).max() / CONTROL_DT**2
     late = abs(moment - spec.intercept_frame)
@@ -152,7 +153,7 @@ def _quintic(start: State, end: State, frames: int) -> np.ndarray:
     scale = np.array([1.0, frames * CONTROL_DT, (frames * CONTROL_DT) ** 2])[:, None]
     boundary = np.concatenate([np.stack(start) * scale, np.stack(end) * scale])
     progress = np.linspace(0.0, 1.0, frames + 1)
-    return np.vander(progress, 6, increasing=True) @ (QUINTIC @ boundary)
+    return product(np.vander(progress, 6, increasing=True), product(QUINTIC, boundary))
 
 
 def _quintic_basis() -> np.ndarray:

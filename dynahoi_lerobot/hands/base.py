@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import EGO_VIEW
+from dynahoi_lerobot.foundation.products import norm
 from dynahoi_lerobot.foundation.registry import Registry
 
 HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")
@@ -27,9 +28,9 @@ SHOWN_GROUP, SKIN_GROUP, HIDDEN_GROUP = 0, 1, 4
 
 def camera_quat(forward: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return (4,) quaternion wxyz of an upright camera, whose -z points along ``forward`` (3,), of any length."""
-    ahead = np.asarray(forward, float) / np.linalg.norm(forward)
+    ahead = np.asarray(forward, float) / norm(forward)
     right = np.cross(ahead, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
+    right /= norm(right)
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.column_stack([right, np.cross(right, ahead), -ahead]).ravel())
     return quat

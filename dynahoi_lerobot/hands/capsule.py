@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS
+from dynahoi_lerobot.foundation.products import norm, product
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, HIDDEN_GROUP, Hand
 from dynahoi_lerobot.hands.closing import close_around
 from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
@@ -110,7 +111,7 @@ class CapsuleHand(Hand):
         The thumb's is to the palm centre itself, as it comes from above.
         """
         pad = pad_position(cls.fingers[name], closure)
-        return float(np.linalg.norm(pad if name == "thumb" else pad[:2]))
+        return norm(pad if name == "thumb" else pad[:2])
 
     def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, finger: Finger) -> None:
         parent, pos = palm, np.asarray(finger.base)
@@ -139,10 +140,10 @@ def pad_position(finger: Finger, closure: float) -> np.ndarray:
     """Return (3,) the fingertip pad [m], palm frame, at a fraction of full closure."""
     pos, rotation = np.asarray(finger.base, float), np.eye(3)
     along = np.asarray(finger.along)
-    for angle, length in zip(finger.closed, finger.lengths, strict=True):
-        rotation = rotation @ _turn(np.asarray(finger.axis), angle * closure)
-        pos = pos + rotation @ along * length
-    return pos + rotation @ np.cross(finger.axis, along) * finger.radius
+    for angle, link in zip(finger.closed, finger.lengths, strict=True):
+        rotation = product(rotation, _turn(np.asarray(finger.axis), angle * closure))
+        pos = pos + product(rotation, along) * link
+    return pos + product(rotation, np.cross(finger.axis, along)) * finger.radius
 
 
 def _turn(axis: np.ndarray, angle: float) -> np.ndarray:

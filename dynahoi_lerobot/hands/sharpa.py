@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS, JOINT_NAMES
+from dynahoi_lerobot.foundation.products import norm
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
 from dynahoi_lerobot.hands.closing import close_around
 from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
@@ -193,5 +194,5 @@ def _closure_table() -> tuple[np.ndarray, np.ndarray]:
         mujoco.mj_kinematics(model, data)
         for i, finger in enumerate(FINGERS):
             offset = data.site(f"{finger}_tip").xpos - data.site(PALM_SITE).xpos
-            distance[i, k] = np.linalg.norm(offset if finger == "thumb" else offset[:2])
+            distance[i, k] = norm(offset if finger == "thumb" else offset[:2])
     return closure, np.minimum.accumulate(distance, axis=1)

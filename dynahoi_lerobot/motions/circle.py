@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.products import product
 from dynahoi_lerobot.motions.base import PrescribedMotion
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import Vector
@@ -60,4 +61,4 @@ class CircularMotion(PrescribedMotion):
     def _orbit(self, time_s: np.ndarray, ahead: float) -> np.ndarray:
         """(K, 3) unit vector from the centre, ``ahead`` [rad] of the target; a derivative is a quarter turn ahead."""
         angle = self.rate_rad_s * time_s + self.phase_rad + ahead
-        return np.column_stack([np.cos(angle), np.sin(angle)]) @ self.axes()
+        return product(np.column_stack([np.cos(angle), np.sin(angle)]), self.axes())

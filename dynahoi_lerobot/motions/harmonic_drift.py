@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.products import norm
 from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import Vector, as_vector
@@ -46,7 +47,7 @@ class HarmonicDrift(PrescribedMotion):
         across = np.cross(direction, draw.rng.normal(size=3))
         rate = min(2 * np.pi * draw.sample_speed(0.4, 1.0), 1.2 / amplitude * draw.speed_scale)
         return cls(
-            draw.meeting_point(), as_vector(speed * direction), as_vector(across / np.linalg.norm(across)),
+            draw.meeting_point(), as_vector(speed * direction), as_vector(across / norm(across)),
             draw.intercept_s, amplitude, float(rate), draw.angle(),
         )  # fmt: skip
 

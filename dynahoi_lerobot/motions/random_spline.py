@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.products import norm, product
 from dynahoi_lerobot.motions.base import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import Vector, as_vector
@@ -41,9 +42,9 @@ class RandomSpline(PrescribedMotion):
         middle, heading = np.asarray(draw.meeting_point()), draw.rng.normal(size=3)
         points = [middle + 0.1 * draw.rng.normal(size=3)]
         for _ in range(count - 1):
-            heading = 0.6 * heading / np.linalg.norm(heading) + 0.6 * draw.rng.normal(size=3)
+            heading = 0.6 * heading / norm(heading) + 0.6 * draw.rng.normal(size=3)
             pull = 0.25 * (middle - points[-1])
-            points.append(points[-1] + pull + step * heading / np.linalg.norm(heading))
+            points.append(points[-1] + pull + step * heading / norm(heading))
         return cls(tuple(as_vector(p) for p in points), knot_s)
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
@@ -64,7 +65,7 @@ class RandomSpline(PrescribedMotion):
         segment = np.clip(np.floor(time_s / self.knot_s).astype(int), 0, len(points) - 4)
         s = time_s / self.knot_s - segment
         powers = [np.zeros_like(s)] * order + [_falling(k, order) * s ** (k - order) for k in range(order, 4)]
-        weights = np.column_stack(powers) @ BASIS  # (K, 4)
+        weights = product(np.column_stack(powers), BASIS)  # (K, 4)
         return np.einsum("kw,kwd->kd", weights, points[segment[:, None] + np.arange(4)])
 
 

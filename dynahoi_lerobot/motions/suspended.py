@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.products import product
 from dynahoi_lerobot.motions.base import PhysicalMotion
 from dynahoi_lerobot.motions.draw import Draw
 from dynahoi_lerobot.motions.geometry import Vector, as_vector
@@ -70,4 +71,4 @@ class SuspendedMotion(PhysicalMotion):
 def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
     """Components of a world vector in a frame that was turned by ``angle`` about ``axis`` (Rodrigues, backwards)."""
     c, s = np.cos(-angle), np.sin(-angle)
-    return vector * c + np.cross(axis, vector) * s + axis * (axis @ vector) * (1 - c)
+    return vector * c + np.cross(axis, vector) * s + axis * product(axis, vector) * (1 - c)

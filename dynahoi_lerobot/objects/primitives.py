@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynahoi_lerobot.foundation.products import product
 from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
@@ -53,9 +54,9 @@ def solid_inertia(primitives: tuple[Primitive, ...], mass_kg: float) -> tuple[fl
     total = np.zeros(3)
     for primitive, mass in zip(primitives, masses, strict=True):
         rotation = quat_to_matrix(np.asarray(primitive.quat))
-        own = np.diag(rotation @ np.diag(mass * _unit_inertia(primitive)) @ rotation.T)
+        own = np.diag(product(product(rotation, np.diag(mass * _unit_inertia(primitive))), rotation.T))
         offset = np.asarray(primitive.pos)
-        total += own + mass * (offset @ offset - offset**2)
+        total += own + mass * ((offset**2).sum() - offset**2)
     return (float(total[0]), float(total[1]), float(total[2]))
 
 
@@ -96,7 +97,7 @@ def _reach(primitive: Primitive) -> np.ndarray:
         "capsule": a + b * along,
         "cylinder": b * along + a * np.sqrt(np.maximum(1 - along**2, 0.0)),
         "ellipsoid": np.linalg.norm(turn * (a, b, c), axis=1),
-        "box": np.abs(turn) @ (a, b, c),
+        "box": product(np.abs(turn), np.array([a, b, c])),
     }[primitive.shape]
 
 

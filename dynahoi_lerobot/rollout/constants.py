@@ -10,6 +10,7 @@ import numpy as np
 from dynahoi_lerobot.agent import Meeting
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.foundation.products import norm
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
@@ -87,4 +88,4 @@ def planned_speed_and_lead_time(spec: EpisodeSpec, meeting: Meeting | None) -> t
     if meeting is None:
         return 0.0, 0.0
     lead_s = (meeting.frame - spec.window_frames) * CONTROL_DT
-    return float(np.linalg.norm(meeting.palm_pos_w - spec.home_pos_w)) / lead_s, lead_s
+    return norm(meeting.palm_pos_w - spec.home_pos_w) / lead_s, lead_s

@@ -13,6 +13,7 @@ import numpy as np
 
 from dynahoi_lerobot.appearance import Solid, hsv
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.foundation.products import product
 from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS, SIDE_CAMERA_POS_M
 
@@ -149,7 +150,7 @@ def _kept_free(spec: EpisodeSpec) -> list[np.ndarray]:
     points = np.vstack([spec.oracle_path, home, home + SIDE_CAMERA_POS_M])
     boxes = [np.array([points.min(axis=0), points.max(axis=0)])]
     for box in spec.motion.launch(spec.target).boxes:
-        reach = np.abs(quat_to_matrix(np.asarray(box.quat, float))) @ np.asarray(box.half_size)
+        reach = product(np.abs(quat_to_matrix(np.asarray(box.quat, float))), np.asarray(box.half_size))
         boxes.append(np.array([box.pos - reach, box.pos + reach]))
     margin = np.array([[-CLEARANCE_M], [CLEARANCE_M]])
     return [box + margin for box in boxes]

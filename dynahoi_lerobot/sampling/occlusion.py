@@ -8,6 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.foundation.products import norm
 from dynahoi_lerobot.hands.gantry import CAMERA_POS
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import TargetObject
@@ -95,9 +96,7 @@ def silhouette(eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: fl
 
 def enclosing_radius_m(target: TargetObject) -> float:
     """Return the radius [m] of a sphere around the centre that holds all of an object."""
-    return max(
-        float(np.linalg.norm(part.pos)) + _EXTENTS[part.shape](np.asarray(part.half_size)) for part in target.primitives
-    )
+    return max(norm(part.pos) + _EXTENTS[part.shape](np.asarray(part.half_size)) for part in target.primitives)
 
 
 _EXTENTS = {
@@ -105,6 +104,6 @@ _EXTENTS = {
     "capsule": lambda half: float(half[0] + half[1]),
     "cylinder": lambda half: float(np.hypot(half[0], half[1])),
     "ellipsoid": lambda half: float(half.max()),
-    "box": lambda half: float(np.linalg.norm(half)),
+    "box": norm,
 }
 """How far each shape reaches from its centre [m], from its (3,) half-sizes."""

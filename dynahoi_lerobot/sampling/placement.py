@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_SPEED_M_S
+from dynahoi_lerobot.foundation.products import product
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.sampling.benchmark import HOLD_CLEARANCE_M
 from dynahoi_lerobot.sampling.fixture_clearance import keeps_clear
@@ -73,7 +74,7 @@ def _draw_directions(rng: np.random.Generator) -> np.ndarray:
     """(K, 3) unit vectors from home to the intercept, world, those nearest to one of them first."""
     directions = rng.normal(size=(DIRECTIONS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return directions[np.argsort(-directions @ directions[0], kind="stable")]
+    return directions[np.argsort(-product(directions, directions[0]), kind="stable")]
 
 
 def in_arena(path_w: np.ndarray) -> bool:

@@ -11,6 +11,7 @@ import functools
 import mujoco
 import numpy as np
 
+from dynahoi_lerobot.foundation.products import product
 from dynahoi_lerobot.hands.base import SKIN_GROUP
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 
@@ -34,7 +35,7 @@ def visible(points: np.ndarray) -> np.ndarray:
         (...) bool.
     """
     pos, rotation, half = _camera()
-    local = (points - pos) @ rotation  # x right, y up, z backwards
+    local = product(points - pos, rotation)  # x right, y up, z backwards
     depth = np.maximum(-local[..., 2], MIN_DEPTH_M)
     plane = local[..., :2] / (half * depth[..., None])  # -1 to 1 across the view
     in_view = (-local[..., 2] > MIN_DEPTH_M) & (np.abs(plane) < VIEW_MARGIN).all(axis=-1)
@@ -58,7 +59,7 @@ def _hand_distance() -> np.ndarray:
     _, rotation, half = _camera()
     across = np.linspace(-half, half, SILHOUETTE_SIZE)
     x, y = np.meshgrid(across, across)
-    rays = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ rotation.T  # (K * K, 3)
+    rays = product(np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3), rotation.T)  # (K * K, 3)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     geom, distance = np.zeros(len(rays), np.int32), np.zeros(len(rays))
     mujoco.mj_multiRay(

@@ -9,6 +9,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.appearance import Appearance, Solid
+from dynahoi_lerobot.foundation.products import norm
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.motions.geometry import yaw_quat
 from dynahoi_lerobot.motions.launch import Box, Launch, Striker, Tether
@@ -109,7 +110,7 @@ class WorldFields:
                 rgba[i, geom, :3] = rgb
         rgba[i, np.concatenate([scene.hand_geoms, scene.skin_geoms]), :3] = appearance.skin_rgb
         rgba[i, scene.sleeve_geoms, :3] = appearance.sleeve_rgb
-        self.fields["light_dir"][i, 0] = np.asarray(appearance.light_dir) / np.linalg.norm(appearance.light_dir)
+        self.fields["light_dir"][i, 0] = np.asarray(appearance.light_dir) / norm(appearance.light_dir)
         self.fields["light_diffuse"][i, 0] = appearance.light_level * np.asarray(appearance.light_rgb)
         self.fields["light_specular"][i, 0] = appearance.gloss
         shown = scene.target_geoms[rgba[i, scene.target_geoms, 3] > 0]
@@ -168,7 +169,7 @@ class WorldFields:
         geom, eq = self._scene.tether_geom, self._scene.tether_eq
         self.eq_active[i, eq] = tether is not None
         self.fields["geom_rgba"][i, geom, 3] = float(tether is not None)
-        length = 0.0 if tether is None else float(np.linalg.norm(np.asarray(tether.anchor) - start))
+        length = 0.0 if tether is None else norm(np.asarray(tether.anchor) - start)
         self.fields["geom_pos"][i, geom], self.fields["geom_quat"][i, geom] = (0, 0, length / 2), (1, 0, 0, 0)
         self.fields["geom_size"][i, geom, 1] = max(length / 2, 1e-4)
         self._anchors[i] = np.zeros(6) if tether is None else (0.0, 0.0, length, *tether.anchor)
@@ -185,4 +186,4 @@ class WorldFields:
         self.fields["geom_size"][i, geom, 0] = striker.radius_m
         self.fields["geom_solref"][i, geom] = impact_solref(striker.restitution)
         self.fields["body_mass"][i, body] = striker.mass_kg
-        self.qvel[i, self._scene.striker_dof] = float(np.linalg.norm(velocity))
+        self.qvel[i, self._scene.striker_dof] = norm(velocity)
