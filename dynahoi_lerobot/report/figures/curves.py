@@ -57,7 +57,8 @@ def by_condition(entries: Sequence[Entry]) -> list[Curve]:
     varied = [len(set(names)) > 1 for names in zip(*groups, strict=True)]
     labels = [", ".join(compress(names, varied)) or names[0] for names in groups]
     colours = [COLOURS[place % len(COLOURS)] for place in range(len(groups))]
-    return [Curve(clip(label), *rest) for label, *rest in zip(labels, colours, groups.values(), strict=True)]
+    drawn = zip(labels, colours, groups.values(), strict=True)
+    return [Curve(clip(label), colour, members) for label, colour, members in drawn]
 
 
 def _number(entry: Entry, key: str) -> float:
