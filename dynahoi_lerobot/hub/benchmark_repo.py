@@ -1,6 +1,7 @@
 """The benchmark's dataset on the Hub: its episodes as tables, and the leaderboards.
 
-``python -m dynahoi_lerobot.hub.benchmark_repo DIR`` writes the folder, ``dynahoi push DIR USER/dynahoi`` uploads it.
+``python -m dynahoi_lerobot.hub.benchmark_repo DIR`` writes the folder, and ``dynahoi push DIR USER/dynahoi-benchmark``
+uploads it with a card that names that repository.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import pyarrow.parquet as pq
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.foundation.output import check_output
-from dynahoi_lerobot.hub.leaderboards import EVAL_FILE, SPLITS, eval_yaml
+from dynahoi_lerobot.hub.leaderboards import CARD_REPO, EVAL_FILE, SPLITS, eval_yaml
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -47,7 +48,6 @@ dynahoi push results USER/POLICY --leaderboard {repo}
 A result is ranked if all episodes of a split were played. `dynahoi certify` computes it again from the log of its
 commands. `eval.yaml` lists the leaderboards: split, capture rule, control class and metric.
 """
-CARD_REPO = "USER/dynahoi"
 
 
 def write(folder: Path, count: int | None = None) -> None:

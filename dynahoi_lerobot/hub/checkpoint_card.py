@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+PLUGINS = {"obact": "lerobot_policy_obact", "actiontokens": "lerobot_policy_actiontokens"}
+"""Distribution of a type of policy that LeRobot does not have."""
+EXTRAS = {"pi0": "pi", "pi0_fast": "pi", "pi05": "pi", "multi_task_dit": "multi-task-dit", "vla_jepa": "vla-jepa"}
+"""Extra of LeRobot for a type of policy, where it has another name."""
 BODY = """
 # {name}
 
@@ -15,7 +20,7 @@ A `{type}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catch
 dexterous hand.
 
 ```bash
-pip install "dynahoi_lerobot[lerobot]"
+pip install {needed}
 dynahoi evaluate --policy {repo} --split test --out results/{name}
 ```
 """
@@ -31,14 +36,33 @@ def checkpoint_card(folder: Path, repo: str) -> str:
     if not isinstance(config.get("type"), str):
         raise ValueError(f"{folder / 'config.json'} names no policy type; name a pretrained_model folder")
     dataset = (training.get("dataset") or {}).get("repo_id")
-    metadata = {
+    head = {
         "library_name": "lerobot",
         "license": config.get("license") or "apache-2.0",
         "pipeline_tag": "robotics",
         "tags": ["lerobot", "robotics", "dynahoi", config["type"]],
-    } | ({"datasets": [dataset]} if isinstance(dataset, str) else {})
-    head = yaml.safe_dump(metadata, sort_keys=False)
-    return f"---\n{head}---\n" + BODY.format(name=repo.rpartition("/")[2], type=config["type"], repo=repo)
+    } | ({"datasets": [dataset]} if isinstance(dataset, str) and "/" in dataset else {})
+    return f"---\n{yaml.safe_dump(head, sort_keys=False)}---\n" + BODY.format(
+        name=repo.rpartition("/")[2], type=config["type"], repo=repo, needed=_needed(config["type"])
+    )
+
+
+def _needed(policy: str) -> str:
+    """Return what must be installed to play a type of policy, as words of ``pip install``."""
+    words = ['"dynahoi_lerobot[lerobot]"', "lerobot_env_dynahoi"]
+    extra = EXTRAS.get(policy, policy)
+    if policy in PLUGINS:
+        words.append(PLUGINS[policy])
+    elif extra in _extras():
+        words.append(f'"lerobot[{extra}]"')
+    return " ".join(words)
+
+
+def _extras() -> list[str]:
+    try:
+        return metadata("lerobot").get_all("Provides-Extra") or []
+    except PackageNotFoundError:
+        return []
 
 
 def _object(path: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from dynahoi_lerobot.hub.contents import (
     results_contents,
 )
 from dynahoi_lerobot.hub.failures import RESUME, HubError
+from dynahoi_lerobot.hub.leaderboards import BENCHMARK_NAME, CARD_REPO
 from dynahoi_lerobot.hub.repository import Repository
 from dynahoi_lerobot.verify.runner import verify
 
@@ -33,7 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("repo", help="USER/NAME on the Hub; of the checkpoint, if results are pushed")
     parser.add_argument("--private", action="store_true", help="make a private repository")
-    parser.add_argument("--leaderboard", help="of results: dataset USER/NAME that lists them; USER/dynahoi by default")
+    parser.add_argument(
+        "--replace", action="store_true", help="of a checkpoint: put it in the place of other weights and their results"
+    )
+    parser.add_argument("--leaderboard", help=f"of results: dataset USER/NAME that lists them; {CARD_REPO} by default")
+    parser.add_argument("--policy", help="of results: what they are of, if the repository holds it under another name")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,12 +52,14 @@ def run(args: argparse.Namespace) -> int:
     """
     try:
         kind = kind_of(args.folder)
+        _check_options(kind, args)
         repository = Repository.open(args.repo)
         if kind == "dataset" and not _is_sound(args.folder):
             return _say(f"{args.folder} is not pushed, because `dynahoi verify` has findings", FAILED)
         with TemporaryDirectory() as stage:
-            contents = _contents(kind, args, Path(stage), repository.api.endpoint)
-            address = repository.push(contents, args.private)
+            layout = Path(stage) / args.folder.resolve().name
+            contents = _contents(kind, args, layout, repository.api.endpoint)
+            address = repository.push(contents, args.private, replace=args.replace, policy=args.policy or "")
     except ModuleNotFoundError as error:
         return _say(f"it needs {error.name}; install dynahoi_lerobot[lerobot]", BAD_INPUT)
     except HubError as error:
@@ -73,6 +80,18 @@ def _is_sound(root: Path) -> bool:
     return not findings
 
 
+def _check_options(kind: str, args: argparse.Namespace) -> None:
+    """Refuse options that would do nothing.
+
+    Raises:
+        ValueError: naming one, and what is pushed.
+    """
+    for wanted, options in (("results", ("policy", "leaderboard")), ("checkpoint", ("replace",))):
+        for option in options:
+            if getattr(args, option) and kind != wanted:
+                raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
+
+
 def _contents(kind: str, args: argparse.Namespace, stage: Path, endpoint: str) -> Contents:
     if kind == "dataset":
         return dataset_contents(args.folder)
@@ -81,8 +100,8 @@ def _contents(kind: str, args: argparse.Namespace, stage: Path, endpoint: str) -
     if kind == "environment":
         return environment_contents(args.folder)
     if kind == "benchmark":
-        return benchmark_contents(args.folder)
-    leaderboard = args.leaderboard or f"{args.repo.partition('/')[0]}/dynahoi"
+        return benchmark_contents(args.folder, stage, args.repo)
+    leaderboard = args.leaderboard or f"{args.repo.partition('/')[0]}/{BENCHMARK_NAME}"
     return results_contents(args.folder, stage, args.repo, leaderboard, endpoint)
 
 

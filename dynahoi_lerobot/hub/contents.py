@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from dynahoi_lerobot.dataset.manifest import Manifest
@@ -14,13 +15,15 @@ from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, M
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.hub.checkpoint_card import checkpoint_card
 from dynahoi_lerobot.hub.eval_results import EVAL_RESULTS, eval_results_yaml, variant
-from dynahoi_lerobot.hub.leaderboards import EVAL_FILE, why_unranked
+from dynahoi_lerobot.hub.leaderboards import CARD_REPO, EVAL_FILE, why_unranked
+from dynahoi_lerobot.hub.weights import evaluated, folder_weights
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 ENV_FILE = "env.py"
 """What LeRobot's ``make_env("user/name")`` runs."""
 RESULTS = "results"
 """Folder of a checkpoint's repository with the result folders, whose action logs ``dynahoi certify`` replays."""
+RESULT_FOLDERS = (EVAL_RESULTS, RESULTS)
 KIND_FILES = {
     "dataset": INFO_PATH,
     "results": METRICS_FILE,
@@ -47,6 +50,11 @@ class Contents:
         others: folders of the repository that belong to this content, but come with other pushes.
         adds_to: file without which there is nothing in the repository to add to; empty for content of its own.
         unranked: of results, why no leaderboard lists them; empty if one does.
+        weights: sha256 of the weights by file name: of a checkpoint its own, of results those of the policy that they
+            are of, if it lies here.
+        source: of results, their folder.
+        policy: of results, the path or repository of the policy that they are of.
+        card: text of the card that a repository without one gets; empty for none.
     """
 
     folder: Path
@@ -57,6 +65,10 @@ class Contents:
     others: tuple[str, ...] = ()
     adds_to: str = ""
     unranked: str = ""
+    weights: Mapping[str, str] = field(default_factory=dict)
+    source: str = ""
+    policy: str = ""
+    card: str = ""
 
     def files(self) -> set[str]:
         """Return the paths of all files in the folder."""
@@ -88,17 +100,18 @@ def dataset_contents(root: Path) -> Contents:
 
 
 def checkpoint_contents(folder: Path, repo: str) -> Contents:
-    """Return a policy checkpoint; a card is written into it if it has none.
+    """Return a policy checkpoint, with a card for its repository if it has none.
 
     Raises:
         ValueError: if it holds a pickle, which our loader refuses.
     """
     if pickles := sorted(path.name for path in folder.rglob("*") if path.suffix.lower() in PICKLES):
         raise ValueError(f"{folder} holds the pickle {pickles[0]}, which nobody should load; save it as safetensors")
-    if not (folder / CARD_PATH).is_file():
-        (folder / CARD_PATH).write_text(checkpoint_card(folder, repo), encoding="utf-8")
-    ignored = ("training_state/**", ".cache/**")
-    return Contents(folder, "model", (CONFIG, "type"), ignored=ignored, others=(f"{EVAL_RESULTS}/", f"{RESULTS}/"))
+    return Contents(
+        folder, "model", (CONFIG, "type"), ignored=("training_state/**", ".cache/**"),
+        others=tuple(f"{name}/" for name in RESULT_FOLDERS), weights=folder_weights(folder),
+        card="" if (folder / CARD_PATH).is_file() else checkpoint_card(folder, repo),
+    )  # fmt: skip
 
 
 def environment_contents(folder: Path) -> Contents:
@@ -106,9 +119,15 @@ def environment_contents(folder: Path) -> Contents:
     return Contents(folder, "model", ignored=("**/__pycache__/**", "__pycache__/**", ".cache/**"))
 
 
-def benchmark_contents(folder: Path) -> Contents:
-    """Return the benchmark's dataset, as ``hub.benchmark_repo`` writes it, tagged with the benchmark's version."""
-    return Contents(folder, "dataset", tags=(f"dynahoi-{BENCHMARK.version}",), ignored=(".cache/**",))
+def benchmark_contents(folder: Path, stage: Path, repo: str) -> Contents:
+    """Return the benchmark's dataset, as ``hub.benchmark_repo`` writes it, tagged with the benchmark's version.
+
+    Its card names the repository, so a copy is made in ``stage``.
+    """
+    shutil.copytree(folder, stage, ignore=shutil.ignore_patterns(".cache"))
+    if (card := stage / CARD_PATH).is_file():
+        card.write_text(card.read_text(encoding="utf-8").replace(CARD_REPO, repo), encoding="utf-8")
+    return Contents(stage, "dataset", tags=(f"dynahoi-{BENCHMARK.version}",), ignored=(".cache/**",))
 
 
 def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpoint: str) -> Contents:
@@ -116,7 +135,7 @@ def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpo
 
     Args:
         folder: what ``dynahoi evaluate`` wrote.
-        stage: an empty folder, in which they are laid out.
+        stage: a new folder, in which they are laid out.
         repo: the checkpoint's repository.
         benchmark: the dataset's repository whose leaderboard lists them.
         endpoint: address of the Hub.
@@ -128,13 +147,17 @@ def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpo
     name = variant(results)
     source = f"{endpoint}/{repo}/tree/main/{RESULTS}/{name}"
     if not (unranked := why_unranked(results)):
-        (stage / EVAL_RESULTS).mkdir()
+        (stage / EVAL_RESULTS).mkdir(parents=True)
         entries = eval_results_yaml(results, benchmark, source)
         (stage / EVAL_RESULTS / f"{name}.yaml").write_text(entries, encoding="utf-8")
     (stage / RESULTS / name).mkdir(parents=True)
     for file in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
         shutil.copyfile(folder / file, stage / RESULTS / name / file)
-    return Contents(stage, "model", (CONFIG, "type"), adds_to=CONFIG, unranked=unranked)
+    policy = evaluated(results.info)
+    return Contents(
+        stage, "model", (CONFIG, "type"), adds_to=CONFIG, unranked=unranked, source=str(folder), policy=policy,
+        weights=folder_weights(Path(policy)),
+    )  # fmt: skip
 
 
 def kind_of(folder: Path) -> str:

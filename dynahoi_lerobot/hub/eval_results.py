@@ -6,6 +6,7 @@ page and on the leaderboard of the benchmark's dataset.
 
 from __future__ import annotations
 
+import hashlib
 import re
 from typing import Any
 
@@ -13,17 +14,49 @@ import yaml
 
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.summary import Estimate
-from dynahoi_lerobot.hub.leaderboards import Leaderboard, ranking_metrics
+from dynahoi_lerobot.hub.leaderboards import Leaderboard, changed_rules, ranking_metrics
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.salt import split_of
 
 EVAL_RESULTS = ".eval_results"
+NAME_LENGTH = 120
+"""Characters of the longest name; a longer one is cut and ends with a hash."""
+DIGITS = 8
 
 
 def variant(results: Results) -> str:
-    """Return a file name for the conditions of an evaluation; others have another one, as the Hub asks."""
+    """Return a file name for the conditions of an evaluation; others have another one, as the Hub asks.
+
+    It says the rules, whatever of the recipe is not the benchmark's, and the number of episodes of a part of a split.
+
+    Raises:
+        ResultsError: if the results do not say what was played.
+        ValueError: if there is no such split, capture rule or control class.
+    """
     info = results.info
-    words = [info.split, info.capture, results.control_class]
-    words += [str(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
-    return re.sub(r"[^A-Za-z0-9.]+", "_", "_".join(words)).strip("_.")
+    words = [info.benchmark, info.split, info.capture, results.control_class]
+    words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
+    words += [f"{name}_{_text(value)}" for name, value in changed_rules(results).items() if name != "salt"]
+    text = "_".join([*words, *_part(results)])
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("_.")
+    return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - DIGITS - 1]}_{_digest(text)}"
+
+
+def _part(results: Results) -> list[str]:
+    """Return how many episodes were played and, if they are not the first ones, which; nothing for a whole split."""
+    seeds = sorted(row["seed"] for row in results.rows)
+    if len(seeds) == BENCHMARK.splits[split_of(results.info.split)].size:
+        return []
+    first = seeds == list(range(len(seeds)))
+    return [f"{len(seeds)}_episodes", *([] if first else [_digest(str(seeds))])]
+
+
+def _text(value: Any) -> str:
+    return "_".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 
 def eval_results_yaml(results: Results, benchmark: str, source: str) -> str:

@@ -7,6 +7,7 @@ result on a leaderboard if it names one of these tasks.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import yaml
 
@@ -14,9 +15,14 @@ from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.salt import split_of
 from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
 
 EVAL_FILE = "eval.yaml"
+BENCHMARK_NAME = "dynahoi-benchmark"
+"""Name of the benchmark's dataset on the Hub, of which everybody may have one."""
+CARD_REPO = f"USER/{BENCHMARK_NAME}"
+"""What its card calls it until it is pushed."""
 FRAMEWORK = "dynahoi"
 """Name of the evaluation framework; the Hub's list of frameworks must have it for results to show as verified."""
 SPLITS = ("test", "ood_speed", "ood_object", "ood_motion")
@@ -106,7 +112,19 @@ def why_unranked(results: Results) -> str:
         return f"there is none for {info.split}, {info.capture}, {results.control_class}"
     if len(results.rows) != (wanted := len(split_seeds(info.split))):
         return f"{len(results.rows)} of the {wanted} episodes of {info.split} were played"
-    played = asdict(results.recipe())
-    rules = Recipe(split=seed_stream(info.split), capture=info.capture, control_class=results.control_class)
-    changed = [name for name, value in asdict(rules).items() if name not in FREE and played[name] != value]
+    changed = [name for name in changed_rules(results) if name not in FREE]
     return f"it was played with other {', '.join(changed)} than the benchmark's" if changed else ""
+
+
+def changed_rules(results: Results) -> dict[str, Any]:
+    """Return the fields of a result's recipe that are not the benchmark's, with their values.
+
+    Raises:
+        ResultsError: if the result does not say what was played.
+        ValueError: if there is no such split, capture rule or control class.
+    """
+    info = results.info
+    split = seed_stream(split_of(info.split))
+    rules = Recipe(split=split, capture=info.capture, control_class=results.control_class)
+    played = asdict(results.recipe())
+    return {name: played[name] for name, value in asdict(rules).items() if played[name] != value}

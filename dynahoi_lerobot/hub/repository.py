@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dynahoi_lerobot.hub.contents import Contents, read_identity
+from dynahoi_lerobot.dataset.paths import CARD_PATH
+from dynahoi_lerobot.hub.contents import RESULT_FOLDERS, Contents, read_identity
 from dynahoi_lerobot.hub.failures import LOG_IN, HubError, explained
+from dynahoi_lerobot.hub.weights import other_weights, repository_weights
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
@@ -52,23 +54,26 @@ class Repository:
             repository.api.whoami()
         return repository
 
-    def push(self, contents: Contents, private: bool) -> str:
+    def push(self, contents: Contents, private: bool, *, replace: bool = False, policy: str = "") -> str:
         """Upload everything that is not there yet, set the tags, and return the address.
 
+        Args:
+            contents: what is pushed.
+            private: make a private repository.
+            replace: put a checkpoint in the place of other weights, whose results are removed.
+            policy: of results, what the user says that the repository holds under another name; empty for nothing.
+
         Raises:
-            HubError: if the repository holds other content, or is public where a private one is asked for, or the
-                upload stopped.
+            HubError: if the repository holds other content, other weights or another policy than results are of, or is
+                public where a private one is asked for, or the upload stopped.
         """
         with explained(self.name, self.api.endpoint, self.token):
             self._make(contents, private)
-            self._refuse_foreign(contents)
-            self.api.upload_folder(
-                repo_id=self.name,
-                folder_path=contents.folder,
-                repo_type=contents.repo_type,
-                ignore_patterns=list(contents.ignored),
-                commit_message=f"Push {contents.folder.name} with dynahoi",
-            )
+            held = self._refuse_foreign(contents)
+            renewed = self._check_weights(contents, replace, policy)
+            self._upload(contents, renewed)
+            if contents.card and CARD_PATH not in held:
+                self._add_card(contents)
             for tag in contents.tags:
                 self._tag(contents, tag)
         kind = "datasets/" if contents.repo_type == "dataset" else ""
@@ -83,8 +88,8 @@ class Repository:
         if private and not self.api.repo_info(self.name, repo_type=contents.repo_type).private:
             raise HubError(f"{self.name} exists and is public; make it private in its settings, or choose another name")
 
-    def _refuse_foreign(self, contents: Contents) -> None:
-        """Refuse a repository that holds anything but an earlier, perhaps unfinished, push of the same content."""
+    def _refuse_foreign(self, contents: Contents) -> set[str]:
+        """Refuse a repository that holds anything but an earlier push of the same content; return its files."""
         held = set(self.api.list_repo_files(self.name, repo_type=contents.repo_type))
         if contents.adds_to and contents.adds_to not in held:
             raise HubError(f"{self.name} holds no {contents.adds_to}; push the checkpoint before its results")
@@ -99,6 +104,58 @@ class Repository:
                     f"{self.name} holds other content (the {key} in {file} is {found}, not {wanted}); "
                     "choose another name"
                 )
+        return held
+
+    def _check_weights(self, contents: Contents, replace: bool, policy: str) -> bool:
+        """Refuse other weights than the repository's as ``push`` says; return whether a checkpoint replaces them."""
+        other = self._other_weights(contents)
+        if contents.adds_to:
+            self._refuse_results_of_another(contents, other, policy)
+            return False
+        if other and not replace:
+            raise HubError(
+                f"{self.name} holds other weights ({other[0]}); choose another name, or add --replace, which also "
+                "removes the results of the old ones"
+            )
+        return bool(other)
+
+    def _other_weights(self, contents: Contents) -> list[str]:
+        """Return the files of weights that the repository holds with another content, or lacks for results of them."""
+        if not contents.weights:
+            return []
+        held = repository_weights(self.api, self.name)
+        return other_weights(contents.weights, held, complete=bool(contents.adds_to))
+
+    def _refuse_results_of_another(self, contents: Contents, other: list[str], said: str) -> None:
+        """Refuse results of another policy, unless the user ``said`` that the repository holds it."""
+        policy, here = contents.policy, f"{self.name}: {contents.source} is of {contents.policy}"
+        if said and said != policy:
+            raise HubError(f"{here}, not of {said}")
+        add = f"add --policy {policy} if this repository holds what was evaluated"
+        if other and not said:
+            raise HubError(f"{here}, whose {other[0]} is not the repository's; push that checkpoint, or {add}")
+        if not (said or contents.weights or policy == self.name):
+            raise HubError(f"{here}, and nothing shows that this repository holds it; {add}")
+
+    def _upload(self, contents: Contents, renewed: bool) -> None:
+        """Make one commit; results of other weights than a ``renewed`` checkpoint's are removed in it."""
+        self.api.upload_folder(
+            repo_id=self.name,
+            folder_path=contents.folder,
+            repo_type=contents.repo_type,
+            ignore_patterns=list(contents.ignored),
+            commit_message=f"Push {contents.folder.name} with dynahoi",
+            delete_patterns=[f"{name}/*" for name in RESULT_FOLDERS] if renewed else None,
+        )
+
+    def _add_card(self, contents: Contents) -> None:
+        self.api.upload_file(
+            repo_id=self.name,
+            path_or_fileobj=contents.card.encode(),
+            path_in_repo=CARD_PATH,
+            repo_type=contents.repo_type,
+            commit_message="Add a card with dynahoi",
+        )
 
     def _tag(self, contents: Contents, tag: str) -> None:
         """Set a tag on the latest commit; one that exists is moved."""

@@ -2,7 +2,7 @@
 
 Upload this file as ``env.py`` of a Hub repository, with ``lerobot_env_dynahoi`` installed where it is used:
 
-    make_env("you/dynahoi", n_envs=8, trust_remote_code=True)
+    make_env("you/dynahoi-env", n_envs=8, trust_remote_code=True)
 """
 
 from __future__ import annotations

@@ -45,12 +45,14 @@ def test_every_leaderboard_is_a_task_of_the_hubs_file():
 
 def test_the_benchmarks_dataset_is_pushed_with_a_table_a_split(tmp_path: Path, hub: Hub, push: Push):
     benchmark_repo.write(tmp_path / "benchmark", count=3)
-    code, out, err = push(tmp_path / "benchmark", "me/dynahoi")
+    code, out, err = push(tmp_path / "benchmark", "me/dynahoi-benchmark")
     assert code == 0, err
     assert "benchmark pushed to" in out
-    repository = hub.repos["datasets/me/dynahoi"]
+    repository = hub.repos["datasets/me/dynahoi-benchmark"]
     assert set(repository.files) == {"README.md", "eval.yaml", *(f"data/{split}.parquet" for split in SPLITS)}
-    _, head, _ = repository.files["README.md"].decode().split("---\n", 2)
+    _, head, body = repository.files["README.md"].decode().split("---\n", 2)
+    assert "--leaderboard me/dynahoi-benchmark\n" in body
+    assert "--leaderboard me/dynahoi-benchmark\n" not in (tmp_path / "benchmark" / "README.md").read_text()
     (config,) = yaml.safe_load(head)["configs"]
     assert {entry["split"]: entry["path"] for entry in config["data_files"]} == {
         task["split"]: f"data/{task['split']}.parquet" for task in yaml.safe_load(eval_yaml())["tasks"]
@@ -109,8 +111,8 @@ class Cells(HTMLParser):
             self.rows[-1][-1] += data
 
 
+@pytest.mark.skipif(not BROWSER, reason="needs chromium, which .ci/run installs")
 def test_the_page_ranks_results_and_asks_no_other_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    assert BROWSER, "install chromium"
     shutil.copytree(PAGE, tmp_path / "page")
     folders = [results(tmp_path / name, f"<i>{name}", caught) for name, caught in (("a", 50), ("b", 170))]
     words = ["leaderboard_data", *map(str, folders), "--out", str(tmp_path / "page" / "results.json")]

@@ -14,7 +14,7 @@ import pytest
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
 from tests.hub.conftest import Push
-from tests.hub.server import Hub
+from tests.hub.server import TOKEN, Hub
 
 CHECKPOINT = Path(__file__).parents[2] / "checkpoints/obact_standard"
 READ = """
@@ -30,10 +30,11 @@ print(*verify(dataset.root))
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
 
 
-def elsewhere(hub: Hub, home: Path, *words: str) -> str:
-    """Run Python with an empty cache and no token; return what it printed."""
+def elsewhere(hub: Hub, home: Path, *words: str, token: str = "") -> str:
+    """Run Python with an empty cache and, unless one is given, no token; return what it printed."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("HF_")}
     environment |= {"HF_ENDPOINT": hub.url, "HF_HOME": str(home), "HF_HUB_DISABLE_XET": "1"}
+    environment |= {"HF_TOKEN": token} if token else {}
     done = subprocess.run([sys.executable, *words], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -59,12 +60,56 @@ def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(h
     files = hub.repos["models/me/obact"].files
     assert set(files) > {path.name for path in checkpoint.iterdir()}
     head = json.loads((results / METRICS_FILE).read_text())
-    name = f"{head['split']}_attach_{head['extra']['recipe']['control_class']}"
+    name = f"v1_{head['split']}_attach_{head['extra']['recipe']['control_class']}_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
     assert not [file for file in files if file.startswith(".eval_results")], "two episodes are no whole split"
     assert push(checkpoint, "me/obact")[0] == 0
     elsewhere(hub, tmp_path / "other_home", *words, str(tmp_path / "again"))
     assert json.loads((tmp_path / "again" / METRICS_FILE).read_text())["metrics"] == head["metrics"]
+
+
+TRAIN = """
+from huggingface_hub import RepoCard
+from lerobot.scripts.lerobot_train import main
+RepoCard.validate = lambda *args, **options: None  # asks huggingface.co, whatever the Hub's address is
+main()
+"""
+TINY = {
+    "policy.type": "obact", "policy.width": 16, "policy.n_attention_heads": 2, "policy.image_size": 32,
+    "policy.n_obs_frames": 2, "policy.backbone_options": '{"n_keypoints": 4, "channels": 8}',
+    "policy.head_options": '{"n_layers": 1}', "policy.device": "cpu", "batch_size": 2, "steps": 2, "num_workers": 0,
+    "env_eval_freq": 0, "dataset.repo_id": "me/catching", "policy.push_to_hub": "true", "policy.repo_id": "me/trained",
+}  # fmt: skip
+PLAYED = {
+    "policy.path": "me/trained", "policy.device": "cpu", "env.type": "dynahoi", "env.split": "test_small",
+    "env.task": "lob", "env.image_size": 32, "eval.n_episodes": 1, "eval.batch_size": 1,
+}  # fmt: skip
+
+
+def options(out: Path, values: dict) -> list[str]:
+    """Return the words of a command of LeRobot that writes to ``out``."""
+    return [f"--{name}={value}" for name, value in {**values, "output_dir": out}.items()]
+
+
+def test_lerobot_trains_on_a_dataset_by_its_name_pushes_the_policy_and_plays_it_by_its_name(
+    simulated: Path, hub: Hub, push: Push, tmp_path: Path
+):
+    push(simulated, "me/catching")
+    out = tmp_path / "out"
+    elsewhere(hub, tmp_path / "home", "-c", TRAIN, *options(out, TINY), token=TOKEN)
+    weights = (out / "checkpoints/last/pretrained_model/model.safetensors").read_bytes()
+    files = hub.repos["models/me/trained"].files
+    assert files["model.safetensors"] == weights
+    assert {"README.md", "config.json", "policy_preprocessor.json", "policy_postprocessor.json"} < set(files)
+    words = options(tmp_path / "eval", PLAYED)
+    elsewhere(hub, tmp_path / "other_home", "-m", "lerobot.scripts.lerobot_eval", *words)
+    (metrics,) = (tmp_path / "eval").rglob(METRICS_FILE)
+    assert json.loads(metrics.read_text())["n"] == 1
+    code, _, err = push(metrics.parent, "me/trained")
+    assert code == 0, err
+    folders = {name.split("/")[1] for name in hub.repos["models/me/trained"].files if name.startswith("results/")}
+    assert [name.startswith("v1_test_small_attach_standard_image_size_32_1_episodes") for name in folders] == [True]
+    assert push(out / "checkpoints/last/pretrained_model", "me/trained")[0] == 0
 
 
 PLAY = """

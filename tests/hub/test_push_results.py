@@ -1,0 +1,188 @@
+"""``dynahoi push`` of results: beside the checkpoint that they are of, each under a name of its own."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from dynahoi_lerobot.hub.leaderboards import eval_yaml
+from tests.hub.conftest import Push, write_split
+from tests.hub.server import Hub
+
+REPO = "models/me/policy"
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Path:
+    return write_split(tmp_path / "results", "ood_speed", range(220), extra={"inference": "async 150 ms"})
+
+
+def test_results_need_their_checkpoint(results: Path, hub: Hub, push: Push):
+    code, _, err = push(results, "me/policy")
+    assert (code, err.count("\n")) == (1, 1)
+    assert "me/policy: there is no such checkpoint on the Hub; push it before its results" in err
+    assert hub.repos == {}
+
+
+def test_results_say_what_was_measured_and_how(checkpoint: Path, results: Path, hub: Hub, push: Push):
+    push(checkpoint, "me/policy")
+    code, _, err = push(results, "me/policy", "--leaderboard", "org/benchmark")
+    assert code == 0, err
+    name = "v1_ood_speed_attach_standard_async_150_ms"
+    files = hub.repos[REPO].files
+    assert {"config.json", f"results/{name}/actions.npz", f"results/{name}/episodes.parquet"} < set(files)
+    entries = {entry["dataset"]["task_id"]: entry for entry in yaml.safe_load(files[f".eval_results/{name}.yaml"])}
+    entry = entries["ood_speed_attach_standard_S_loc"]
+    assert entry["dataset"]["id"] == "org/benchmark"
+    assert entry["value"] == json.loads((results / "metrics.json").read_text())["metrics"]["S_loc"]["value"]
+    assert entry["source"]["url"] == f"{hub.url}/me/policy/tree/main/results/{name}"
+    assert "unit fraction" in entry["notes"]
+    assert "220 episodes of ood_speed" in entry["notes"]
+    assert "inference async 150 ms" in entry["notes"]
+    assert np.isfinite([entry["value"] for entry in entries.values()]).all()
+    assert set(entries) <= {task["id"] for task in yaml.safe_load(eval_yaml())["tasks"]}
+    assert len(entries) == 4
+
+
+UNRANKED: list[tuple[str, int, dict, str]] = [
+    ("val", 3, {}, "there is none for val, attach, standard"),
+    ("ood_speed", 219, {}, "219 of the 220 episodes of ood_speed were played"),
+    ("ood_speed", 220, {"motions": ("lob",)}, "it was played with other motions than the benchmark's"),
+    ("ood_speed", 220, {"protocol": "direct_act"}, "it was played with other protocol than the benchmark's"),
+]
+
+
+@pytest.mark.parametrize(("split", "count", "recipe", "reason"), UNRANKED)
+def test_results_on_no_leaderboard_are_pushed_without_entries(
+    split: str, count: int, recipe: dict, reason: str, *, checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    code, out, err = push(write_split(tmp_path / "results", split, range(count), **recipe), "me/policy")
+    assert code == 0, err
+    assert f"no leaderboard lists it: {reason}\n" in out
+    files = hub.repos[REPO].files
+    assert not [name for name in files if name.startswith(".eval_results")]
+    assert [name for name in files if name.endswith("actions.npz")]
+
+
+def test_damaged_results_are_refused(checkpoint: Path, results: Path, hub: Hub, push: Push):
+    push(checkpoint, "me/policy")
+    (results / "actions.npz").write_bytes(b"")
+    code, _, err = push(results, "me/policy")
+    assert code == 2
+    assert "actions.npz is damaged" in err
+    assert names(hub) == set()
+
+
+def names(hub: Hub) -> set[str]:
+    """Return the names of the result folders in the repository."""
+    return {name.split("/")[1] for name in hub.repos[REPO].files if name.startswith("results/")}
+
+
+WHOLE = "v1_ood_speed_attach_standard"
+OTHERS: list[tuple[dict, str]] = [
+    ({"protocol": "occluded"}, f"{WHOLE}_protocol_occluded"),
+    ({"appearance": ("lights",)}, f"{WHOLE}_appearance_lights"),
+    ({"hand": "opposed"}, f"{WHOLE}_hand_opposed"),
+    ({"objects": ("ball", "cup")}, f"{WHOLE}_objects_ball_cup"),
+    ({"motions": ("lob",)}, f"{WHOLE}_motions_lob"),
+    ({"image_size": 64}, f"{WHOLE}_image_size_64"),
+    ({"extra": {"settings": ["n_action_steps=-1"]}}, f"{WHOLE}_n_action_steps_-1"),
+    ({"seeds": range(3)}, f"{WHOLE}_3_episodes"),
+    ({"seeds": range(3), "protocol": "occluded"}, f"{WHOLE}_protocol_occluded_3_episodes"),
+    ({"seeds": (7, 8, 9)}, f"{WHOLE}_3_episodes_" + hashlib.sha256(b"[7, 8, 9]").hexdigest()[:8]),
+]
+
+
+def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    push(write_split(tmp_path / "whole", "ood_speed", range(220)), "me/policy")
+    ranked = {name: content for name, content in hub.repos[REPO].files.items() if WHOLE in name}
+    for number, (options, _) in enumerate(OTHERS):
+        seeds, rest = options.get("seeds", range(220)), {k: v for k, v in options.items() if k != "seeds"}
+        code, _, err = push(write_split(tmp_path / str(number), "ood_speed", seeds, **rest), "me/policy")
+        assert code == 0, err
+    assert names(hub) == {WHOLE, *(name for _, name in OTHERS)}
+    assert ranked.items() <= hub.repos[REPO].files.items()
+
+
+def test_a_name_is_no_longer_than_a_file_name_may_be(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+    push(checkpoint, "me/policy")
+    for end in "ab":
+        results = write_split(tmp_path / end, "ood_speed", range(2), extra={"settings": ["x" * 300 + end]})
+        assert push(results, "me/policy")[0] == 0
+    assert len(names(hub)) == 2
+    assert max(map(len, names(hub))) <= 120
+
+
+def test_results_that_do_not_say_what_was_played_are_refused(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+    push(checkpoint, "me/policy")
+    results = write_split(tmp_path / "results", "val", range(2))
+    head = json.loads((results / "metrics.json").read_text())
+    del head["extra"]["recipe"]
+    (results / "metrics.json").write_text(json.dumps(head))
+    code, _, err = push(results, "me/policy")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "does not say what was played" in err
+
+
+STRANGERS = ["you/other", "intercept", "outputs/gone/pretrained_model", "obact"]
+
+
+@pytest.mark.parametrize("policy", STRANGERS)
+def test_results_of_another_policy_are_refused_unless_they_are_said_to_be_of_this_one(
+    policy: str, *, checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
+    code, _, err = push(results, "me/policy")
+    assert (code, err.count("\n")) == (1, 1)
+    assert f"me/policy: {results} is of {policy}, and nothing shows that this repository holds it" in err
+    assert names(hub) == set()
+    code, _, err = push(results, "me/policy", "--policy", "you/third")
+    assert f"{results} is of {policy}, not of you/third" in err
+    assert code == 1
+    assert push(results, "me/policy", "--policy", policy)[0] == 0
+
+
+def test_results_of_a_folder_go_to_the_repository_with_its_weights(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    results = write_split(tmp_path / "results", "ood_speed", range(2), policy=str(checkpoint))
+    assert push(results, "me/policy")[0] == 0
+    (checkpoint / "model.safetensors").write_bytes(b"other weights")
+    code, _, err = push(results, "me/policy")
+    assert (code, err.count("\n")) == (1, 1)
+    assert f"me/policy: {results} is of {checkpoint}, whose model.safetensors is not the repository's" in err
+    assert push(results, "me/policy", "--policy", checkpoint)[0] == 0
+    (checkpoint / "model.safetensors").rename(checkpoint / "adapter_model.safetensors")
+    assert "whose adapter_model.safetensors is not the repository's" in push(results, "me/policy")[2]
+
+
+def test_results_of_lerobot_eval_name_the_folder_in_their_command(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    command = f"lerobot-eval --policy.path={checkpoint} --env.type=dynahoi"
+    results = write_split(tmp_path / "results", "ood_speed", range(2), policy="obact", command=command)
+    assert push(results, "me/policy")[0] == 0
+    trained = write_split(
+        tmp_path / "trained", "ood_speed", range(2), policy="obact", command=command.replace("eval", "train")
+    )
+    assert "is of obact, and nothing shows" in push(trained, "me/policy")[2]
+
+
+def test_what_is_for_results_is_refused_for_a_checkpoint(checkpoint: Path, hub: Hub, push: Push):
+    for option in ("--policy", "--leaderboard"):
+        code, _, err = push(checkpoint, "me/policy", option, "me/x")
+        assert (code, err.count("\n")) == (2, 1)
+        assert f"{option} is for a push of results; {checkpoint} holds this: checkpoint" in err
+    assert hub.repos == {}
