@@ -20,12 +20,10 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.rollout.loop import Job, make_batch, play
-from dynahoi_lerobot.rollout.replay import ActionLog, Player
+from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import seal, split_of
-from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
 
 TOLERANCE = 1e-5
@@ -91,23 +89,9 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
 def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:
     """Play rows ``indices`` again and yield what differs, a list for each of them in their order."""
     for chosen in batched(indices, PLAYED_TOGETHER):
-        episodes = evaluate_again(recipe, [results.log(i) for i in chosen])
+        episodes = replay(recipe, [results.log(i) for i in chosen], images=False, as_evaluated=True)
         for i, episode in zip(chosen, episodes, strict=True):
             yield [*_wrong_values(episode, results.rows[i]), *_wrong_actions(episode, results.actions[i])]
-
-
-def evaluate_again(recipe: Recipe, logs: Sequence[ActionLog]) -> list[Episode]:
-    """Return the episodes of an evaluation in which logged commands are given, in the order of the logs.
-
-    An episode ends when an evaluation ends it: before a log that goes on, and after one that stops.
-    """
-    specs = sample_specs(recipe, [log.seed for log in logs])
-    jobs = [
-        replace(Job.evaluation(i, spec), attempt=log.attempt)
-        for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
-    ]
-    played = play(make_batch(recipe, len(logs)), Player(logs), jobs, images=False)
-    return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]
 
 
 def sample(n_rows: int, count: int | None) -> list[int]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dynahoi_lerobot.dataset.manifest import sha256
 from dynahoi_lerobot.evaluate.run_info import RunInfo
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ LEROBOT_EVAL = re.compile(r"lerobot[-_]eval(?:\.py)? (?:.* )?--policy\.(?:pretra
 
 def folder_weights(folder: Path) -> dict[str, str]:
     """Return the sha256 of every file of weights in a ``pretrained_model`` folder, by name."""
-    return {path.name: _sha256(path) for path in sorted(folder.glob(PATTERN)) if path.is_file()}
+    return {path.name: sha256(path) for path in sorted(folder.glob(PATTERN)) if path.is_file()}
 
 
 def repository_weights(api: HfApi, repo: str) -> dict[str, str]:
@@ -42,8 +42,3 @@ def evaluated(info: RunInfo) -> str:
     """
     found = LEROBOT_EVAL.match(info.command)
     return found[1] if found else info.policy
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import draccus
@@ -91,15 +91,24 @@ def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode], *, ima
     return resimulate
 
 
-def replay(recipe: Recipe, logs: Sequence[ActionLog], *, images: bool = True) -> list[Episode]:
+def replay(
+    recipe: Recipe, logs: Sequence[ActionLog], *, images: bool = True, as_evaluated: bool = False
+) -> list[Episode]:
     """Return the episodes that logged commands lead to, played again from their seeds, in the order of the logs.
 
     Args:
         recipe: what was played.
         logs: one an episode; all are played side by side.
         images: whether to render.
+        as_evaluated: whether an episode ends when an evaluation ends it, before a log that goes on and after one that
+            stops; by default it ends with its log.
     """
     specs = sample_specs(recipe, [log.seed for log in logs])
-    jobs = [Job(i, spec, len(log.actions), log.attempt) for i, (spec, log) in enumerate(zip(specs, logs, strict=True))]
+    jobs = [
+        replace(Job.evaluation(i, spec), attempt=log.attempt)
+        for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
+    ]
+    if not as_evaluated:
+        jobs = [replace(job, frames=len(log.actions), stop_settled=False) for job, log in zip(jobs, logs, strict=True)]
     played = play(make_batch(recipe, len(logs)), Player(logs), jobs, images=images)
     return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.evaluate import result_files
-from dynahoi_lerobot.evaluate.episode_row import episode_row
-from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.results import Results, ResultsRecorder, read_results
 from dynahoi_lerobot.rollout.replay import replay
 
 
@@ -77,29 +76,25 @@ def more_attempts(folder: Path) -> None:
     rewritten(folder, rows=(results.rows[0] | {"attempts": 3}, *results.rows[1:]), info=unmarked)
 
 
-def longer_logs(folder: Path) -> None:
-    """Give every hand more time than an evaluation does."""
+def played_with(folder: Path, change: Callable[[np.ndarray], np.ndarray], *rows: int) -> None:
+    """Write what the changed logs of ``rows`` lead to if an episode ends with its log."""
     results = read_results(folder)
     logs = [results.log(i) for i in range(len(results.rows))]
-    longer = [replace(log, actions=np.concatenate([log.actions, log.actions[-1:].repeat(60, 0)])) for log in logs]
-    played = replay(results.recipe(), longer, images=False)
-    rewritten(
-        folder,
-        rows=tuple(episode_row(episode) for episode in played),
-        actions=tuple(np.array(episode.action, np.float32) for episode in played),
-    )
+    for i in rows:
+        logs[i] = replace(logs[i], actions=change(logs[i].actions))
+    recorder = ResultsRecorder()
+    recorder.extend(replay(results.recipe(), logs, images=False))
+    recorder.write(folder, results.info)
+
+
+def longer_logs(folder: Path) -> None:
+    """Give every hand more time than an evaluation does."""
+    played_with(folder, lambda actions: np.concatenate([actions, actions[-1:].repeat(60, 0)]), 0, 1, 2)
 
 
 def shorter_log(folder: Path) -> None:
     """Stop before the episode ends."""
-    results = read_results(folder)
-    log = results.log(1)
-    (played,) = replay(results.recipe(), [replace(log, actions=log.actions[:-5])], images=False)
-    rewritten(
-        folder,
-        rows=(results.rows[0], episode_row(played), *results.rows[2:]),
-        actions=(results.actions[0], np.array(played.action, np.float32), *results.actions[2:]),
-    )
+    played_with(folder, lambda actions: actions[:-5], 1)
 
 
 FORGERIES: list[tuple[Callable[[Path], None], str]] = [
