@@ -1,8 +1,8 @@
 """Checking a published result: every number follows from the logged commands, played again from the seeds.
 
 A certificate says that the commands in the folder, given in the episodes of the split, lead to the results in it. It
-does not say who gave the commands, what he saw and how long he thought: a log of the expert's commands under another
-name is certified, too.
+does not say who or what gave the commands, from which observations, or how long that took: a log of the expert's
+commands under another name is certified, too.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import seal, split_of
 from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
@@ -65,10 +66,7 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     """
     info, split = results.info, split_of(results.info.split)
     if (here := recipe.fingerprint()) != info.fingerprint:
-        yield (
-            "the results were made by other code, library versions or kind of processor, or another recipe "
-            f"({info.fingerprint}, here is {here})"
-        )
+        yield f"the results were made by {_otherwise(results)} ({info.fingerprint}, here is {here})"
     if info.benchmark != BENCHMARK.version:
         yield f"the results are of version {info.benchmark} of the benchmark, here is {BENCHMARK.version}"
     if recipe.split != seed_stream(split) or recipe.capture != info.capture:
@@ -99,6 +97,17 @@ def sample(n_rows: int, count: int | None) -> list[int]:
     if count is None or count >= n_rows:
         return list(range(n_rows))
     return sorted({int(i) for i in np.linspace(0, n_rows - 1, count)})
+
+
+def _otherwise(results: Results) -> str:
+    """Return what may have changed the fingerprint, as far as the results tell."""
+    stored = results.info.extra.get("surroundings")
+    if not isinstance(stored, dict):
+        return "other code, library versions or kind of processor, or another recipe"
+    differs = [
+        f"{name} {stored.get(name)}, not {here}" for name, here in surroundings().items() if stored.get(name) != here
+    ]
+    return f"other surroundings: {'; '.join(differs)}" if differs else "other code, or another recipe"
 
 
 def _wrong_sums(name: str, stored: Any, recomputed: Any) -> Iterator[str]:

@@ -6,6 +6,8 @@ import argparse
 
 from tqdm import tqdm
 
+from dynahoi_lerobot.evaluate import certificates
+from dynahoi_lerobot.evaluate.certificates import Certificate
 from dynahoi_lerobot.evaluate.certify import UNCERTIFIED, check_episodes, check_results, open_recipe, sample
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.foundation.arguments import path, whole
@@ -27,6 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print whether the results are certified, or what differs; return the exit code: 0 certified, 1 not.
 
+    What is certified is kept for ``dynahoi report``, see `certificates`.
+
     Raises:
         ResultsError: if the folder cannot be read.
         ValueError: if the results are of another salt.
@@ -42,7 +46,12 @@ def run(args: argparse.Namespace) -> int:
         print(finding)
     if findings:
         print(f"not certified, {len(findings)} found")
+        certificates.withdraw(results.folder)
         return DIFFERS
+    try:
+        certificates.keep(results.folder, Certificate(len(results.rows), len(chosen)))
+    except OSError as error:
+        print(f"reports will not show it, because the certificate cannot be kept: {error}")
     print(f"certified: {_scope(results, len(chosen))}\n{UNCERTIFIED}")
     return CERTIFIED
 

@@ -26,6 +26,7 @@ from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
+from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import stream_label, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -60,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
             "inference": inference.label,
             "settings": args.set,
             "privileged": actor.privileged,
+            "surroundings": surroundings(),
         },
     )
     recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()

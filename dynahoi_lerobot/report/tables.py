@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from dynahoi_lerobot.evaluate.compare import Comparison, compare_results, paired_values, unequal_conditions
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary
@@ -45,9 +45,11 @@ class Table:
 
 
 def leaderboard(entries: Sequence[Entry]) -> Table:
-    """Return the paper's columns and S_joint, one row per evaluation; the best under equal conditions is marked."""
+    """Return the paper's columns, S_joint and what is certified of each evaluation; the best of equals is marked."""
     names = (*columns_for([entry.results for entry in entries]), "S_joint")
-    return _metric_table("One row per evaluation, 95 % intervals under the values.", entries, names)
+    table = _metric_table("One row per evaluation, 95 % intervals under the values.", entries, names)
+    rows = tuple((*row, _certified(entry)) for row, entry in zip(table.rows, entries, strict=True))
+    return replace(table, head=(*table.head, "certified"), rows=rows)
 
 
 def other_metrics(entries: Sequence[Entry]) -> Table:
@@ -97,6 +99,10 @@ def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str]) 
         for place, entry in enumerate(entries)
     )  # fmt: skip
     return Table(caption, (*LABELS, "n", *map(heading, names)), rows)
+
+
+def _certified(entry: Entry) -> Cell:
+    return Cell(str(entry.certificate), mark="better") if entry.certificate else Cell("no")
 
 
 def _best(entries: Sequence[Entry], names: Sequence[str]) -> set[tuple[int, str]]:

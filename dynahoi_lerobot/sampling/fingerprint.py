@@ -43,12 +43,16 @@ def code_fingerprint() -> str:
 
     Installed plugins count with every module of their packages: what they register may be drawn or change what is.
     """
-    digest = hashlib.sha256(platform.machine().encode())
-    digest.update(hash_sources(Path(dynahoi_lerobot.__file__).parent))
+    digest = hashlib.sha256(hash_sources(Path(dynahoi_lerobot.__file__).parent))
     digest.update(hash_packages(plugin_packages()))
-    for library in LIBRARIES:
-        digest.update(f"{library}={_version(library)}".encode())
+    for name, which in surroundings().items():
+        digest.update(f"{name}={which}".encode())
     return digest.hexdigest()[:16]
+
+
+def surroundings() -> dict[str, str]:
+    """Return what beside the sources is in the code fingerprint: the kind of processor, and versions by library."""
+    return {"processor": platform.machine(), **{library: _version(library) for library in LIBRARIES}}
 
 
 def extension_fingerprint(classes: Iterable[type]) -> str:

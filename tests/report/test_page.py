@@ -98,6 +98,7 @@ def test_every_evaluation_is_a_row_with_its_values(parsed: Page):
         "benchmark",
         "n",
         *metrics.split(","),
+        "certified",
     ]
     expert = next(row for row in parsed.rows if row[0] == "expert")
     played = ["test_small", "observe_before_act", "attach", "standard", "sync", BENCHMARK.version, "22"]
