@@ -31,5 +31,7 @@ def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
     if OBS_IMAGES in queues:
         images = [batch[key] for key in policy.config.image_features]
         batch = batch | {OBS_IMAGES: torch.stack(images, dim=-4)}
-    populate_queues(queues, batch, exclude_keys=[ACTION])
+    if queues:  # a policy looks into the queue of every key of the batch, and that of actions may be empty
+        batch = {key: value for key, value in batch.items() if key != ACTION}
+    populate_queues(queues, batch)
     return batch

@@ -38,7 +38,12 @@ def diffusion():
 
 def test_diffusion_policy_plans_from_the_noted_frames(diffusion):
     frames = [
-        {"observation.images.ego": torch.rand(2, 3, 64, 64), "observation.state": torch.rand(2, 18)} for _ in range(3)
+        {
+            "observation.images.ego": torch.rand(2, 3, 64, 64),
+            "observation.state": torch.rand(2, 18),
+            "action": None,  # LeRobot's preprocessor leaves this key in every batch
+        }
+        for _ in range(3)
     ]
     noise = torch.randn(2, 8, 18)
     asked_always, asked_once = copy.deepcopy(diffusion), copy.deepcopy(diffusion)
