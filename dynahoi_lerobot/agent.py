@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -152,10 +152,12 @@ class Plan:
     Attributes:
         actions: (n, H, 18) commands for the observed frame and those after it.
         seconds: (n,) what the inference took [s].
+        expectations: what each chunk was planned for, as the agent keeps it; empty if it does not correct chunks.
     """
 
     actions: np.ndarray
     seconds: np.ndarray
+    expectations: Sequence[Any] = ()
 
 
 class ChunkAgent(Agent):
@@ -164,16 +166,28 @@ class ChunkAgent(Agent):
     Attributes:
         accepts_guidance: whether a chunk can be guided by what the previous one has committed to.
         accepts_prefix: whether a chunk is planned from where the hand will be when it is ready.
+        corrects: whether it can correct a chunk in every frame in which that is executed.
     """
 
     accepts_guidance: bool = False
     accepts_prefix: bool = False
+    corrects: bool = False
 
     def enable_guidance(self) -> None:
         """Prepare for guidance, which ``accepts_guidance``."""
 
     def watch(self, observation: Observation) -> None:
         """Note a frame in which no chunk is asked for."""
+
+    def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
+        """Return (n, 18) commands for the frame that was noted last, in place of those of chunks.
+
+        Args:
+            worlds: (n,) sorted worlds.
+            expectations: of the `Plan` that each of them executes.
+            ages: frames since the observation of that.
+        """
+        raise NotImplementedError(f"{self.name!r} does not correct chunks")
 
     @abstractmethod
     def plan(

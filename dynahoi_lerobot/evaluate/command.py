@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
         ResultsError: if ``--out`` holds damaged results, or those of another evaluation.
         ValueError: for any other bad argument.
     """
-    inference = Inference(args.inference, args.inference_ms)
+    inference = Inference(args.inference, args.inference_ms, args.inference_correction)
     actor = _real_time(_actor(args), inference)
     recipe = _recipe(args, actor)
     info = RunInfo(

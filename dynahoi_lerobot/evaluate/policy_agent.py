@@ -79,6 +79,11 @@ class PolicyAgent(ChunkAgent):
         """Whether the policy says that it plans from where the hand will be."""
         return bool(getattr(self._policy, "accepts_prefix", False))
 
+    @property
+    def corrects(self) -> bool:
+        """Whether the policy says that it corrects its chunks."""
+        return bool(getattr(self._policy, "corrects", False))
+
     def enable_guidance(self) -> None:
         """Set real-time chunking up as ``lerobot-rollout`` does, with LeRobot's defaults if the checkpoint has none."""
         from lerobot.policies.rtc import RTCConfig
@@ -114,7 +119,13 @@ class PolicyAgent(ChunkAgent):
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
-        return Plan(actions, np.full(len(worlds), time.perf_counter() - start))
+        seconds = np.full(len(worlds), time.perf_counter() - start)
+        return Plan(actions, seconds, [self._policy.expectation([i]) for i in worlds] if self.corrects else ())
+
+    def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
+        """Return (n, 18) commands for the frame that was noted last, in place of those of chunks."""
+        action = self._policy.corrected_action(worlds.tolist(), expectations, ages)
+        return self._after(action).to("cpu").numpy()
 
     def _predicted(self, batch: dict[str, Any], guidance: dict[str, Any]) -> Any:
         """The (N, H, 18) normalised chunks."""

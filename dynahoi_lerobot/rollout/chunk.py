@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,11 +16,13 @@ class Chunk:
         actions: (H, ..., 18) commands.
         first: the frame that the first of them is for.
         ready: the frame from which on they are executed.
+        expectation: what they were planned for, as their agent keeps it, to correct them.
     """
 
     actions: np.ndarray
     first: int
     ready: int
+    expectation: Any = None
 
     def action(self, frame: int) -> np.ndarray:
         """Return the (..., 18) action of ``frame``, the last one where the chunk is over."""

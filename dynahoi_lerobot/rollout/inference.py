@@ -27,13 +27,16 @@ class Inference:
         mode: a key of ``INFERENCE_MODES``.
         latency_ms: time from an observation to the chunk that answers it [ms]; None is what each inference takes on
             this machine.
+        corrected: whether the policy corrects its running chunk in every frame for what it sees meanwhile, which takes
+            less than a frame (A2C2, arXiv 2509.23224).
 
     Raises:
-        ValueError: if the mode is unknown, the latency out of range, or ``sync`` is given one.
+        ValueError: if the mode is unknown, the latency out of range, or ``sync`` is given one, or a correction.
     """
 
     mode: str = SYNC
     latency_ms: float | None = 0.0
+    corrected: bool = False
 
     def __post_init__(self) -> None:
         if self.mode not in INFERENCE_MODES:
@@ -44,12 +47,16 @@ class Inference:
             told = "measured" if self.latency_ms is None else f"{self.latency_ms} ms"
             raise ValueError(f"the inference latency is {told}, but with mode sync the world waits; use async or rtc")
 
+        if self.mode == SYNC and self.corrected:
+            raise ValueError("a correction is of chunks that take time, but with mode sync the world waits; use async")
+
     @property
     def label(self) -> str:
         """What a table calls it; empty for ``sync``."""
         if self.mode == SYNC:
             return ""
-        return f"{self.mode} " + ("measured" if self.latency_ms is None else f"{self.latency_ms:g} ms")
+        latency = "measured" if self.latency_ms is None else f"{self.latency_ms:g} ms"
+        return f"{self.mode} {latency}" + (", corrected" if self.corrected else "")
 
 
 def frames_of(seconds: float) -> int:

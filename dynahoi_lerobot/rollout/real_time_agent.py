@@ -23,12 +23,16 @@ class RealTimeAgent(Agent):
         """Give ``agent`` the timing ``inference``, of mode ``async`` or ``rtc``.
 
         Raises:
-            ValueError: for ``rtc`` with an agent that cannot be guided.
+            ValueError: for ``rtc`` with an agent that cannot be guided, or a correction by one that corrects nothing.
         """
         if inference.mode == RTC and not agent.accepts_guidance:
             raise ValueError(
                 f"inference mode rtc guides a chunk while it is generated, which {agent.name!r} does not support; "
                 "use async"
+            )
+        if inference.corrected and not agent.corrects:
+            raise ValueError(
+                f"{agent.name!r} does not correct its chunks while they are executed; leave the correction out"
             )
         self.name, self.sees_images = agent.name, agent.sees_images
         self.image_size, self.views = agent.image_size, agent.views
@@ -57,11 +61,21 @@ class RealTimeAgent(Agent):
             self._receive()
         else:
             self._agent.watch(observation)
-        commands = observation.state.astype(np.float64)
-        for i, chunk in enumerate(self._running):
-            if chunk is not None:
-                commands[i] = chunk.action(self._frame)
+        commands = self._commands(observation)
         self._frame += 1
+        return commands
+
+    def _commands(self, observation: Observation) -> np.ndarray:
+        """Return what is due of the running chunks, or the corrections of that."""
+        commands = observation.state.astype(np.float64)
+        running = {i: chunk for i, chunk in enumerate(self._running) if chunk is not None}
+        if running and self._inference.corrected:
+            ages = [self._frame - chunk.first for chunk in running.values()]
+            expectations = [chunk.expectation for chunk in running.values()]
+            commands[list(running)] = self._agent.corrected(np.array(list(running)), expectations, ages)
+        else:
+            for i, chunk in running.items():
+                commands[i] = chunk.action(self._frame)
         return commands
 
     def report(self) -> dict[str, Any]:
@@ -83,11 +97,12 @@ class RealTimeAgent(Agent):
     def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
         plan = self._agent.plan(observation, worlds, **(self._continued(worlds) if self._told else {}))
-        for i, actions, seconds in zip(worlds, plan.actions, plan.seconds, strict=True):
+        expectations = plan.expectations if self._inference.corrected else [None] * len(worlds)
+        for i, actions, seconds, expectation in zip(worlds, plan.actions, plan.seconds, expectations, strict=True):
             delay = self._delays[i]
             self._check(len(actions), delay)
             took = frames_of(seconds) if delay is None else delay
-            self._coming[i] = Chunk(actions, self._frame, self._frame + took)
+            self._coming[i] = Chunk(actions, self._frame, self._frame + took, expectation)
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
 
     def _continued(self, worlds: np.ndarray) -> dict[str, np.ndarray]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -50,7 +52,13 @@ class Clock(ChunkAgent):
         self.calls.append((self.t, worlds.tolist(), *told))
         actions = 100 * self.t + self.t + np.arange(5.0)
         self.t += 1
-        return Plan(np.broadcast_to(actions[None, :, None], (len(worlds), 5, 18)), self.seconds[worlds])
+        chunks = np.broadcast_to(actions[None, :, None], (len(worlds), 5, 18))
+        return Plan(chunks, self.seconds[worlds], [self.t - 1] * len(worlds))
+
+    def corrected(self, worlds: np.ndarray, expectations: Sequence[int], ages: Sequence[int]) -> np.ndarray:
+        """What the chunk is for and how old it is, at the frame noted last, as 100 x (frame it saw) + (frame now)."""
+        assert [seen + age for seen, age in zip(expectations, ages, strict=True)] == [self.t - 1] * len(worlds)
+        return np.repeat([[100.0 * seen + self.t - 1] for seen in expectations], 18, axis=1)
 
 
 def observation() -> Observation:
@@ -110,6 +118,36 @@ def test_an_agent_that_plans_from_where_the_hand_will_be_is_told_in_mode_async_a
     played(RealTimeAgent(clock, Inference("async", 100.0)), 5)
     assert [call[2:] for call in clock.calls] == [(None, [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
     assert not clock.guided, "guidance is for real-time chunking"
+
+
+def test_a_correction_replaces_what_is_left_of_the_running_chunk_in_every_frame():
+    clock = Clock()
+    clock.corrects = True
+    for world in played(RealTimeAgent(clock, Inference("async", 150.0, corrected=True)), 11):
+        # As without it, but for the frames after a chunk's last action, 5, which it goes beyond.
+        assert world.tolist() == [STILL, STILL, STILL, 3, 4, 5, 306, 307, 308, 609, 610]
+
+
+def test_a_correction_is_of_the_worlds_that_have_a_chunk():
+    clock = Clock(seconds=(0.04, 0.1))
+    clock.corrects = True
+    commands = played(RealTimeAgent(clock, Inference("async", None, corrected=True)), 6)
+    assert commands.tolist() == [[STILL, 1, 102, 203, 304, 405], [STILL, STILL, 2, 3, 204, 205]]
+
+
+def test_an_agent_that_corrects_nothing_is_refused():
+    with pytest.raises(ValueError, match=r"'clock' does not correct its chunks .*; leave the correction out"):
+        RealTimeAgent(Clock(), Inference("async", 100.0, corrected=True))
+
+
+def test_a_world_that_waits_needs_no_correction():
+    with pytest.raises(ValueError, match="with mode sync the world waits; use async"):
+        Inference("sync", 0.0, corrected=True)
+
+
+def test_the_label_says_that_chunks_are_corrected():
+    assert Inference("async", 150.0, corrected=True).label == "async 150 ms, corrected"
+    assert Inference("async", None).label == "async measured"
 
 
 def test_a_chunk_that_is_over_before_it_is_ready_is_refused():

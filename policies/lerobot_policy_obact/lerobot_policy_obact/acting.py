@@ -10,8 +10,9 @@ from torch import Tensor, nn
 
 from .action_frame import ActionFrame
 from .configuration_obact import ObActConfig
+from .correction import Expectation
 from .frames import EncodedFrames
-from .heads.base import Guide
+from .heads.base import ForecastHead, Guide
 from .model import ObActModel
 from .observation import Batch, Observation
 from .planner import ChunkPlanner
@@ -121,6 +122,34 @@ class ChunkActing(nn.Module):
     def accepts_prefix(self) -> bool:
         """Whether a chunk continues the actions that are executed while it is planned, without any guidance."""
         return self._active_model.head.accepts_prefix
+
+    @property
+    def corrects(self) -> bool:
+        """Whether a chunk can be corrected in every frame for where the target is seen, see `correction.py`.
+
+        Not where commands take effect late: those that are on their way are not known then.
+        """
+        return isinstance(self._active_model.head, ForecastHead) and not self.config.latency_frames
+
+    def expectation(self, rows: list[int]) -> Expectation:
+        """Return what the last chunks of some environments were planned for; the policy ``corrects``."""
+        assert self.planner.expectation is not None, "no chunk has been planned"
+        return self.planner.expectation.rows(rows)
+
+    @torch.no_grad()
+    def corrected_action(self, rows: list[int], expectations: list[Expectation], age: list[int]) -> Tensor:
+        """Return the actions of the newest frame in place of those of a chunk, normalised, shape ``(R, A)``.
+
+        Args:
+            rows: which environments, ``R`` of them.
+            expectations: what the chunk that each executes was planned for, one row each.
+            age: frames since the observation that it was planned from.
+        """
+        stacked = Expectation(
+            *(torch.cat(parts) for parts in zip(*((e.path, e.closed) for e in expectations), strict=True))
+        )
+        ages = torch.tensor(age, device=stacked.path.device)
+        return self.planner.corrected(self._active_model, rows, stacked, ages)
 
     def _guide(
         self, window: EncodedFrames, leftover: Tensor | None, inference_delay: int, execution_horizon: int | None

@@ -42,9 +42,7 @@ def fit_lines_of_sight(points: Tensor, rays: Tensor, errors_m: Tensor, age_s: Te
         Coefficients of the models, shape ``(R, M, 3, N_COEFFICIENTS)``, and their logarithmic evidence ``(R, M)``.
     """
     points, rays, errors_m, age_s = (x.to(_exact_device(x), torch.float64) for x in (points, rays, errors_m, age_s))
-    toward = rays / rays.norm(dim=-1, keepdim=True).clamp_min(1e-3)
-    along = toward[..., :, None] * toward[..., None, :]  # (R, W, 3, 3)
-    seen = _Sightings(points, rays, along, errors_m.square(), age_s)
+    seen = _Sightings(points, rays, lines_of_sight(rays), errors_m.square(), age_s)
     fits = [_fit(model, seen) for model in MODELS]
     coefficients, evidence = (torch.stack(parts, dim=1) for parts in zip(*fits, strict=True))
     return coefficients, evidence
@@ -69,14 +67,14 @@ class _Sightings:
 def _fit(model: MotionModel, seen: _Sightings) -> tuple[Tensor, Tensor]:
     strayed = model.stray_m_s2 * seen.age_s.square() / 2
     weights = (seen.errors_m2 + strayed.square()[:, None]).reciprocal()  # (R, W, 2)
-    measure = _measure(seen.along, weights)  # (R, W, 3, 3)
+    metric = measure(seen.along, weights)  # (R, W, 3, 3)
     basis = model.basis(-seen.age_s)  # (W, B)
     expected, scales = model.expected(seen.points), basis.new_tensor(model.scales)
     basis, known = basis * scales, basis @ expected.T
     left, shift = seen.points - known, TYPICAL_FACTOR * (known - seen.points + seen.rays)  # (R, W, 3)
-    weighed, pulled = ((measure @ x[..., None])[..., 0] for x in (left, shift))
+    weighed, pulled = ((metric @ x[..., None])[..., 0] for x in (left, shift))
 
-    root = torch.linalg.cholesky(_normal(measure, basis, shift, pulled))
+    root = torch.linalg.cholesky(_normal(metric, basis, shift, pulled))
     right = torch.einsum("rwi,wk->rik", weighed, basis).flatten(1)
     right = torch.cat([right, (shift * weighed).sum((1, 2))[:, None]], dim=1)
     solution = torch.cholesky_solve(right[..., None], root)[..., 0]
@@ -87,17 +85,17 @@ def _fit(model: MotionModel, seen: _Sightings) -> tuple[Tensor, Tensor]:
     return solution[:, :-1].unflatten(1, (3, -1)) * scales / factor + expected, evidence
 
 
-def _normal(measure: Tensor, basis: Tensor, shift: Tensor, pulled: Tensor) -> Tensor:
+def _normal(metric: Tensor, basis: Tensor, shift: Tensor, pulled: Tensor) -> Tensor:
     """Return the normal equations' matrix, ``(R, 3 B + 1, 3 B + 1)``; its unknowns are in units of what is expected.
 
     Args:
-        measure: see `_measure`.
+        metric: see `measure`.
         basis: of the path, shape ``(W, B)``.
         shift: by which the factor moves each sighting, shape ``(R, W, 3)``.
-        pulled: the measure times that.
+        pulled: the metric times that.
     """
     squared = (basis[:, :, None] * basis[:, None]).flatten(1)  # (W, B B)
-    of_path = (measure.flatten(2).mT @ squared).unflatten(1, (3, 3)).unflatten(3, (basis.shape[1], -1))
+    of_path = (metric.flatten(2).mT @ squared).unflatten(1, (3, 3)).unflatten(3, (basis.shape[1], -1))
     of_path = of_path.transpose(2, 3).flatten(3).flatten(1, 2)  # (R, 3, 3, B, B) to (R, 3 B, 3 B)
     of_both = torch.einsum("rwi,wk->rik", pulled, basis).flatten(1)[..., None]
     of_factor = (shift * pulled).sum((1, 2))[:, None, None]
@@ -105,12 +103,18 @@ def _normal(measure: Tensor, basis: Tensor, shift: Tensor, pulled: Tensor) -> Te
     return normal + torch.eye(normal.shape[1], dtype=normal.dtype, device=normal.device)
 
 
-def _measure(along: Tensor, weights: Tensor) -> Tensor:
-    """Return the matrices of squared errors in units of what is expected across and along rays, ``(R, W, 3, 3)``.
+def lines_of_sight(rays: Tensor) -> Tensor:
+    """Return the projections onto rays ``(..., 3)``, ``(..., 3, 3)``."""
+    toward = rays / rays.norm(dim=-1, keepdim=True).clamp_min(1e-3)
+    return toward[..., :, None] * toward[..., None, :]
+
+
+def measure(along: Tensor, weights: Tensor) -> Tensor:
+    """Return the matrices of squared errors in units of what is expected across and along rays, ``(..., 3, 3)``.
 
     Args:
-        along: projections onto the rays, shape ``(R, W, 3, 3)``.
-        weights: squared units across and along them, inverted, shape ``(R, W, 2)``.
+        along: projections onto the rays, shape ``(..., 3, 3)``.
+        weights: squared units across and along them, inverted, shape ``(..., 2)``.
     """
     across = torch.eye(3, dtype=along.dtype, device=along.device) - along
     return weights[..., 0, None, None] * across + weights[..., 1, None, None] * along

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import torch
 from torch import Tensor
@@ -48,8 +48,15 @@ class History:
         Returns:
             Frames of shape ``(B, s + 1)``, oldest first.
         """
+        return self._at(self.lookback, encode)
+
+    def latest(self, n: int, encode: Callable[[Observation], EncodedFrames]) -> EncodedFrames:
+        """Return the ``n`` newest frames, ``(B, n)``, oldest first; see `window`."""
+        return self._at(range(1 - n, 1), encode)
+
+    def _at(self, offsets: Iterable[int], encode: Callable[[Observation], EncodedFrames]) -> EncodedFrames:
         newest = len(self._frames) - 1
-        positions = [newest + back for back in self.lookback]
+        positions = [newest + back for back in offsets]
         frames = [self._encoded(max(position, 0), encode) for position in positions]
         return EncodedFrames.concatenate(
             [frame if position >= 0 else frame.padding() for position, frame in zip(positions, frames, strict=True)]

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
+from typing import cast
 
 import torch
 from torch import Tensor
 
 from .action_frame import ActionFrame
 from .configuration_obact import ObActConfig
+from .correction import Expectation, corrected_path
 from .decisions import window_decisions
 from .frames import EncodedFrames
-from .heads.base import Guide, Prefix
+from .heads.base import ActionHead, Condition, ForecastHead, Guide, Prefix
 from .history import ChunkQueue, History
 from .model import ObActModel
 from .observation import Batch, Observation
@@ -33,6 +35,7 @@ class ChunkPlanner:
         self.config, self.frame = config, frame
         self.history, self.queue = History(config.windows), ChunkQueue()
         self._last_images: Tensor | None = None
+        self.expectation: Expectation | None = None
         self._given: deque[Tensor] = deque(maxlen=config.latency_frames)
 
     def reset(self) -> None:
@@ -40,6 +43,7 @@ class ChunkPlanner:
         self.history.clear()
         self.queue.clear()
         self._given.clear()
+        self.expectation = None
         self._last_images = None
 
     def next_action(self, model: ObActModel, batch: Batch, noise: Tensor | None = None) -> Tensor:
@@ -132,7 +136,30 @@ class ChunkPlanner:
         whole_window = [list(range(window.keep.shape[1]))]
         decisions = window_decisions(window, whole_window, self.config)
         condition = replace(model.conditions(window, decisions), prefix=prefix)
-        return self.frame.to_actions(model.head.sample(condition, noise, guide), window.position[:, -1])
+        return self.frame.to_actions(self._sample(model.head, condition, noise, guide), condition.position)
+
+    def _sample(self, head: ActionHead, condition: Condition, noise: Tensor, guide: Guide | None) -> Tensor:
+        """Sample chunks, and keep what they were planned for."""
+        if not isinstance(head, ForecastHead):
+            return head.sample(condition, noise, guide)
+        forecast = head.forecast(condition)
+        self.expectation = Expectation(head.path(forecast) + condition.position[:, None, :3], forecast.closed)
+        return head.chunk(forecast, condition)
+
+    def corrected(self, model: ObActModel, rows: list[int], expectation: Expectation, age: Tensor) -> Tensor:
+        """Return the normalised actions ``(R, A)`` of some environments, for what was seen since a chunk was planned.
+
+        Args:
+            model: the network.
+            rows: which environments.
+            expectation: what their chunks were planned for.
+            age: frames since the observation that each was planned from, shape ``(R,)``.
+        """
+        frames = self.history.latest(int(age.max()) + 1, model.encode).rows(rows)
+        head, here = cast(ForecastHead, model.head), frames.position[:, -1]
+        path = corrected_path(expectation.path, model.sightings(frames), age, self.config.fps) - here[:, None, :3]
+        start = torch.cat([torch.zeros_like(here[:, :3]), here[:, 3 : self.config.action_dim]], dim=-1)
+        return self.frame.to_actions(head.moves(path, expectation.closed, start, 1), here)[:, 0]
 
     def noise(self, model: ObActModel, chunk_numbers: list[int]) -> Tensor:
         """Draw the noise that one chunk per row starts from, shape ``(R, H, noise_dim)``.

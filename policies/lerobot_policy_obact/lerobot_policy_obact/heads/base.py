@@ -146,6 +146,33 @@ class Forecast:
 class ForecastHead(ActionHead):
     """Predicts where the target goes, learns from where it went, and derives the chunk from the prediction."""
 
+    def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
+        """See `ActionHead.sample`; the noise is ignored."""
+        return self.chunk(self.forecast(condition), condition)
+
+    @abstractmethod
+    def forecast(self, condition: Condition) -> Forecast:
+        """Predict the path and the grasp."""
+
+    @abstractmethod
+    def chunk(self, forecast: Forecast, condition: Condition) -> Tensor:
+        """Return the chunk that follows from a forecast, see `ActionHead.sample`."""
+
+    @abstractmethod
+    def path(self, forecast: Forecast) -> Tensor:
+        """Return the path at every frame from 0 to F ahead, ``(R, F + 1, 3)`` [m]."""
+
+    @abstractmethod
+    def moves(self, path: Tensor, closed: Tensor, start: Tensor, n_steps: int) -> Tensor:
+        """Return the first ``n_steps`` targets of hands that go to meet their targets, ``(R, n_steps, A)``.
+
+        Args:
+            path: where the targets will be, from the frame on in which the hands start, shape ``(R, F + 1, 3)`` [m].
+            closed: joint angles that close the hand around the target, shape ``(R, J)`` [rad].
+            start: palm [m] and joints [rad], the palm in the frame of the path, shape ``(R, A)``.
+            n_steps: how many are wanted.
+        """
+
     @abstractmethod
     def forecast_loss(self, label: Forecast, condition: Condition, arrival: Tensor, known: Tensor) -> Tensor:
         """Return the loss of each decision, shape ``(R,)``.

@@ -14,7 +14,7 @@ from ..attention import Attention
 from ..matching import matched_path
 from ..reach import Reach, close_in_time, earliest_meeting, executed, first_contact, palm_path
 from ..track import N_FITS, N_TRACK, Track
-from .base import ActionSpec, Condition, Forecast, ForecastHead, Guide, Prefix, heads
+from .base import ActionSpec, Condition, Forecast, ForecastHead, Prefix, heads
 
 KNOTS = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 60)
 """Frames ahead at which the path is predicted; a spline leads from one to the next."""
@@ -80,7 +80,7 @@ class InterceptHead(ForecastHead):
         self.register_buffer("between", interpolation(KNOTS), persistent=False)
 
     def forecast(self, condition: Condition) -> Forecast:
-        """Predict the path and the grasp."""
+        """See `ForecastHead.forecast`."""
         track, n = _track_of(condition), len(condition.tokens)
         pooled = self.pool(self.query.expand(n, -1, -1), condition.tokens)[:, 0]
         joints = self._joints(condition)
@@ -124,21 +124,29 @@ class InterceptHead(ForecastHead):
         grasp = torch.maximum(CLOSED_QUANTILE * missing, (CLOSED_QUANTILE - 1) * missing)
         return distance + grasp.mean(-1)
 
-    def sample(self, condition: Condition, noise: Tensor, guide: Guide | None = None) -> Tensor:
-        """See `ActionHead.sample`; the noise is ignored, and palm targets are relative to the palm [m].
+    def chunk(self, forecast: Forecast, condition: Condition) -> Tensor:
+        """See `ForecastHead.chunk`; palm targets are relative to the palm [m].
 
         The approach begins where the hand will be after the prefix, and when it will be there.
         """
-        forecast, prefix = self.forecast(condition), self._prefix(condition)
+        prefix = self._prefix(condition)
         start = executed(self._here(condition), prefix.actions, prefix.length, self.reach)
-        joints, origin = start[:, PALM_DIM:], start[:, None, :PALM_DIM]
-        path = delayed(self.between @ forecast.path, prefix.length) - origin - self.seat_m  # (B, F + 1, 3)
-        palm = self._approach(path, (forecast.closed - joints).abs().amax(-1))
+        path = delayed(self.path(forecast), prefix.length)
         n_steps = self.spec.horizon - self.spec.latency_frames
-        closed = forecast.closed + self.squeeze_rad
-        fingers = close_in_time(joints, closed, first_contact(palm, path), n_steps, self.reach)
-        moves = torch.cat([palm[:, 1 : n_steps + 1] + origin, fingers], dim=-1)
-        return continued(prefix, moves)
+        return continued(prefix, self.moves(path, forecast.closed, start, n_steps))
+
+    def path(self, forecast: Forecast) -> Tensor:
+        """See `ForecastHead.path`."""
+        return self.between @ forecast.path
+
+    def moves(self, path: Tensor, closed: Tensor, start: Tensor, n_steps: int) -> Tensor:
+        """See `ForecastHead.moves`."""
+        joints, origin = start[:, PALM_DIM:], start[:, None, :PALM_DIM]
+        path = path - origin - self.seat_m  # (B, F + 1, 3)
+        palm = self._approach(path, (closed - joints).abs().amax(-1))
+        pressed = closed + self.squeeze_rad
+        fingers = close_in_time(joints, pressed, first_contact(palm, path), n_steps, self.reach)
+        return torch.cat([palm[:, 1 : n_steps + 1] + origin, fingers], dim=-1)
 
 
 def delayed(path: Tensor, frames: Tensor) -> Tensor:
