@@ -20,7 +20,7 @@ class LateStudent(RealTimeAgent):
     def __init__(self, learner: Learner, timing: StudentInference, rng: np.random.Generator) -> None:
         """Draw the latency of each episode from ``rng`` when it begins."""
         self._range_ms, self._rng = timing.range_ms, rng
-        super().__init__(learner, Inference(timing.mode, timing.range_ms[1]))
+        super().__init__(learner, Inference(timing.mode, timing.range_ms[1], timing.corrected))
 
     def _declared(self, count: int) -> list[int | None]:
         """See `RealTimeAgent`."""

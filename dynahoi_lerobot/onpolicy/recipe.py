@@ -67,10 +67,12 @@ class StudentInference:
     Attributes:
         mode: ``sync`` or ``async``.
         latency_ms: latency of all episodes, or the least and the greatest: each episode has its own in between [ms].
+        corrected: whether the student corrects its running chunk in every frame.
     """
 
     mode: str = SYNC
     latency_ms: float | tuple[float, float] = 0.0
+    corrected: bool = False
 
     def __post_init__(self) -> None:
         """Check mode and latencies.
@@ -81,7 +83,7 @@ class StudentInference:
         if self.mode == RTC:
             raise ValueError("inference.mode must be sync or async, got rtc: a student is not guided")
         low, high = self.range_ms
-        _ = Inference(self.mode, low), Inference(self.mode, high)
+        _ = Inference(self.mode, low), Inference(self.mode, high, self.corrected)
         if low > high:
             raise ValueError(f"inference.latency_ms must rise, got {low:g} to {high:g}")
 

@@ -136,9 +136,9 @@ def test_a_wrong_recipe_is_refused_in_a_sentence(
     assert not out.exists()
 
 
-@pytest.mark.parametrize("latency_ms", [150.0, [0.0, 370.0]])
-def test_a_student_learns_with_inferences_that_take_time(tmp_path: Path, latency_ms: object):
-    recipe = tiny_recipe(tmp_path, inference={"mode": "async", "latency_ms": latency_ms}, rounds=2, teacher_share=0.0)
+@pytest.mark.parametrize("timing", [{"latency_ms": 150.0}, {"latency_ms": [0.0, 370.0], "corrected": True}])
+def test_a_student_learns_with_inferences_that_take_time(tmp_path: Path, timing: dict):
+    recipe = tiny_recipe(tmp_path, inference={"mode": "async", **timing}, rounds=2, teacher_share=0.0)
     lines = run(recipe, tmp_path / "out")
     assert lines[1]["train"]["S_loc"] is not None
     assert lines[1]["loss"] > 0
@@ -150,6 +150,7 @@ def test_a_student_learns_with_inferences_that_take_time(tmp_path: Path, latency
         ({"mode": "rtc"}, "inference.mode must be sync or async, got rtc"),
         ({"mode": "async", "latency_ms": [200, 100]}, "inference.latency_ms must rise, got 200 to 100"),
         ({"latency_ms": 150}, "with mode sync the world waits"),
+        ({"corrected": True}, "with mode sync the world waits"),
     ],
 )
 def test_a_timing_that_cannot_be_learned_with_is_refused(

@@ -41,3 +41,20 @@ def test_chunks_of_different_latencies_each_begin_with_their_own_old_chunk(tmp_p
             executed = np.stack([commands[i] for commands in given[t : t + delays[i]]])
             np.testing.assert_allclose(actions[: delays[i]], executed, atol=1e-6)
     assert learner._lead_frames.tolist() == [delay + delay // 2 for delay in delays]
+
+
+def test_corrected_commands_are_those_of_the_policy_for_what_each_chunk_expected(tmp_path: Path):
+    from lerobot_policy_obact.learner import make_learner
+
+    learner = make_learner(read_recipe(DaggerRecipe, tiny_recipe(tmp_path)))
+    timing = StudentInference("async", (100.0, 370.0), corrected=True)
+    student = LateStudent(learner, timing, np.random.default_rng(1))
+    student.reset(4)
+    for t in range(20):
+        commands = student.act(frame(t, 4))
+        running = {i: chunk for i, chunk in enumerate(student._running) if chunk is not None}
+        for i, chunk in running.items():
+            action = learner.policy.corrected_action([i], [chunk.expectation], [t - chunk.first])
+            np.testing.assert_allclose(commands[i], learner.postprocess(action).numpy()[0], atol=1e-6)
+    assert len(running) == 4
+    assert len({t - chunk.first for chunk in running.values()}) > 1, "chunks of different ages"

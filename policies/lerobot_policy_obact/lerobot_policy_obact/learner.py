@@ -7,6 +7,7 @@ decision, and all decisions of an episode share its tokens.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -25,6 +26,7 @@ from dynahoi_lerobot.env.spaces import as_gym
 from dynahoi_lerobot.onpolicy.student import Learner
 
 from .configuration_obact import ObActConfig
+from .correction import Expectation
 from .decisions import Decisions, window_decisions
 from .eye_training import EyeTraining
 from .frames import EncodedFrames
@@ -65,7 +67,7 @@ class ObActLearner(Learner):
         )
         self.generator = torch.Generator().manual_seed(recipe.seed)
         self.n_updates = 0
-        self.accepts_prefix = policy.accepts_prefix
+        self.accepts_prefix, self.corrects = policy.accepts_prefix, policy.corrects
         self.reset(0)
 
     # -- acting ---------------------------------------------------------------------------------------------------
@@ -109,7 +111,12 @@ class ObActLearner(Learner):
         self._lead_frames[worlds] = length + length // 2
         for i, chunk in zip(worlds, chunks, strict=True):
             self._chunks[i] = chunk
-        return Plan(self.postprocess(chunks).numpy(), np.zeros(len(worlds)))
+        expectations = [self.policy.expectation([row]) for row in range(len(worlds))] if self.corrects else ()
+        return Plan(self.postprocess(chunks).numpy(), np.zeros(len(worlds)), expectations)
+
+    def corrected(self, worlds: np.ndarray, expectations: Sequence[Expectation], ages: Sequence[int]) -> np.ndarray:
+        """Return (n, 18) commands for the frame that was noted last, in place of those of chunks."""
+        return self.postprocess(self.policy.corrected_action(worlds.tolist(), list(expectations), list(ages))).numpy()
 
     def _leftover(self, worlds: np.ndarray, executed: np.ndarray, n_steps: int) -> Tensor:
         """Return (n, n_steps, A) what is to come of each old chunk, its last action repeated where it is over."""
