@@ -24,6 +24,7 @@ from dynahoi_lerobot.evaluate.intervals import wilson
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES
+from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -52,16 +53,16 @@ def main() -> None:
 
 
 def play(control: str, name: str, specs: Sequence[EpisodeSpec]) -> dict[str, Rate]:
-    """Play one baseline in one control class; print and return its rates, also of each category."""
+    """Play one baseline in one control class; print and return its rates, also of each category and object."""
     episodes = list(evaluate(WorldBatch(min(WORLDS, len(specs)), control_class=control), EXPERTS[name](), specs))
     rates = {
         "S_loc": rate([e.first_localized is not None for e in episodes]),
         "S_intercept": rate([METRICS["S_intercept"](e) == 1.0 for e in episodes]),
         "S_joint": rate([e.success for e in episodes]),
     }
-    for category in CATEGORIES:
-        localized = [e.first_localized is not None for e in episodes if e.meta.category == category]
-        rates |= {category: rate(localized)} if localized else {}
+    for label in (*CATEGORIES, *OBJECTS.names()):
+        localized = [e.first_localized is not None for e in episodes if label in (e.meta.category, e.meta.object)]
+        rates |= {label: rate(localized)} if localized else {}
     print(f"\n{control}, {name}")
     for label, row in rates.items():
         print(f"  {label:18s} {row['value']:5.1f} [{row['low']:5.1f}, {row['high']:5.1f}]")

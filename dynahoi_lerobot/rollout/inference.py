@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from math import ceil
 
@@ -15,6 +16,7 @@ INFERENCE_MODES = {
     RTC: "as async, and the new chunk is guided by what the old one has committed to (real-time chunking)",
 }
 MAX_LATENCY_MS = 60_000.0
+LABEL = re.compile(r"(?P<mode>\w+) (?:(?P<ms>[\d.e+]+) ms|measured)(?P<corrected>, corrected)?")
 ROUNDING = 1e-9
 """Frames by which a latency may exceed a whole number of them, being computed in floating point."""
 
@@ -57,6 +59,20 @@ class Inference:
             return ""
         latency = "measured" if self.latency_ms is None else f"{self.latency_ms:g} ms"
         return f"{self.mode} {latency}" + (", corrected" if self.corrected else "")
+
+    @classmethod
+    def from_label(cls, label: str) -> Inference:
+        """Return the timing that has this ``label``.
+
+        Raises:
+            ValueError: if no timing has it.
+        """
+        if not label:
+            return cls()
+        found = LABEL.fullmatch(label)
+        if not found:
+            raise ValueError(f"no inference is called {label!r}; a name is such as 'async 150 ms'")
+        return cls(found["mode"], float(found["ms"]) if found["ms"] else None, bool(found["corrected"]))
 
 
 def frames_of(seconds: float) -> int:

@@ -88,9 +88,9 @@ def test_theory_tests_are_found_through_helpers_constants_and_names():
     assert sentence("test_a_b") == "a b"
 
 
-@pytest.mark.parametrize("category", CATEGORIES)
-def test_scores_of_a_category_are_those_of_the_benchmarks_page(category: str):
-    header, *rows = scores.of_category(category)
+@pytest.mark.parametrize("stratum", [*CATEGORIES, *BENCHMARK.splits["test"].objects])
+def test_scores_of_a_category_or_an_object_are_those_of_the_benchmarks_page(stratum: str):
+    header, *rows = scores.of_stratum(stratum)
     assert header == ["", "S_loc %, `standard`", "S_loc %, `late`"]
     assert rows[0] == ["`expert`", "100", "100"]
     pursuit = next(row for row in rows if row[0] == "`pursuit`")

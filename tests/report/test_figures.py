@@ -16,9 +16,10 @@ from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.figures.base import FIGURES, in_order
-from dynahoi_lerobot.report.figures.curves import by_condition
+from dynahoi_lerobot.report.figures.curves import condition, grouped
 from dynahoi_lerobot.report.figures.grasp_magnitude import by_object
 from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay
+from dynahoi_lerobot.report.figures.latency import declared_ms, policy_and_rules
 from dynahoi_lerobot.report.figures.panels import scaled
 from dynahoi_lerobot.report.style import new_figure
 from tests.report.example_runs import example_run
@@ -29,7 +30,9 @@ ALWAYS = {"main", "stages", "per-frame-grasp", "data", "grasp-magnitude", "joint
 
 def runs(root: Path) -> list[Entry]:
     example_run(root / "a", HOSTILE, 0.9, 24, n_obs_frames=5, data_fraction=1.0)
-    example_run(root / "b", "contact", 0.4, 12, capture="contact", n_obs_frames=1, data_fraction=0.5)
+    example_run(
+        root / "b", "contact", 0.4, 12, capture="contact", n_obs_frames=1, data_fraction=0.5, inference="rtc 150 ms"
+    )
     return read_entries([root / "a", root / "b"])
 
 
@@ -85,14 +88,30 @@ def test_a_curve_needs_two_numbers(tmp_path: Path):
 
 
 def test_a_study_has_a_curve_for_each_condition(tmp_path: Path):
-    for name, condition, s in (("a", "late", 0), ("b", "late", 5), ("c", "replanning", 5), ("d", "replanning", 0)):
-        example_run(tmp_path / name, name, 0.5, 2, n_obs_frames=s, condition=condition)
-    drawn = by_condition(read_entries([tmp_path / name for name in "abcd"]))
+    for name, which, s in (("a", "late", 0), ("b", "late", 5), ("c", "replanning", 5), ("d", "replanning", 0)):
+        example_run(tmp_path / name, name, 0.5, 2, n_obs_frames=s, condition=which)
+    drawn = grouped(read_entries([tmp_path / name for name in "abcd"]), condition)
     assert {curve.label: {entry.results.folder.name for entry in curve.entries} for curve in drawn} == {
         "late": {"a", "b"},
         "replanning": {"c", "d"},
     }
     assert len({curve.colour for curve in drawn}) == 2
+
+
+def test_latency_has_a_line_for_each_policy_and_way_of_bridging_it(tmp_path: Path):
+    timings = {"a": "", "b": "async 150 ms", "c": "async 150 ms, corrected", "d": "async measured", "e": "soon"}
+    for name, inference in timings.items():
+        example_run(tmp_path / name, "obact", 0.5, 2, inference=inference)
+    entries = read_entries([tmp_path / name for name in timings])
+    assert FIGURES["latency"].render(entries) is not None
+    lines = grouped(entries, policy_and_rules)
+    assert {curve.label: {entry.results.folder.name for entry in curve.entries} for curve in lines} == {
+        "obact": {"a", "b", "d", "e"},
+        "corrected": {"c"},
+    }
+    known = {entry.results.folder.name: declared_ms(entry) for entry in entries}
+    assert known == {"a": 0.0, "b": 150.0, "c": 150.0, "d": None, "e": None}
+    assert FIGURES["latency"].render(read_entries([tmp_path / "a", tmp_path / "d"])) is None, "one number is no line"
 
 
 def test_commands_that_never_change_still_have_a_histogram(lone: list[Entry]):

@@ -150,6 +150,20 @@ def test_the_label_says_that_chunks_are_corrected():
     assert Inference("async", None).label == "async measured"
 
 
+@pytest.mark.parametrize(
+    "timing",
+    [Inference(), Inference("async", 150.0, corrected=True), Inference("rtc", 12.5), Inference("async", None)],
+)
+def test_a_label_gives_its_timing_back(timing: Inference):
+    assert Inference.from_label(timing.label) == timing
+
+
+@pytest.mark.parametrize("label", ["async", "async 1e999 ms", "soon 5 ms", "async 5 ms, later", "async .. ms"])
+def test_a_label_of_no_timing_is_refused(label: str):
+    with pytest.raises(ValueError, match=r"no inference|latency is inf|could not convert"):
+        Inference.from_label(label)
+
+
 def test_a_chunk_that_is_over_before_it_is_ready_is_refused():
     with pytest.raises(ValueError, match=r"'clock' have 5 actions, all of them past .* after 5 frames; allowed"):
         played(RealTimeAgent(Clock(), Inference("async", 250.0)), 1)

@@ -75,7 +75,7 @@ def _motion(kind: str) -> str:
         "## Definition\n\n" + "\n\n".join(theory),
         "## Parameters\n\n" + _ranges(parameter_ranges(kind)),
         _objects_of(kind),
-        "## Scores of privileged baselines\n\n" + _scores(kind),
+        _scores("motion", kind, MOTIONS[kind].category, "Of the whole category. "),
         _tests("motions", {kind, *(cls.__name__ for cls in bases)}),
         f"## Try it\n\n```bash\ndynahoi view --motion {kind} --split {_split('motion', kind)} --out {kind}.gif\n```",
         f"Code: {reference(motion)}",
@@ -93,6 +93,7 @@ def _object(name: str) -> str:
         f"{_first_paragraph(entry)} It {traits}; {_splits('object', name)}.",
         "## What is drawn\n\n" + _ranges(object_ranges(name)),
         f"## Motions\n\n{'All kinds.' if len(kinds) == len(MOTIONS.names()) else moved}",
+        _scores("object", name, name),
         _tests("objects", {name, entry.__name__}),
         f"Code: {reference(entry)}",
     )
@@ -151,14 +152,17 @@ def _metric(name: str) -> str:
 SOURCE = "On the 1,000 episodes of `test`; [the benchmark](../../benchmark.md) has all of them."
 
 
-def _scores(kind: str) -> str:
-    """Return what baselines score on the category of a kind, or that `test` does not play the kind."""
-    splits = BENCHMARK.splits_with("motion", kind)
+def _scores(noun: str, name: str, stratum: str, of_what: str = "") -> str:
+    """Return the section on what baselines score on a stratum of `test`, or that `test` does not play an entry."""
+    title, splits = "## Scores of privileged baselines\n\n", BENCHMARK.splits_with(noun, name)
     if "test" not in splits:
         played = f"It is held out: only {_named(splits)} plays it" if splits else "No split plays it"
-        return f"{played}, so [the benchmark](../../benchmark.md), whose scores are those of `test`, has none of it."
-    table = scores.of_category(MOTIONS[kind].category)
-    return f"{_table(table)}\n\nOf the whole category. {SOURCE}" if table else "None yet."
+        return (
+            title
+            + f"{played}, so [the benchmark](../../benchmark.md), whose scores are those of `test`, has none of it."
+        )
+    table = scores.of_stratum(stratum)
+    return title + (f"{_table(table)}\n\n{of_what}{SOURCE}" if table else "None yet.")
 
 
 def _tests(room: str, words: set[str]) -> str:

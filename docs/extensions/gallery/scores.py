@@ -19,12 +19,12 @@ def tables() -> list[Rows]:
     return found
 
 
-def of_category(category: str) -> Rows:
-    """Return who scores what S_loc [%] on a category of motions, a column for each control class.
+def of_stratum(label: str) -> Rows:
+    """Return who scores what S_loc [%] on a category of motions or an object, a column for each control class.
 
     The first row is the header; empty if the page has no such scores.
     """
-    title = category.replace("_", " ")
+    title = label.replace("_", " ")
     found = [table for table in tables() if title in table[0]]
     if not found:
         return []

@@ -1,8 +1,8 @@
-"""Metrics over a number that says how a policy was trained, a line for each way in which it was evaluated."""
+"""Metrics over a number that says how a policy was trained or evaluated, a line for each group of evaluations."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import compress
 from typing import TYPE_CHECKING
@@ -18,12 +18,18 @@ if TYPE_CHECKING:
 LARGEST_ON_AXIS = 1e12
 
 
+Number = Callable[[Entry], object]
+"""Gives where on the axis an evaluation belongs; what is no number that an axis can show belongs nowhere."""
+Group = Callable[[Entry], tuple[str, ...]]
+"""Gives the names that evaluations on one line have in common."""
+
+
 @dataclass(frozen=True)
 class Curve:
-    """Evaluations under the same condition.
+    """Evaluations on one line.
 
     Attributes:
-        label: of the condition.
+        label: the names that tell it from the others.
         colour: hexadecimal RGB.
         entries: in the order of their numbers.
     """
@@ -33,36 +39,54 @@ class Curve:
     entries: Sequence[Entry]
 
 
-def curves(entries: Sequence[Entry], key: str, axis_label: str) -> Figure | None:
-    """Draw every metric over the number ``extra[key]`` of each entry; None with fewer than two numbers."""
-    known = sorted((e for e in entries if _is_number(e.results.info.extra.get(key))), key=lambda e: _number(e, key))
-    if len({_number(entry, key) for entry in known}) < 2:
+def curves(entries: Sequence[Entry], number: Number, axis_label: str, group: Group | None = None) -> Figure | None:
+    """Draw every metric over the number of each entry; None with fewer than two numbers.
+
+    Args:
+        entries: the evaluations.
+        number: of an evaluation.
+        axis_label: what the number is.
+        group: which evaluations a line leads through; by default those under one condition.
+    """
+    known = sorted((e for e in entries if _is_number(number(e))), key=lambda e: _float(number(e)))
+    if len({_float(number(entry)) for entry in known}) < 2:
         return None
-    names, drawn = columns_of(known), by_condition(known)
+    names, drawn = columns_of(known), grouped(known, group or condition)
     figure, axes = metric_panels(names, drawn)
     for panel, name in zip(axes, names, strict=False):
         for curve in drawn:
-            numbers = np.array([_number(entry, key) for entry in curve.entries])
+            numbers = np.array([_float(number(entry)) for entry in curve.entries])
             draw_points(panel, numbers, [entry.summary[name] for entry in curve.entries], curve.colour)
         panel.set_xlabel(axis_label)
     return figure
 
 
-def by_condition(entries: Sequence[Entry]) -> list[Curve]:
-    """Group evaluations of one split, one capture rule and, in a study that has several, one condition."""
+def stored(key: str) -> Number:
+    """Return the number that results say as ``extra[key]``."""
+    return lambda entry: entry.results.info.extra.get(key)
+
+
+def condition(entry: Entry) -> tuple[str, ...]:
+    """Return split, capture rule and, in a study that has several, the condition of an evaluation."""
+    info = entry.results.info
+    return info.split, info.capture, str(info.extra.get("condition", ""))
+
+
+def grouped(entries: Sequence[Entry], group: Group) -> list[Curve]:
+    """Put evaluations whose group has the same names on one line, named by those that differ."""
     groups: dict[tuple[str, ...], list[Entry]] = {}
     for entry in entries:
-        info = entry.results.info
-        groups.setdefault((info.split, info.capture, str(info.extra.get("condition", ""))), []).append(entry)
+        groups.setdefault(group(entry), []).append(entry)
     varied = [len(set(names)) > 1 for names in zip(*groups, strict=True)]
-    labels = [", ".join(compress(names, varied)) or names[0] for names in groups]
+    labels = [", ".join(filter(None, compress(names, varied))) or names[0] for names in groups]
     colours = [COLOURS[place % len(COLOURS)] for place in range(len(groups))]
     drawn = zip(labels, colours, groups.values(), strict=True)
     return [Curve(clip(label), colour, members) for label, colour, members in drawn]
 
 
-def _number(entry: Entry, key: str) -> float:
-    return float(entry.results.info.extra[key])
+def _float(value: object) -> float:
+    assert isinstance(value, int | float)
+    return float(value)
 
 
 def _is_number(value: object) -> bool:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.figures.base import figure
-from dynahoi_lerobot.report.figures.curves import curves
+from dynahoi_lerobot.report.figures.curves import curves, stored
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,4 +19,4 @@ def data_scaling(entries: Sequence[Entry]) -> Figure | None:
 
     Drawn from evaluations that say ``data_fraction``.
     """
-    return curves(entries, "data_fraction", "share of the training data")
+    return curves(entries, stored("data_fraction"), "share of the training data")

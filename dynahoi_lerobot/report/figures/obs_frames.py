@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.figures.base import figure
-from dynahoi_lerobot.report.figures.curves import curves
+from dynahoi_lerobot.report.figures.curves import curves, stored
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,4 +19,4 @@ def obs_frames(entries: Sequence[Entry]) -> Figure | None:
 
     Drawn from evaluations that say ``n_obs_frames``, a line for each ``condition`` of a study.
     """
-    return curves(entries, "n_obs_frames", "observed frames s")
+    return curves(entries, stored("n_obs_frames"), "observed frames s")
