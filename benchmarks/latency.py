@@ -1,32 +1,28 @@
 """What inference that takes time costs: S_loc and Q_line of checkpoints against latency, one inference at a time.
 
-python benchmarks/latency.py CHECKPOINT [CHECKPOINT ...] [--latencies 0 50 150 370] [--split test_small] [--out FOLDER]
+python benchmarks/latency.py CHECKPOINT [CHECKPOINT ...] [--latencies 0 50 150 370] [--correction] [--out FOLDER]
 
-Writes `latency.csv` and `latency.png` into the folder, beside a result folder for each checkpoint and latency. What has
-been played is not played again, so the same command goes on after an interruption, and further checkpoints or latencies
-add to what is there. At a latency of 0 the world waits for the policy, as it does in `dynahoi evaluate` by default.
+Writes a result folder for each checkpoint and latency, and `report.html` with the curves. What has been played is not
+played again, so the same command goes on after an interruption, and further checkpoints or latencies add to what is
+there. At a latency of 0 the world waits for the policy, as it does in `dynahoi evaluate` by default.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.cli.main import main as dynahoi
 from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.rollout.inference import ASYNC
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
 SHIPPED = Path(__file__).parents[1] / "checkpoints" / "obact_standard"
 TINY = {"policies": [SHIPPED], "latencies": [0.0, 150.0], "episodes": 2}
-METRICS = {"S_loc": "S_loc, share of episodes", "Q_line": "Q_line"}
+METRICS = ("S_loc", "Q_line")
 
 
 def main() -> None:
@@ -34,6 +30,7 @@ def main() -> None:
     parser.add_argument("policies", type=Path, nargs="*", default=[SHIPPED], help="checkpoint folders")
     parser.add_argument("--latencies", type=float, nargs="+", default=[0.0, 50.0, 100.0, 150.0, 250.0, 370.0])
     parser.add_argument("--mode", default=ASYNC, choices=("async", "rtc"))
+    parser.add_argument("--correction", action="store_true", help="correct the running chunk in every frame")
     parser.add_argument("--split", default="test_small")
     parser.add_argument("--episodes", type=int, help="of the split; all by default")
     parser.add_argument("--control-class", default="standard")
@@ -43,10 +40,11 @@ def main() -> None:
     rows = []
     for policy, name in zip(args.policies, names(args.policies), strict=True):
         for latency_ms in args.latencies:
-            results = played(policy, latency_ms, args.out / f"{name}-{latency_ms:g}ms", args)
+            results = played(
+                policy, latency_ms, args.out / f"{name}-{latency_ms:g}ms{'-corrected' * args.correction}", args
+            )
             rows.append({"policy": name, "latency_ms": latency_ms, "n": len(results.rows), **scores(results)})
-            write_table(args.out / "latency.csv", rows)
-            draw(args.out / "latency.png", rows)
+            render_report(sorted(path.parent for path in args.out.glob("*/metrics.json")), args.out / "report.html")
     write_numbers(args, rows=rows)
 
 
@@ -63,6 +61,7 @@ def played(policy: Path, latency_ms: float, folder: Path, args: Any) -> Results:
     words += [] if args.episodes is None else ["--episodes", str(args.episodes)]
     if latency_ms:
         words += ["--inference", args.mode, "--inference-ms", f"{latency_ms:g}"]
+        words += ["--inference-correction"] if args.correction else []
     if dynahoi(["evaluate", *words]):
         raise SystemExit(f"dynahoi evaluate failed at {latency_ms:g} ms; the same command goes on from there")
     return read_results(folder)
@@ -75,31 +74,6 @@ def scores(results: Results) -> dict[str, float]:
         estimate = results.summary()[name]
         found |= {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
     return found
-
-
-def write_table(path: Path, rows: list[dict[str, Any]]) -> None:
-    with path.open("w", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
-
-
-def draw(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Draw a panel for each metric and a line with its 95 % intervals for each checkpoint."""
-    figure, panels = plt.subplots(1, len(METRICS), figsize=(9, 3.6), layout="constrained")
-    for panel, (metric, title) in zip(panels, METRICS.items(), strict=True):
-        for name in dict.fromkeys(row["policy"] for row in rows):
-            curve = [row for row in rows if row["policy"] == name]
-            value, low, high = ([row[metric + end] for row in curve] for end in ("", "_low", "_high"))
-            below, above = ([abs(v - e) for v, e in zip(value, ends, strict=True)] for ends in (low, high))
-            panel.errorbar(
-                [row["latency_ms"] for row in curve], value, (below, above), marker="o", capsize=3, label=name
-            )
-        panel.set(xlabel="latency of inference [ms]", ylabel=title, ylim=(0, 1.03))
-        panel.grid(alpha=0.3)
-    panels[0].legend(frameon=False)
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
 
 
 if __name__ == "__main__":

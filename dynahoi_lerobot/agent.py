@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -96,6 +97,7 @@ class Actor(ABC):
         sees_environment_state: it is an `Agent` that needs ``Observation.environment_state``.
         image_size: side of the images it was trained on [px], None if it does not say.
         views: the views it needs besides ``ego``.
+        weights: sha256 of its files of weights, by name; empty if it has none.
         retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
     """
 
@@ -106,6 +108,7 @@ class Actor(ABC):
     sees_environment_state: bool = False
     image_size: int | None = None
     views: tuple[str, ...] = ()
+    weights: Mapping[str, str] = MappingProxyType({})
     retries: int = 0
 
     def reset(self, count: int) -> None:  # noqa: B027 - an actor without memory has nothing to forget

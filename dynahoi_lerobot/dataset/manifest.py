@@ -11,9 +11,9 @@ from typing import Any
 
 from dynahoi_lerobot.dataset.metadata import write_json
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
+from dynahoi_lerobot.foundation.digest import sha256
 
 FORMAT = 1
-BLOCK = 1 << 20
 CARD_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
 CARD_FOLDERS = (".cache/", ".git/")
 """What the Hub and git put beside a dataset; everything else in its folder is in the manifest."""
@@ -134,12 +134,3 @@ def hash_files(root: Path, known: dict[str, str] | None = None) -> dict[str, str
     names = (path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file())
     known = known or {}
     return {name: known.get(name) or sha256(root / name) for name in names if name != MANIFEST_PATH}
-
-
-def sha256(path: Path) -> str:
-    """Return the sha256 of a file in hexadecimal."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(BLOCK):
-            digest.update(block)
-    return digest.hexdigest()

@@ -12,9 +12,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.dataset.manifest import sha256
 from dynahoi_lerobot.evaluate.atomic import write_atomically
 from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
+from dynahoi_lerobot.foundation.digest import sha256
 
 HOME = "DYNAHOI_HOME"
 """Environment variable that names the folder for what is kept between commands, ``~/.cache/dynahoi`` by default."""

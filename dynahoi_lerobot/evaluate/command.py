@@ -20,6 +20,7 @@ from dynahoi_lerobot.evaluate.actors import VLM, image_size_for, make_actor
 from dynahoi_lerobot.evaluate.arguments import add_arguments
 from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
+from dynahoi_lerobot.evaluate.run_info import WEIGHTS
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.protocol import protocol_of
@@ -62,6 +63,7 @@ def run(args: argparse.Namespace) -> int:
             "settings": args.set,
             "privileged": actor.privileged,
             "surroundings": surroundings(),
+            WEIGHTS: dict(actor.weights),
         },
     )
     recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()

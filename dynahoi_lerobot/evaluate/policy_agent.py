@@ -16,6 +16,7 @@ import numpy as np
 from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.env.spaces import as_gym
 from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, REMEDY, PolicyError, trusted_checkpoint
+from dynahoi_lerobot.evaluate.checkpoint_weights import folder_weights
 from dynahoi_lerobot.evaluate.frame_history import note_frame, queued_frame
 from dynahoi_lerobot.feature import IMAGE_PREFIX
 from dynahoi_lerobot.features import CAMERA_KEY, ENVIRONMENT_STATE
@@ -45,7 +46,9 @@ class PolicyAgent(ChunkAgent):
             UntrustedCheckpointError: if loading it could run code of its own, unless ``trust`` allows that.
         """
         self.name = path
-        self._policy, self._before, self._after = _load(path, device, settings, trust=trust)
+        source = _source(path, trust=trust)
+        self._policy, self._before, self._after = _load(source, path, device, settings)
+        self.weights = folder_weights(Path(source))
         self._chunk: Any = None
         inputs = self._policy.config.input_features
         self.sees_environment_state = self.privileged = ENVIRONMENT_STATE in inputs
@@ -148,16 +151,21 @@ class PolicyAgent(ChunkAgent):
         return self._before(batch)
 
 
-def _load(path: str, device: str | None, settings: Sequence[str], *, trust: bool) -> tuple[Any, Any, Any]:
-    """Policy, preprocessor and postprocessor."""
+def _source(path: str, *, trust: bool) -> str:
+    """Return the folder to load from, or the repository if it is trusted; LeRobot's plugins are there then."""
     try:
-        from lerobot.policies.factory import get_policy_class, make_pre_post_processors
         from lerobot.utils.import_utils import register_third_party_plugins
     except ImportError as error:
         raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
     register_third_party_plugins()
     _check_exists(path)
-    source = path if trust else trusted_checkpoint(path)
+    return path if trust else trusted_checkpoint(path)
+
+
+def _load(source: str, path: str, device: str | None, settings: Sequence[str]) -> tuple[Any, Any, Any]:
+    """Policy, preprocessor and postprocessor."""
+    from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+
     config = _config(source, path, settings)
     if device is not None:
         config.device = device

@@ -7,6 +7,9 @@ from typing import Any
 
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
+WEIGHTS = "weights"
+"""Key of the sha256 of a policy's files of weights, by name."""
+
 
 @dataclass(frozen=True)
 class RunInfo:
@@ -19,8 +22,8 @@ class RunInfo:
         command: the exact command line.
         fingerprint: identifies the code and recipe.
         extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state, ``inference`` and
-            ``settings`` where inference took time or the policy's config was changed, ``recipe``, and whatever a figure
-            needs, such as ``n_obs_frames`` or ``data_fraction``.
+            ``settings`` where inference took time or the policy's config was changed, ``recipe``, ``weights``, and
+            whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
         benchmark: version of the benchmark.
     """
 
@@ -38,8 +41,16 @@ class RunInfo:
         changed = {name: self.extra.get(name) or "none" for name in ("inference", "settings")}
         return {
             "policy": self.policy,
+            "weights": self._weights,
             "split": self.split,
             "capture rule": self.capture,
             "recipe": self.fingerprint,
             "benchmark": self.benchmark,
         } | changed
+
+    @property
+    def _weights(self) -> str:
+        digests = self.extra.get(WEIGHTS)
+        if not isinstance(digests, dict) or not digests:
+            return "none"
+        return ", ".join(f"{name} {str(digest)[:12]}" for name, digest in digests.items())

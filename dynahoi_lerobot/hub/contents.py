@@ -11,12 +11,13 @@ from pathlib import Path
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
 from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, PICKLES
+from dynahoi_lerobot.evaluate.checkpoint_weights import folder_weights
 from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.hub.checkpoint_card import checkpoint_card
 from dynahoi_lerobot.hub.eval_results import EVAL_RESULTS, eval_results_yaml, variant
 from dynahoi_lerobot.hub.leaderboards import CARD_REPO, EVAL_FILE, why_unranked
-from dynahoi_lerobot.hub.weights import evaluated, folder_weights
+from dynahoi_lerobot.hub.weights import evaluated, evaluated_weights
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 ENV_FILE = "env.py"
@@ -153,10 +154,9 @@ def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpo
     (stage / RESULTS / name).mkdir(parents=True)
     for file in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
         shutil.copyfile(folder / file, stage / RESULTS / name / file)
-    policy = evaluated(results.info)
     return Contents(
-        stage, "model", (CONFIG, "type"), adds_to=CONFIG, unranked=unranked, source=str(folder), policy=policy,
-        weights=folder_weights(Path(policy)),
+        stage, "model", (CONFIG, "type"), adds_to=CONFIG, unranked=unranked, source=str(folder),
+        policy=evaluated(results.info), weights=evaluated_weights(results.info),
     )  # fmt: skip
 
 

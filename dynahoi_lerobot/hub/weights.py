@@ -7,19 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dynahoi_lerobot.dataset.manifest import sha256
-from dynahoi_lerobot.evaluate.run_info import RunInfo
+from dynahoi_lerobot.evaluate.checkpoint_weights import folder_weights
+from dynahoi_lerobot.evaluate.run_info import WEIGHTS, RunInfo
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
 
-PATTERN = "*.safetensors"
 LEROBOT_EVAL = re.compile(r"lerobot[-_]eval(?:\.py)? (?:.* )?--policy\.(?:pretrained_)?path[= ](\S+)")
-
-
-def folder_weights(folder: Path) -> dict[str, str]:
-    """Return the sha256 of every file of weights in a ``pretrained_model`` folder, by name."""
-    return {path.name: sha256(path) for path in sorted(folder.glob(PATTERN)) if path.is_file()}
 
 
 def repository_weights(api: HfApi, repo: str) -> dict[str, str]:
@@ -42,3 +36,11 @@ def evaluated(info: RunInfo) -> str:
     """
     found = LEROBOT_EVAL.match(info.command)
     return found[1] if found else info.policy
+
+
+def evaluated_weights(info: RunInfo) -> dict[str, str]:
+    """Return the sha256 of the weights that results are of, by name; of those there now if they do not say it."""
+    stored = info.extra.get(WEIGHTS)
+    if isinstance(stored, dict) and all(isinstance(digest, str) for digest in stored.values()):
+        return stored
+    return folder_weights(Path(evaluated(info)))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 from pathlib import Path
 
 import pytest
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
+from dynahoi_lerobot.evaluate.results import read_results
 
 CHECKPOINT = str(Path(__file__).parents[2] / "checkpoints" / "obact_standard")
 
@@ -17,6 +21,14 @@ def test_settings_change_the_config_and_nothing_else() -> None:
     assert (plain.n_action_steps, plain.latency_frames) == (1, 0)
     assert (changed.n_action_steps, changed.latency_frames) == (2, 3)
     assert {**changed.__dict__, "n_action_steps": 1, "latency_frames": 0} == plain.__dict__
+
+
+def test_results_say_which_weights_they_are_of(tmp_path: Path) -> None:
+    copied = Path(shutil.copytree(CHECKPOINT, tmp_path / "policy"))
+    words = ["evaluate", "--policy", str(copied), "--split", "val", "--episodes", "1", "--out", str(tmp_path / "out")]
+    assert main(words) == 0
+    digest = hashlib.sha256((copied / "model.safetensors").read_bytes()).hexdigest()
+    assert read_results(tmp_path / "out").info.extra["weights"] == {"model.safetensors": digest}
 
 
 @pytest.mark.parametrize(

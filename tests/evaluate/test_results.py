@@ -129,6 +129,7 @@ def test_a_stopped_run_goes_on_where_it_ended(tmp_path: Path):
         ({"fingerprint": "f2"}, "recipe f1, not f2"),
         ({"benchmark": "v0"}, f"benchmark {BENCHMARK.version}, not v0"),
         ({"extra": {"inference": "async 150 ms"}}, "inference none, not async 150 ms"),
+        ({"extra": {"weights": {"model.safetensors": "0a" * 32}}}, "weights none, not model.safetensors 0a0a0a0a0a0a;"),
         ({"extra": {"settings": ["n_action_steps=2"]}}, r"settings none, not \['n_action_steps=2'\]"),
     ],
 )

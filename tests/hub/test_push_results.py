@@ -167,6 +167,20 @@ def test_results_of_a_folder_go_to_the_repository_with_its_weights(
     assert "whose adapter_model.safetensors is not the repository's" in push(results, "me/policy")[2]
 
 
+def test_results_that_say_their_weights_are_of_these_whatever_the_folder_holds_now(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    of_others = {"weights": {"model.safetensors": "0a" * 32}}
+    results = write_split(tmp_path / "results", "ood_speed", range(2), policy=str(checkpoint), extra=of_others)
+    assert "whose model.safetensors is not the repository's" in push(results, "me/policy")[2]
+    digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
+    (checkpoint / "model.safetensors").write_bytes(b"trained further")
+    of_these = {"weights": {"model.safetensors": digest}}
+    results = write_split(tmp_path / "of_these", "ood_speed", range(2), policy=str(checkpoint), extra=of_these)
+    assert push(results, "me/policy")[0] == 0
+
+
 def test_results_of_lerobot_eval_name_the_folder_in_their_command(
     checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
 ):
