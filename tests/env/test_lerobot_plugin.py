@@ -1,5 +1,6 @@
 """``--env.type=dynahoi``: found by LeRobot, played by its evaluation loop, measured in the result folder."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.processor import PolicyProcessorPipeline
 from lerobot.scripts.lerobot_eval import eval_policy_all
 from lerobot.utils.import_utils import register_third_party_plugins
-from lerobot_env_dynahoi.command_line import new_results_folder, policy_name
+from lerobot_env_dynahoi.command_line import new_results_folder, policy_name, policy_weights
 from lerobot_env_dynahoi.configuration_dynahoi import kinds_of
 
 from dynahoi_lerobot.evaluate.results import read_results
@@ -175,6 +176,15 @@ def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
     assert policy_name(["lerobot-train", "--policy.type=obact"]) == "obact"
     assert policy_name(["somebody's script"]) == "policy"
     assert policy_name(["lerobot-eval", "--policy.path", "me/policy"]) == "me/policy"
+
+
+def test_results_of_lerobot_eval_say_which_weights_were_played(tmp_path: Path) -> None:
+    (tmp_path / "model.safetensors").write_bytes(b"weights")
+    weights = {"model.safetensors": hashlib.sha256(b"weights").hexdigest()}
+    assert policy_weights(["/bin/lerobot-eval", f"--policy.path={tmp_path}"]) == weights
+    assert policy_weights(["scripts/lerobot_eval.py", "--policy.pretrained_path", str(tmp_path)]) == weights
+    assert policy_weights(["lerobot-train", f"--policy.path={tmp_path}"]) == {}, "what training began with"
+    assert policy_weights(["lerobot-eval", "--policy.path=me/policy"]) == {}
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+from dynahoi_lerobot.evaluate.checkpoint_weights import folder_weights
+
 
 def given(argv: Sequence[str]) -> dict[str, str]:
     """Return the options of a command line, ``--name=value`` or ``--name value``, by name."""
@@ -26,6 +28,17 @@ def policy_name(argv: Sequence[str]) -> str:
     if path and config.is_file():
         return str(json.loads(config.read_text()).get("type", path))
     return path or options.get("policy.type", "policy")
+
+
+def policy_weights(argv: Sequence[str]) -> dict[str, str]:
+    """Return the sha256 of the weights of the local checkpoint that ``lerobot-eval`` plays; nothing elsewhere.
+
+    In training the checkpoint of the command line is what training began with.
+    """
+    options = given(argv)
+    path = options.get("policy.path") or options.get("policy.pretrained_path")
+    plays = Path(argv[0]).stem.replace("_", "-") == "lerobot-eval"
+    return folder_weights(Path(path)) if plays and path else {}
 
 
 def new_results_folder(argv: Sequence[str]) -> Path:

@@ -13,9 +13,11 @@ from typing import Any
 from dynahoi_lerobot.env.late_env import LateVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
+from dynahoi_lerobot.evaluate.run_info import WEIGHTS
 from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from lerobot_env_dynahoi.command_line import policy_name
+from lerobot_env_dynahoi.command_line import policy_name, policy_weights
 
 
 class ResultsLog:
@@ -49,7 +51,13 @@ class ResultsLog:
         """Write the folder if there is anything new, and print the table."""
         if not self._unwritten:
             return
-        extra = {"recipe": self._recipe.stored(), "inference": self._inference, "privileged": self._privileged}
+        extra = {
+            "recipe": self._recipe.stored(),
+            "inference": self._inference,
+            "privileged": self._privileged,
+            "surroundings": surroundings(),
+            WEIGHTS: policy_weights(sys.argv),
+        }
         name, command = policy_name(sys.argv), " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
         info = RunInfo(name, self._split, self._recipe.capture, command, self._fingerprint, extra)
         results = self._recorder.write(self.folder, info)
