@@ -73,7 +73,7 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="override a field of the policy's config, such as n_action_steps=2; may be repeated",
+        help="override a field of the policy's config, such as n_action_steps=2, a dictionary as JSON; may be repeated",
     )
     parser.add_argument(
         "--inference",

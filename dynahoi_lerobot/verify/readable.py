@@ -74,7 +74,8 @@ def rewritten(root: Path) -> str | None:
     lost = f", and {len(columns)} columns of the episode table ({', '.join(columns[:3])}, ...)" if columns else ""
     return (
         f"this dataset was written anew by another tool, as LeRobot's are: {' and '.join(gone)} are gone{lost}, so "
-        "nothing says any more what it should hold; `dynahoi filter` copies episodes with them"
+        "nothing says any more what it should hold, and only LeRobot's format is checked; `dynahoi filter` copies "
+        "episodes with them"
     )
 
 

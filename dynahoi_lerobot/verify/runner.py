@@ -38,22 +38,29 @@ def verify(
 
     Returns:
         At most ``SHOWN`` findings per check and a count of the rest; empty if every check passed. If a table cannot be
-        read, or another tool has rewritten the dataset, that alone.
+        read, that alone; if another tool has rewritten the dataset, that, and what LeRobot's format finds wrong.
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
     """
     dataset = CheckedDataset(root, decoded)
     if (sentence := rewritten(root)) is not None:
-        return [Finding("reading", sentence)]
+        return [Finding("reading", sentence), *_shortened(_checked(dataset, progress, of_the_format=True))]
     if findings := _guarded("reading", unreadable(root)):
         return list(_shortened(findings))
-    checks = [(name, check()) for name, check in CHECKS.items()]
-    findings = [finding for name, check in checks for finding in _guarded(name, check.check_dataset(dataset))]
-    findings += _guarded("reading", _episodes(dataset, checks, progress))
+    findings = _checked(dataset, progress)
     if replayed:
         findings += _guarded("replay", compare_replays(dataset, replayed, resimulate))
     return list(_shortened(findings))
+
+
+def _checked(
+    dataset: CheckedDataset, progress: Callable[[int], object], *, of_the_format: bool = False
+) -> list[Finding]:
+    """Run all checks, or those alone that LeRobot's format asks of any dataset."""
+    checks = [(name, check()) for name, check in CHECKS.items() if check.of_the_format or not of_the_format]
+    findings = [finding for name, check in checks for finding in _guarded(name, check.check_dataset(dataset))]
+    return findings + _guarded("reading", _episodes(dataset, checks, progress))
 
 
 def _episodes(

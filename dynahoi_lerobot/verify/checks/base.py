@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import ClassVar
 
 import draccus
 import numpy as np
@@ -102,7 +103,13 @@ class CheckedDataset(Store):
 
 
 class Check:
-    """One property that every dataset has. A check overrides either method or both; messages end without a period."""
+    """One property that every dataset has. A check overrides either method or both; messages end without a period.
+
+    Attributes:
+        of_the_format: whether LeRobot's format asks it of any dataset, also of one that another tool has written anew.
+    """
+
+    of_the_format: ClassVar[bool] = False
 
     def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield what is wrong with the dataset as a whole, once."""

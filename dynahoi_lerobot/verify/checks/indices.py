@@ -14,6 +14,8 @@ from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Co
 class Indices(Check):
     """Checks ``episode_index``, ``frame_index``, ``index`` and the ranges in the episode table."""
 
+    of_the_format = True
+
     def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield gaps and overlaps between episodes."""
         start = 0

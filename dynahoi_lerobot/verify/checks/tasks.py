@@ -14,12 +14,14 @@ from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Co
 class Tasks(Check):
     """Compares ``task_index``, the task table and the episode table."""
 
+    of_the_format = True
+
     def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield instructions that occur twice or never."""
         tasks = dataset.tasks
         if len(set(tasks)) != len(tasks):
             yield "the task table holds an instruction twice"
-        used = {row["task"] for row in dataset.rows}
+        used = {task for row in dataset.rows for task in row["tasks"]}
         yield from (f"no episode has the task {task!r}" for task in tasks if task not in used)
 
     def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
@@ -27,5 +29,6 @@ class Tasks(Check):
         number, tasks = row["episode_index"], dataset.tasks
         for index in np.unique(columns["task_index"]):
             text = tasks[index] if 0 <= index < len(tasks) else None
-            if text != row["task"] or row["tasks"] != [row["task"]]:
-                yield f"episode {number} has frames of task {index} ({text!r}); its instruction is {row['task']!r}"
+            if row["tasks"] != [text] or row.get("task", text) != text:
+                told = row.get("task", row["tasks"])
+                yield f"episode {number} has frames of task {index} ({text!r}); its instruction is {told!r}"

@@ -15,6 +15,8 @@ from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Co
 class Timestamps(Check):
     """Checks that ``timestamp`` [s] is the frame's number divided by the frame rate, to the last bit."""
 
+    of_the_format = True
+
     def check_episode(self, dataset: CheckedDataset, row: EpisodeRow, columns: Columns) -> Iterator[str]:
         """Yield the first wrong timestamp."""
         times = columns["timestamp"][:, 0]
