@@ -23,8 +23,8 @@ COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8
 
 LABEL_LENGTH = 32
 
-GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model"}
-"""Folder names that every LeRobot training run has, and that do not identify the policy."""
+GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
+"""Folder names that training runs of LeRobot and of studies have, and that do not identify the policy."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,7 @@ def named(policy: str, folder: str = "run") -> Results:
     [
         ("expert", "expert"),
         ("outputs/train/obact/checkpoints/last/pretrained_model", "obact"),
+        ("outputs/study/act/training/checkpoints/last/pretrained_model", "act"),
         (r"outputs\obact\checkpoints\030000\pretrained_model", "obact"),
         ("someone/obact_dynahoi", "obact_dynahoi"),
         ("last", "last"),
