@@ -14,8 +14,9 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.features import FRAMES
-from dynahoi_lerobot.foundation.arguments import names, path
+from dynahoi_lerobot.foundation.arguments import names, number, path
 from dynahoi_lerobot.foundation.output import check_output
 from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
@@ -23,6 +24,8 @@ from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Recor
 from dynahoi_lerobot.sampling.salt import add_salt_argument
 
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
+LONGEST_VIDEO_S = 1e9
+"""No dataset is longer."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,6 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--crf", type=int, help="rate factor; lower is better and larger")
     parser.add_argument("--preset", help="the encoder's speed setting")
     parser.add_argument("--gop", type=int, default=Encoding.gop, help="frames between key frames")
+    parser.add_argument(
+        "--video-seconds",
+        type=number(1.0, LONGEST_VIDEO_S),
+        default=FileLimits.video_s,
+        help="longest video file [s], at most 200 MB in any case: LeRobot streams one file per view rightly, and reads "
+        "samples from short files faster",
+    )
     parser.add_argument("--executor", help="local, slurm or ray: spread the shards as datatrove tasks")
     parser.add_argument("--tasks", type=int, help="number of tasks; one per shard by default")
     parser.add_argument("--dry-run", action="store_true", help="show what --executor would do, the Slurm scripts say")
@@ -136,6 +146,7 @@ def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan
         args.image_size != 0,
         Encoding(args.codec, args.crf, args.preset, args.gop),
         shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
+        FileLimits(video_s=args.video_seconds),
         runtime=runtime,
         environment_state=args.environment_state,
         privileged_columns=args.privileged_columns,

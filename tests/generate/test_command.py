@@ -38,6 +38,15 @@ def test_no_camera(tmp_path):
     assert not (tmp_path / "d/videos").exists()
 
 
+@pytest.mark.parametrize(("seconds", "files"), [(1e9, 1), (3, 2)])
+def test_a_view_has_one_video_file_unless_that_would_be_too_long(tmp_path, seconds: float, files: int):
+    assert run("--root", tmp_path / "d", "--image-size", 16, "--video-seconds", seconds) == 0
+    assert len(list((tmp_path / "d").rglob("*.mp4"))) == files
+    with pytest.raises(SystemExit):
+        run("--root", tmp_path / "e", "--video-seconds", 0)
+    assert not (tmp_path / "e").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

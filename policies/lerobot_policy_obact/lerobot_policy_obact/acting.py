@@ -145,9 +145,7 @@ class ChunkActing(nn.Module):
             expectations: what the chunk that each executes was planned for, one row each.
             age: frames since the observation that it was planned from.
         """
-        stacked = Expectation(
-            *(torch.cat(parts) for parts in zip(*((e.path, e.closed) for e in expectations), strict=True))
-        )
+        stacked = Expectation.concatenate(expectations)
         ages = torch.tensor(age, device=stacked.path.device)
         return self.planner.corrected(self._active_model, rows, stacked, ages)
 
