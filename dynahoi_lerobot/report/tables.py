@@ -48,8 +48,11 @@ def leaderboard(entries: Sequence[Entry]) -> Table:
     """Return the paper's columns, S_joint and what is certified of each evaluation; the best of equals is marked."""
     names = (*columns_for([entry.results for entry in entries]), "S_joint")
     table = _metric_table("One row per evaluation, 95 % intervals under the values.", entries, names)
-    rows = tuple((*row, _certified(entry)) for row, entry in zip(table.rows, entries, strict=True))
-    return replace(table, head=(*table.head, "certified"), rows=rows)
+    place = len(LABELS) + 1  # after n
+    rows = tuple(
+        (*row[:place], _certified(entry), *row[place:]) for row, entry in zip(table.rows, entries, strict=True)
+    )
+    return replace(table, head=(*table.head[:place], "certified", *table.head[place:]), rows=rows)
 
 
 def other_metrics(entries: Sequence[Entry]) -> Table:

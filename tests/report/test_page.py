@@ -97,12 +97,12 @@ def test_every_evaluation_is_a_row_with_its_values(parsed: Page):
         "inference",
         "benchmark",
         "n",
-        *metrics.split(","),
         "certified",
+        *metrics.split(","),
     ]
     expert = next(row for row in parsed.rows if row[0] == "expert")
-    played = ["test_small", "observe_before_act", "attach", "standard", "sync", BENCHMARK.version, "22"]
-    assert expert[1:9] == [*played, "100.0 [85.1, 100.0]"]
+    played = ["test_small", "observe_before_act", "attach", "standard", "sync", BENCHMARK.version, "22", "no"]
+    assert expert[1:10] == [*played, "100.0 [85.1, 100.0]"]
     assert len(expert) == len(head)
 
 
