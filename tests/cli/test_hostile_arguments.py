@@ -93,6 +93,7 @@ HARMLESS = {
     "generate --seed": ("0",),
     "generate --teacher-share": ("0",),
     "generate --crf": ("0",),
+    "generate --video-seconds": ("1e3",),
     "generate --gpus-per-task": ("0",),
     "verify --replay": ("0",),
     "view --seed": ("0",),
