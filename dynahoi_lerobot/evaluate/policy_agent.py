@@ -123,7 +123,7 @@ class PolicyAgent(ChunkAgent):
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
         seconds = np.full(len(worlds), time.perf_counter() - start)
-        return Plan(actions, seconds, [self._policy.expectation([i]) for i in worlds] if self.corrects else ())
+        return Plan(actions, seconds, self._policy.expectations(worlds.tolist()) if self.corrects else ())
 
     def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
         """Return (n, 18) commands for the frame that was noted last, in place of those of chunks."""

@@ -131,10 +131,10 @@ class ChunkActing(nn.Module):
         """
         return isinstance(self._active_model.head, ForecastHead) and not self.config.latency_frames
 
-    def expectation(self, rows: list[int]) -> Expectation:
-        """Return what the last chunks of some environments were planned for; the policy ``corrects``."""
+    def expectations(self, rows: list[int]) -> list[Expectation]:
+        """Return what the last chunks of some environments were planned for, one row each; the policy ``corrects``."""
         assert self.planner.expectation is not None, "no chunk has been planned"
-        return self.planner.expectation.rows(rows)
+        return [self.planner.expectation.rows([row]) for row in rows]
 
     @torch.no_grad()
     def corrected_action(self, rows: list[int], expectations: list[Expectation], age: list[int]) -> Tensor:

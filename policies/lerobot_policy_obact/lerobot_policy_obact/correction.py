@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from .fitting import lines_of_sight, measure
+from .sightings import Sightings
 
 POSITION_M, SPEED_M_S = 0.03, 0.2
 """A and V: typical errors of an expected path where it begins, and of its velocity."""
@@ -46,21 +47,6 @@ class Expectation:
     def rows(self, index: list[int]) -> Expectation:
         """Return the rows at ``index``."""
         return Expectation(self.path[index], self.closed[index])
-
-
-@dataclass(frozen=True)
-class Sightings:
-    """What was seen in the latest ``n`` frames by ``C'`` eyes, oldest first.
-
-    Attributes:
-        points: in the frame of the state, shape ``(B, n, C', 3)`` [m].
-        rays: from the camera to there, of the same shape.
-        errors_m: expected across and along the rays, shape ``(B, n, C', 2)``; infinite for what was not seen.
-    """
-
-    points: Tensor
-    rays: Tensor
-    errors_m: Tensor
 
 
 def corrected_path(expected: Tensor, seen: Sightings, age: Tensor, fps: float) -> Tensor:

@@ -20,7 +20,7 @@ class EncodedFrames:
         position: ``observation.state``, normalised, the reference of relative actions, shape ``(B, T, P)``; P may be 0.
         keep: False where a frame is padding, shape ``(B, T)``.
         watching: True where a frame is part of the observation window, shape ``(B, T)``.
-        sightings: where the target was seen by each of C' eyes, see `track.py`, shape ``(B, T, C', N_SIGHTING)``.
+        sightings: where the target was seen by each of C' eyes, see `sightings.py`, shape ``(B, T, C', N_SIGHTING)``.
         texts: one instruction per sample.
     """
 

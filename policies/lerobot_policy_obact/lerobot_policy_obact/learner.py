@@ -111,7 +111,7 @@ class ObActLearner(Learner):
         self._lead_frames[worlds] = length + length // 2
         for i, chunk in zip(worlds, chunks, strict=True):
             self._chunks[i] = chunk
-        expectations = [self.policy.expectation([row]) for row in range(len(worlds))] if self.corrects else ()
+        expectations = self.policy.expectations(list(range(len(worlds)))) if self.corrects else ()
         return Plan(self.postprocess(chunks).numpy(), np.zeros(len(worlds)), expectations)
 
     def corrected(self, worlds: np.ndarray, expectations: Sequence[Expectation], ages: Sequence[int]) -> np.ndarray:

@@ -7,15 +7,15 @@ from torch import Tensor, nn
 
 from .backbones import backbones
 from .configuration_obact import ObActConfig
-from .correction import Sightings
 from .decisions import Decisions
 from .frames import EncodedFrames
 from .heads import ActionSpec, Condition, heads
 from .memory import build_memory
 from .observation import Observation
 from .privileged import PositionProbe
+from .sightings import Sightings
 from .text import ByteTextEncoder
-from .track import MotionEncoder, Track, errors_of_sight
+from .track import MotionEncoder, Track
 
 
 class ObActModel(nn.Module):
@@ -73,11 +73,8 @@ class ObActModel(nn.Module):
 
     def sightings(self, frames: EncodedFrames) -> Sightings:
         """Return where the target was seen in all frames, for a backbone that locates it."""
-        palm = frames.position[:, :, None, :3]
-        points = palm + frames.sightings[..., :3]
-        rays = points - self.backbone.cameras(palm[:, :, 0])
-        errors_m = errors_of_sight(frames.sightings, rays).masked_fill(~frames.keep[..., None, None], torch.inf)
-        return Sightings(points, rays, errors_m)
+        cameras = self.backbone.cameras(frames.position[..., :3])
+        return Sightings.of(frames, cameras).where(frames.keep[..., None])
 
     def conditions(self, frames: EncodedFrames, decisions: Decisions, track: Track | None = None) -> Condition:
         """Fuse the window of each wanted decision into the condition of its chunk, ``R`` rows ordered by sample.

@@ -158,7 +158,7 @@ class ChunkPlanner:
         frames = self.history.latest(int(age.max()) + 1, model.encode).rows(rows)
         head, here = cast(ForecastHead, model.head), frames.position[:, -1]
         path = corrected_path(expectation.path, model.sightings(frames), age, self.config.fps) - here[:, None, :3]
-        start = torch.cat([torch.zeros_like(here[:, :3]), here[:, 3 : self.config.action_dim]], dim=-1)
+        start = self.frame.to_model(self._here(frames), here)[:, 0]
         return self.frame.to_actions(head.moves(path, expectation.closed, start, 1), here)[:, 0]
 
     def noise(self, model: ObActModel, chunk_numbers: list[int]) -> Tensor:

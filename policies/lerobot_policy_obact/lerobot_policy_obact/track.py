@@ -18,13 +18,10 @@ from .decisions import Decisions
 from .fitting import fit_lines_of_sight
 from .frames import EncodedFrames
 from .motion_models import MODELS, paths, velocities
+from .sightings import N_SIGHTING, Sightings
 
-N_SIGHTING = 8
-"""Numbers of a sighting: offset from the palm [m] (3), u, v and log depth in the camera frame (3), logarithmic scales
-of the errors across and along the line of sight (2)."""
 LENGTH_M, TYPICAL_SPEED_M_S = 0.3, 0.5
 """By which positions and velocities are divided before a network sees them."""
-LEAST_ERROR_M = 0.003
 LEAST_EVIDENCE = -30.0
 N_FITS = len(MODELS)
 N_TRACK = (6 + 1) * N_FITS + N_SIGHTING
@@ -55,18 +52,14 @@ class Track:
             decisions: which are wanted.
             cameras: where those of the sightings were [m], in the frame of the state, shape ``(B, T, C', 3)``.
         """
-        palm = decisions.current(frames.position)[:, :3]
-        places, n_eyes = frames.position[:, :, None, :3] + frames.sightings[..., :3], cameras.shape[2]
-        points = decisions.windows(places).flatten(1, 2)  # (R, W C', 3), so all others
-        rays = points - decisions.windows(cameras).flatten(1, 2)
-        keep = decisions.pick(decisions.keep).repeat_interleave(n_eyes, dim=1)
-        errors_m = errors_of_sight(decisions.windows(frames.sightings).flatten(1, 2), rays)
-        errors_m = errors_m.masked_fill(~keep[..., None], torch.inf)
+        palm, n_eyes = decisions.current(frames.position)[:, :3], cameras.shape[2]
+        keep = decisions.pick(decisions.keep).repeat_interleave(n_eyes, dim=1)  # (R, W C')
+        seen = Sightings.of(frames, cameras).map(lambda part: decisions.windows(part).flatten(1, 2)).where(keep)
         age_s = decisions.age_s.repeat_interleave(n_eyes)
-        with torch.autocast(points.device.type, enabled=False):  # half precision would move a fit by millimetres
-            coefficients, evidence = fit_lines_of_sight(points - palm[:, None], rays, errors_m, age_s)
+        with torch.autocast(palm.device.type, enabled=False):  # half precision would move a fit by millimetres
+            coefficients, evidence = fit_lines_of_sight(seen.points - palm[:, None], seen.rays, seen.errors_m, age_s)
         evidence = (evidence - evidence.amax(1, keepdim=True)).clamp_min(LEAST_EVIDENCE)
-        return cls(coefficients.to(points), evidence.to(points), decisions.current(frames.sightings)[:, 0], -palm[:, 2])
+        return cls(coefficients.to(palm), evidence.to(palm), decisions.current(frames.sightings)[:, 0], -palm[:, 2])
 
     def map(self, change: Callable[[Tensor], Tensor]) -> Self:
         """Return the track with every tensor changed alike: of other decisions, or on another device."""
@@ -86,12 +79,6 @@ class Track:
         """Return where the straight line leads at times ``(K,)`` [s], slowed down by ``(R, K)``, ``(R, K, 3)``."""
         line = self.coefficients[:, 0]
         return line[:, None, :, 0] + line[:, None, :, 1] * (ahead_s * damping)[..., None]
-
-
-def errors_of_sight(sightings: Tensor, rays: Tensor) -> Tensor:
-    """Return the expected errors across and along rays from the camera ``(..., 3)`` [m], ``(..., 2)``."""
-    distance = rays.norm(dim=-1, keepdim=True)
-    return (distance * sightings[..., 6:8].clamp(-5.0, 5.0).exp()).clamp_min(LEAST_ERROR_M)
 
 
 def scaled(sightings: Tensor) -> Tensor:

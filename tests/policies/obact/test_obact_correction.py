@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from lerobot_policy_obact.correction import Sightings, corrected_path
+from lerobot_policy_obact.correction import corrected_path
+from lerobot_policy_obact.sightings import Sightings
 from obact_helpers import make_policy, make_step, phase_of
 from test_obact_latency import acting_policy, acting_step
 
@@ -80,7 +81,7 @@ def test_a_new_chunk_needs_no_correction():
     step = acting_step(policy)
     chunk = policy.predict_action_chunk(step)
     rows = [0, 1, 2]
-    actions = policy.corrected_action(rows, [policy.expectation([i]) for i in rows], [0, 0, 0])
+    actions = policy.corrected_action(rows, policy.expectations(rows), [0, 0, 0])
     torch.testing.assert_close(actions, chunk[:, 0])
 
 
@@ -88,7 +89,7 @@ def test_a_corrected_action_depends_on_what_is_seen_later():
     def after(*seeds: int) -> torch.Tensor:
         policy = acting_policy()
         policy.predict_action_chunk(acting_step(policy))
-        expectations = [policy.expectation([i]) for i in (0, 2)]
+        expectations = policy.expectations([0, 2])
         for seed in seeds:
             policy.observe(make_step(policy, seed=seed) | {"observation.phase": phase_of(torch.ones(3))})
         return policy.corrected_action([0, 2], expectations, [len(seeds)] * 2)

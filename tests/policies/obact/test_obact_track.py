@@ -6,11 +6,12 @@ import math
 
 import pytest
 import torch
-from lerobot_policy_obact.backbones.eye import N_SIGHTING, UNSEEN_SCALE, EyeBackbone
+from lerobot_policy_obact.backbones.eye import UNSEEN_SCALE, EyeBackbone
 from lerobot_policy_obact.decisions import Decisions
 from lerobot_policy_obact.fitting import fit_lines_of_sight
 from lerobot_policy_obact.frames import EncodedFrames
 from lerobot_policy_obact.motion_models import GRAVITY_M_S2, MODELS, RATES_RAD_S, RESTING_HEIGHT_M, RESTITUTION
+from lerobot_policy_obact.sightings import N_SIGHTING
 from lerobot_policy_obact.track import Track
 
 AGE_S = torch.arange(11, -1, -1) * 0.05

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
-from lerobot_policy_obact.backbones.eye import N_SIGHTING
 from lerobot_policy_obact.backbones.two_eyes import TwoEyes
 from lerobot_policy_obact.decisions import Decisions
 from lerobot_policy_obact.frames import EncodedFrames
 from lerobot_policy_obact.model_card import describe
+from lerobot_policy_obact.sightings import N_SIGHTING
 from lerobot_policy_obact.track import Track
 from obact_helpers import HAND_FEATURES, make_policy
 

@@ -62,7 +62,7 @@ class Backbone(nn.Module, ABC):
         return looks
 
     def sightings(self, looks: Tensor, palm: Tensor) -> Tensor:
-        """Return where the target was seen, ``(B, T, C', N_SIGHTING)``, see `track.py`.
+        """Return where the target was seen, ``(B, T, C', N_SIGHTING)``, see `sightings.py`.
 
         Args:
             looks: at the images of each frame, shape ``(B, T, C, L)``.

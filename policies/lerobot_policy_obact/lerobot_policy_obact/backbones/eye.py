@@ -18,6 +18,7 @@ import torch.nn.functional as F
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from ..sightings import N_SCALES, N_SIGHTING
 from .base import Backbone, backbones
 from .conv import StandardisedPatches, conv, saturation
 from .keypoints import pixel_grid
@@ -30,12 +31,8 @@ CHANGE = 0.1
 PEAK_CELLS = 2
 """The soft-argmax takes in this many cells of the heat map on each side of its peak."""
 HEAT_WEIGHT = 0.3
-N_SCALES = 2
-"""Logarithmic scales of the errors of a sighting: across the line of sight [tangent], and of the logarithmic depth."""
 UNSEEN_SCALE = 5.0
 """Both scales of a sighting in a black picture, which shows nothing."""
-N_SIGHTING = 3 + 3 + N_SCALES
-"""Numbers of a sighting: position relative to the camera's origin [m], (u, v, log depth), scales."""
 SHIPPED = {f"shipped_{name}": Path(__file__).with_name(f"eye_{name}.safetensors") for name in ("64", "96", "side_96")}
 """The weights that come with the package, by the side of the images they have learned from [px]."""
 
@@ -119,7 +116,10 @@ class EyeBackbone(Backbone):
         return self.token(looks)[:, None]
 
     def look(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
-        """Return sightings and embeddings, ``(F, 3, H, W) -> (F, L)``, the sighting first: see `N_SIGHTING`."""
+        """Return sightings and embeddings, ``(F, 3, H, W) -> (F, L)``, the sighting first.
+
+        Its offset is from the origin of the camera, which the palm carries or which stands still.
+        """
         return self.look_with_heat(images)[0]
 
     def look_with_heat(self, images: Tensor) -> tuple[Tensor, Tensor]:
