@@ -40,11 +40,10 @@ def main() -> None:
     rows = []
     for policy, name in zip(args.policies, names(args.policies), strict=True):
         for latency_ms in args.latencies:
-            results = played(
-                policy, latency_ms, args.out / f"{name}-{latency_ms:g}ms{'-corrected' * args.correction}", args
-            )
+            folder = args.out / f"{name}-{latency_ms:g}ms{'-corrected' * args.correction}"
+            results = played(policy, latency_ms, folder, args)
             rows.append({"policy": name, "latency_ms": latency_ms, "n": len(results.rows), **scores(results)})
-            render_report(sorted(path.parent for path in args.out.glob("*/metrics.json")), args.out / "report.html")
+    render_report(sorted(path.parent for path in args.out.glob("*/metrics.json")), args.out / "report.html")
     write_numbers(args, rows=rows)
 
 

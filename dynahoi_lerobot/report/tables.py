@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from dynahoi_lerobot.evaluate.compare import Comparison, compare_results, paired_values, unequal_conditions
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary
@@ -47,12 +47,10 @@ class Table:
 def leaderboard(entries: Sequence[Entry]) -> Table:
     """Return the paper's columns, S_joint and what is certified of each evaluation; the best of equals is marked."""
     names = (*columns_for([entry.results for entry in entries]), "S_joint")
-    table = _metric_table("One row per evaluation, 95 % intervals under the values.", entries, names)
-    place = len(LABELS) + 1  # after n
-    rows = tuple(
-        (*row[:place], _certified(entry), *row[place:]) for row, entry in zip(table.rows, entries, strict=True)
+    certified = [_certified(entry) for entry in entries]
+    return _metric_table(
+        "One row per evaluation, 95 % intervals under the values.", entries, names, certified=certified
     )
-    return replace(table, head=(*table.head[:place], "certified", *table.head[place:]), rows=rows)
 
 
 def other_metrics(entries: Sequence[Entry]) -> Table:
@@ -92,16 +90,18 @@ def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) ->
     return [table for table in tables if table is not None]
 
 
-def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str]) -> Table:
+def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str], **others: Sequence[Cell]) -> Table:
+    """Return a row for each evaluation; further columns, ``others`` by their headings, stand before the metrics."""
     best = _best(entries, names)
     rows = tuple(
         (
             Cell(entry.label), *map(Cell, labels(entry.results)[1:]), _count(len(entry.results.rows)),
+            *(cells[place] for cells in others.values()),
             *(_cell(entry.summary[name], "best" if (place, name) in best else "") for name in names),
         )
         for place, entry in enumerate(entries)
     )  # fmt: skip
-    return Table(caption, (*LABELS, "n", *map(heading, names)), rows)
+    return Table(caption, (*LABELS, "n", *others, *map(heading, names)), rows)
 
 
 def _certified(entry: Entry) -> Cell:

@@ -17,6 +17,7 @@ INFERENCE_MODES = {
 }
 MAX_LATENCY_MS = 60_000.0
 LABEL = re.compile(r"(?P<mode>\w+) (?:(?P<ms>[\d.e+]+) ms|measured)(?P<corrected>, corrected)?")
+"""What `Inference.label` gives, with its parts."""
 ROUNDING = 1e-9
 """Frames by which a latency may exceed a whole number of them, being computed in floating point."""
 
@@ -48,7 +49,6 @@ class Inference:
         if self.mode == SYNC and self.latency_ms != 0:
             told = "measured" if self.latency_ms is None else f"{self.latency_ms} ms"
             raise ValueError(f"the inference latency is {told}, but with mode sync the world waits; use async or rtc")
-
         if self.mode == SYNC and self.corrected:
             raise ValueError("a correction is of chunks that take time, but with mode sync the world waits; use async")
 

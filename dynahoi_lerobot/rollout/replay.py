@@ -104,11 +104,10 @@ def replay(
             stops; by default it ends with its log.
     """
     specs = sample_specs(recipe, [log.seed for log in logs])
+    ends = [{} if as_evaluated else {"frames": len(log.actions), "stop_settled": False} for log in logs]
     jobs = [
-        replace(Job.evaluation(i, spec), attempt=log.attempt)
-        for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
+        replace(Job.evaluation(i, spec), attempt=log.attempt, **end)
+        for i, (spec, log, end) in enumerate(zip(specs, logs, ends, strict=True))
     ]
-    if not as_evaluated:
-        jobs = [replace(job, frames=len(log.actions), stop_settled=False) for job, log in zip(jobs, logs, strict=True)]
     played = play(make_batch(recipe, len(logs)), Player(logs), jobs, images=images)
     return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]

@@ -143,26 +143,26 @@ def _metric(name: str) -> str:
         f"Unit `{metric.unit}`, {metric.bounds[0]:g} to {metric.bounds[1]:g}; {metric.direction} is better; "
         f"tables give the {metric.aggregation} of {metric.condition or 'all episodes'}.",
         f"![{name} of privileged baselines]({name}.svg)",
-        f"## Scores of privileged baselines\n\n{_table(table)}\n\n{SOURCE}" if table else "",
+        f"{SCORES}{_table(table)}\n\n{SOURCE}" if table else "",
         _tests("metrics", {name}),
         f"Code: {reference(metric.compute)}",
     )
 
 
+SCORES = "## Scores of privileged baselines\n\n"
 SOURCE = "On the 1,000 episodes of `test`; [the benchmark](../../benchmark.md) has all of them."
 
 
 def _scores(noun: str, name: str, stratum: str, of_what: str = "") -> str:
     """Return the section on what baselines score on a stratum of `test`, or that `test` does not play an entry."""
-    title, splits = "## Scores of privileged baselines\n\n", BENCHMARK.splits_with(noun, name)
-    if "test" not in splits:
-        played = f"It is held out: only {_named(splits)} plays it" if splits else "No split plays it"
-        return (
-            title
-            + f"{played}, so [the benchmark](../../benchmark.md), whose scores are those of `test`, has none of it."
-        )
-    table = scores.of_stratum(stratum)
-    return title + (f"{_table(table)}\n\n{of_what}{SOURCE}" if table else "None yet.")
+    splits = BENCHMARK.splits_with(noun, name)
+    if "test" in splits:
+        table = scores.of_stratum(stratum)
+        return f"{SCORES}{_table(table)}\n\n{of_what}{SOURCE}" if table else f"{SCORES}None yet."
+    played = f"It is held out: only {_named(splits)} plays it" if splits else "No split plays it"
+    return (
+        f"{SCORES}{played}, so [the benchmark](../../benchmark.md), whose scores are those of `test`, has none of it."
+    )
 
 
 def _tests(room: str, words: set[str]) -> str:

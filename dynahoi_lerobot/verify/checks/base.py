@@ -17,6 +17,7 @@ from dynahoi_lerobot.dataset.columns import column_array, numeric_keys
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, moved_columns
 from dynahoi_lerobot.dataset.files import reading
 from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.dataset.quality_control import Columns
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.foundation.registry import Registry
@@ -58,6 +59,11 @@ class CheckedDataset(Store):
     def sample(self) -> list[int]:
         """Indices of the episodes whose pictures are decoded, stratified by kind of motion."""
         return stratified(self.rows, len(self.rows) if self._decoded is None else self._decoded)
+
+    @property
+    def has_manifest(self) -> bool:
+        """Whether this project wrote the files as they are: other tools drop the manifest."""
+        return (self.root / MANIFEST_PATH).is_file()
 
     @cached_property
     def manifest(self) -> Manifest:

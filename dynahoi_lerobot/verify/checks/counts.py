@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import pyarrow.parquet as pq
 
-from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
 
@@ -28,7 +27,7 @@ class Counts(Check):
             ("info.json says {} tasks, the task table has {}", info["total_tasks"], len(dataset.tasks)),
             ("info.json says the split {}, it should be {}", info["splits"], {"train": f"0:{len(rows)}"}),
         )
-        if (dataset.root / MANIFEST_PATH).exists():
+        if dataset.has_manifest:
             manifest = dataset.manifest
             totals += (
                 ("the manifest says {} episodes, the episode table has {}", manifest.episodes, len(rows)),

@@ -15,7 +15,7 @@ class Files(Check):
 
     def check_dataset(self, dataset: CheckedDataset) -> Iterator[str]:
         """Yield missing, changed and unknown files, and links."""
-        if (dataset.root / MANIFEST_PATH).is_file():
+        if dataset.has_manifest:
             yield from file_problems(dataset.root, dataset.manifest)
             yield from stray_files(dataset.root, dataset.manifest.files)
         else:

@@ -11,7 +11,6 @@ import numpy as np
 from av.error import FFmpegError
 
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 from dynahoi_lerobot.verify.mp4 import container_problems
@@ -43,7 +42,7 @@ def _view(dataset: CheckedDataset, key: str) -> Iterator[str]:
         name = path.relative_to(dataset.root)
         yield from (f"{name} {problem}" for problem in _ranges(rows, key))
         try:
-            if (dataset.root / MANIFEST_PATH).exists():  # other tools lay out a file as they like
+            if dataset.has_manifest:  # other tools lay out a file as they like
                 yield from (f"{name} {problem}" for problem in container_problems(path))
             yield from (f"{name} {problem}" for problem in _stream(path, rows, dataset.features[key], key))
         except (OSError, FFmpegError, IndexError, ValueError) as error:
