@@ -4,9 +4,9 @@
     python recipes/study/run.py recipes/study/observing.yaml --out outputs/observing
 
 Variants run one after another through ``lerobot-train`` or ``dynahoi dagger``, and then ``dynahoi evaluate``; the
-report grows with each. Those that are done are skipped, so the same command goes on after an interruption. Each result
-folder says what the variant was (``extra`` in ``metrics.json``), which is what the report's figures on observed frames
-and data scaling read.
+report grows with each. Those that are done are skipped, so the same command goes on after an interruption. With
+``--seeds 0 1 2`` every variant is trained once with each of these seeds. Each result folder says what the variant was
+(``extra`` in ``metrics.json``), which is what the report's figures on observed frames and data scaling read.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import shutil
 import subprocess
 import sys
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,11 +66,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("outputs/study"))
     parser.add_argument("--data", type=Path, help="training data; generated in OUT by default")
     parser.add_argument("--only", help="comma-separated names of variants")
+    parser.add_argument("--seeds", type=int, nargs="+", help="of the trainings; that of the recipe by default")
+    parser.add_argument("--splits", nargs="+", help="to evaluate on; those of the study by default")
     args = parser.parse_args()
     study = yaml.safe_load(args.study.read_text())
+    study["splits"] = args.splits or study["splits"]
     variants = [Variant(**{**study["defaults"], **row}) for row in study["variants"]]
     if args.only:
         variants = [variant for variant in variants if variant.name in args.only.split(",")]
+    if args.seeds:
+        variants = [seeded(variant, seed) for variant in variants for seed in args.seeds]
     data = (args.data or generate(study["data"], args.out)) if "data" in study else None
     conditions = study.get("conditions", {AS_IT_IS: {}})
     for name in study["baselines"]:
@@ -84,6 +89,17 @@ def main() -> None:
                 evaluate(variant, condition, how, args.out / variant.name)
         folders = sorted((args.out / "results").iterdir())
         dynahoi("report", *map(str, folders), "--out", str(args.out / "report.html"))
+
+
+def seeded(variant: Variant, seed: int) -> Variant:
+    """Return a variant that is trained with another seed."""
+    return replace(
+        variant,
+        name=f"{variant.name}_seed{seed}",
+        as_long_as=f"{variant.as_long_as}_seed{seed}" if variant.as_long_as else "",
+        options={**variant.options, "seed": seed},
+        extra={**variant.extra, "training_seed": seed},
+    )
 
 
 def generate(data: dict[str, Any], out: Path) -> Path:

@@ -98,6 +98,16 @@ def test_a_study_has_a_curve_for_each_condition(tmp_path: Path):
     assert len({curve.colour for curve in drawn}) == 2
 
 
+def test_a_study_of_several_seeds_has_a_curve_for_each(tmp_path: Path):
+    for name, seed, s in (("a", 1, 0), ("b", 1, 5), ("c", 2, 5), ("d", 2, 0)):
+        example_run(tmp_path / name, name, 0.5, 2, n_obs_frames=s, condition="late", training_seed=seed)
+    drawn = grouped(read_entries([tmp_path / name for name in "abcd"]), condition)
+    assert {curve.label: {entry.results.folder.name for entry in curve.entries} for curve in drawn} == {
+        "seed 1": {"a", "b"},
+        "seed 2": {"c", "d"},
+    }
+
+
 def test_latency_has_a_line_for_each_policy_and_way_of_bridging_it(tmp_path: Path):
     timings = {"a": "", "b": "async 150 ms", "c": "async 150 ms, corrected", "d": "async measured", "e": "soon"}
     for name, inference in timings.items():

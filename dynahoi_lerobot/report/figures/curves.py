@@ -67,9 +67,10 @@ def stored(key: str) -> Number:
 
 
 def condition(entry: Entry) -> tuple[str, ...]:
-    """Return split, capture rule and, in a study that has several, the condition of an evaluation."""
+    """Return split, capture rule and, in a study that has several, the condition and the training seed."""
     info = entry.results.info
-    return info.split, info.capture, str(info.extra.get("condition", ""))
+    seed = info.extra.get("training_seed")
+    return info.split, info.capture, str(info.extra.get("condition", "")), "" if seed is None else f"seed {seed}"
 
 
 def grouped(entries: Sequence[Entry], group: Group) -> list[Curve]:

@@ -152,6 +152,20 @@ def test_a_study_changes_options_that_exist(path: Path) -> None:
             assert found == value, variant["name"]
 
 
+@pytest.mark.parametrize("path", STUDIES, ids=str)
+def test_every_variant_of_a_study_can_be_trained_with_other_seeds(path: Path) -> None:
+    study = yaml.safe_load(path.read_text())
+    variants = [STUDY.Variant(**{**study["defaults"], **row}) for row in study["variants"]]
+    seeded = [STUDY.seeded(variant, seed) for seed in (3, 4) for variant in variants]
+    names = [variant.name for variant in seeded]
+    assert len(set(names)) == 2 * len(variants)
+    for place, variant in enumerate(seeded):
+        seed = 3 + place // len(variants)
+        assert variant.options == {**variants[place % len(variants)].options, "seed": seed}
+        assert variant.extra["training_seed"] == seed
+        assert variant.as_long_as in ("", *names[:place]), "its time must be known by then"
+
+
 @pytest.mark.parametrize(("times", "steps"), [(1, 1000), (10, 10630)])
 def test_a_variant_gets_as_many_steps_as_fit_in_the_time_of_another(
     times: int, steps: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
