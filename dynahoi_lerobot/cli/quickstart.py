@@ -60,7 +60,7 @@ class Size:
     """
 
     episodes: int = 44
-    rounds: int = 10
+    rounds: int = 6
     per_kind: int = 2
     kinds: int = len(KINDS)
     training: dict[str, Any] = field(default_factory=dict)

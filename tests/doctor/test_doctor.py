@@ -136,6 +136,6 @@ def test_the_quickstart_takes_as_long_as_where_it_was_timed_and_twice_that_at_ha
 def test_the_pace_says_how_long_the_quickstart_takes_here(monkeypatch: pytest.MonkeyPatch):
     pace = module("pace")
     monkeypatch.setattr(pace, "frames_per_s", lambda: pace.KNOWN_FRAMES_S)
-    for cores, minutes in ((1, 5), (2, 4)):
+    for cores, minutes in ((1, 7), (2, 5)):
         monkeypatch.setattr(pace, "cores", lambda cores=cores: cores)
         assert facts("pace")["pace"].follows == f"the quickstart takes about {minutes} min"
