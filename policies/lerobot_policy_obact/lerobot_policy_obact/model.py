@@ -72,9 +72,8 @@ class ObActModel(nn.Module):
         return Track.of(frames, decisions, self.backbone.cameras(frames.position[..., :3]))
 
     def sightings(self, frames: EncodedFrames) -> Sightings:
-        """Return where the target was seen in all frames, for a backbone that locates it."""
-        cameras = self.backbone.cameras(frames.position[..., :3])
-        return Sightings.of(frames, cameras).where(frames.keep[..., None])
+        """Return where the target was seen in all frames, padding included, for a backbone that locates it."""
+        return Sightings.of(frames, self.backbone.cameras(frames.position[..., :3]))
 
     def conditions(self, frames: EncodedFrames, decisions: Decisions, track: Track | None = None) -> Condition:
         """Fuse the window of each wanted decision into the condition of its chunk, ``R`` rows ordered by sample.

@@ -34,12 +34,12 @@ def fitted(points: torch.Tensor, age_s: torch.Tensor = AGE_S, error_m: float = 0
     return Track(coefficients.float(), evidence.float(), torch.zeros(1, N_SIGHTING), ON_THE_FLOOR)
 
 
-def seen_by(sightings: torch.Tensor) -> Track:
-    """Return the track of a hand at the origin with sightings ``(W, N_SIGHTING)``."""
+def seen_by(sightings: torch.Tensor, n_padding: int = 0) -> Track:
+    """Return the track of a hand at the origin with sightings ``(W, N_SIGHTING)``, the first of which are padding."""
     n = len(sightings)
-    yes, nothing = torch.ones(1, n, dtype=torch.bool), torch.zeros(1, n, 1)
-    frames = EncodedFrames(nothing, nothing, torch.zeros(1, n, 18), yes, yes, sightings[None, :, None], [""])
-    return Track.of(frames, Decisions.among(yes, [range(n)], AGE_S), CAMERAS)
+    keep, nothing = torch.arange(n)[None] >= n_padding, torch.zeros(1, n, 1)
+    frames = EncodedFrames(nothing, nothing, torch.zeros(1, n, 18), keep, keep, sightings[None, :, None], [""])
+    return Track.of(frames, Decisions.among(keep, [range(n)], AGE_S), CAMERAS)
 
 
 def sightings(points: torch.Tensor) -> torch.Tensor:
@@ -51,6 +51,14 @@ def test_points_of_a_line_give_where_it_ends_and_how_fast_it_is_followed():
     line = fitted(path()).coefficients[0, LINE]
     torch.testing.assert_close(line[:, 0], POSITION, rtol=0, atol=2e-3)
     torch.testing.assert_close(line[:, 1], VELOCITY, rtol=0.05, atol=5e-3)
+
+
+def test_what_padding_holds_does_not_move_the_line():
+    seen = sightings(path()[0])
+    elsewhere = seen.clone()
+    elsewhere[:4, :3] = torch.tensor([2.0, -2.0, 2.0])
+    torch.testing.assert_close(seen_by(elsewhere, 4).coefficients, seen_by(seen, 4).coefficients)
+    assert (seen_by(elsewhere).coefficients[0, LINE] - seen_by(seen).coefficients[0, LINE]).abs().max() > 0.1
 
 
 def test_what_a_black_picture_shows_does_not_move_the_line():
