@@ -1,6 +1,7 @@
 """Can the benchmark be solved without predicting? Baselines that do not, in the simulator, beside the expert.
 
-python benchmarks/validity.py [--episodes 220] [--control standard late] [--search 1760 --save FILE] [--json FILE]
+python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand opposed] [--json FILE]
+python benchmarks/validity.py --search 1760 [--homes 8] [--save FILE]
 
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
 what it would score on as many episodes that it has not seen and on the split. --homes K looks for K paths instead, one
@@ -22,6 +23,7 @@ from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.intervals import wilson
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.objects import OBJECTS
@@ -42,19 +44,23 @@ def main() -> None:
     parser.add_argument("--split", default="test")
     parser.add_argument("--control", nargs="+", choices=list(CONTROL_CLASSES), default=["standard", "late"])
     parser.add_argument("--baselines", nargs="+", choices=EXPERTS.names(), default=list(BASELINES))
+    parser.add_argument("--hand", choices=HANDS.names(), default="capsule", help="that plays the baselines")
     parser.add_argument("--search", type=int, default=0, help="episodes of train to search a fixed path on; 0 for none")
     parser.add_argument("--homes", type=int, default=1, help="search a path for each of so many clusters of homes")
     parser.add_argument("--save", type=Path, help="file for what was found")
     args = parser.parse_args()
     specs = sample_specs(Recipe(split=args.split), range(args.episodes), threads=0)
     found = search(args, specs) if args.search else {}
-    tables = {control: {name: play(control, name, specs) for name in args.baselines} for control in args.control}
+    tables = {
+        control: {name: play(control, name, specs, args.hand) for name in args.baselines} for control in args.control
+    }
     write_numbers(args, classes=tables, found=found)
 
 
-def play(control: str, name: str, specs: Sequence[EpisodeSpec]) -> dict[str, Rate]:
+def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> dict[str, Rate]:
     """Play one baseline in one control class; print and return its rates, also of each category and object."""
-    episodes = list(evaluate(WorldBatch(min(WORLDS, len(specs)), control_class=control), EXPERTS[name](), specs))
+    batch = WorldBatch(min(WORLDS, len(specs)), control_class=control, hand=hand)
+    episodes = list(evaluate(batch, EXPERTS[name](), specs))
     rates = {
         "S_loc": rate([e.first_localized is not None for e in episodes]),
         "S_intercept": rate([METRICS["S_intercept"](e) == 1.0 for e in episodes]),

@@ -23,6 +23,7 @@ from docs.extensions.repository_files import pages as file_pages
 from dynahoi_lerobot.cli.listing import LISTS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from tests.docs.documents import ROOT, Page
 
 BENCHMARK_PAGE = Page.read(DOCS / "benchmark.md")
@@ -95,6 +96,29 @@ def test_scores_of_a_category_or_an_object_are_those_of_the_benchmarks_page(stra
     assert rows[0] == ["`expert`", "100", "100"]
     pursuit = next(row for row in rows if row[0] == "`pursuit`")
     assert f"| {pursuit[1]} |" in BENCHMARK_PAGE.text
+
+
+@pytest.mark.parametrize("name", ["capsule", "opposed"])
+def test_scores_of_a_hand_are_not_those_of_an_object_of_that_name(name: str):
+    header, expert, *others = scores.of_stratum(f"{name} hand")
+    assert header == ["", "S_joint %, `standard`"]
+    assert expert == ["`expert`", "100"]
+    assert [row[0] for row in others] == ["`constant_velocity`"]
+    assert "| `expert` | 100 |" in SECTIONS["hands"][name]
+
+
+@pytest.mark.parametrize("name", RANDOMIZATIONS)
+def test_a_page_of_the_appearance_says_what_it_costs_obact(name: str):
+    header, *rows = scores.of_stratum(name)
+    assert header == ["", "S_loc %, `standard`"]
+    assert [row[0] for row in rows] == ["ObAct, one camera", "ObAct, two cameras"]
+    assert f"| {rows[1][0]} | {rows[1][1]} |" in SECTIONS["appearances"][name]
+
+
+def test_pages_of_views_say_who_reads_them():
+    pages = SECTIONS["views"]
+    assert all(f"| {scores.of_stratum(name)[1][1]} |" in pages[name] for name in ("ego", "side"))
+    assert "No checkpoint that ships reads it." in pages["side_depth"]
 
 
 def test_scores_of_a_metric_have_the_control_class_of_their_column():

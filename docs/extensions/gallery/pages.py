@@ -75,7 +75,7 @@ def _motion(kind: str) -> str:
         "## Definition\n\n" + "\n\n".join(theory),
         "## Parameters\n\n" + _ranges(parameter_ranges(kind)),
         _objects_of(kind),
-        _scores("motion", kind, MOTIONS[kind].category, "Of the whole category. "),
+        _drawn_scores("motion", kind, MOTIONS[kind].category, "Of the whole category. "),
         _tests("motions", {kind, *(cls.__name__ for cls in bases)}),
         f"## Try it\n\n```bash\ndynahoi view --motion {kind} --split {_split('motion', kind)} --out {kind}.gif\n```",
         f"Code: {reference(motion)}",
@@ -93,7 +93,7 @@ def _object(name: str) -> str:
         f"{_first_paragraph(entry)} It {traits}; {_splits('object', name)}.",
         "## What is drawn\n\n" + _ranges(object_ranges(name)),
         f"## Motions\n\n{'All kinds.' if len(kinds) == len(MOTIONS.names()) else moved}",
-        _scores("object", name, name),
+        _drawn_scores("object", name, name),
         _tests("objects", {name, entry.__name__}),
         f"Code: {reference(entry)}",
     )
@@ -105,6 +105,7 @@ def _hand(name: str) -> str:
         f"![{name}]({name}.gif)" if can_be_drawn(name) else "Its model is not part of this project: no picture.",
         inspect.getdoc(HANDS[name]) or "",
         inspect.cleandoc(inspect.getmodule(HANDS[name]).__doc__ or ""),
+        _scores(BASELINES, f"{name} hand", SOURCE),
         _tests("hands", {name, HANDS[name].__name__}),
         f"Code: {reference(HANDS[name])}",
     )
@@ -118,6 +119,7 @@ def _view(name: str) -> str:
         name,
         f"![{name}]({name}.gif)",
         f"From {seen}. {inspect.getdoc(draw)}{option}",
+        _scores(OBACT, name, SMALL_SOURCE) or "No checkpoint that ships reads it.",
         _tests("renderers", {name, draw.__name__}),
         f"## Try it\n\n```bash\ndynahoi view --motion lob --view {name} --out {name}.gif\n```",
         f"Code: {reference(draw)}",
@@ -129,6 +131,7 @@ def _appearance(name: str) -> str:
         name,
         f"![four episodes as they are, and below with {name}]({name}.png)",
         f"{inspect.getdoc(RANDOMIZATIONS[name])} Above: the default; below: the same episodes with `{name}`.",
+        _scores(OBACT, name, f"Its eye learned from randomised looks, the rest from the default. {SMALL_SOURCE}"),
         _tests("sampling", {name, "RANDOMIZATIONS"}),
         f"## Try it\n\n```bash\ndynahoi generate --root data/{name} --episodes 8 --appearance {name}\n```",
     )
@@ -143,26 +146,31 @@ def _metric(name: str) -> str:
         f"Unit `{metric.unit}`, {metric.bounds[0]:g} to {metric.bounds[1]:g}; {metric.direction} is better; "
         f"tables give the {metric.aggregation} of {metric.condition or 'all episodes'}.",
         f"![{name} of privileged baselines]({name}.svg)",
-        f"{SCORES}{_table(table)}\n\n{SOURCE}" if table else "",
+        f"## {BASELINES}\n\n{_table(table)}\n\n{SOURCE}" if table else "",
         _tests("metrics", {name}),
         f"Code: {reference(metric.compute)}",
     )
 
 
-SCORES = "## Scores of privileged baselines\n\n"
+BASELINES, OBACT = "Scores of privileged baselines", "Scores of ObAct"
 SOURCE = "On the 1,000 episodes of `test`; [the benchmark](../../benchmark.md) has all of them."
+SMALL_SOURCE = "On the 110 episodes of `test_small`; [the benchmark](../../benchmark.md) has all of them."
 
 
-def _scores(noun: str, name: str, stratum: str, of_what: str = "") -> str:
-    """Return the section on what baselines score on a stratum of `test`, or that `test` does not play an entry."""
+def _scores(title: str, label: str, source: str) -> str:
+    """Return the section on what is scored on a stratum or under a condition; nothing if no score is known."""
+    table = scores.of_stratum(label)
+    return f"## {title}\n\n{_table(table)}\n\n{source}" if table else ""
+
+
+def _drawn_scores(noun: str, name: str, stratum: str, of_what: str = "") -> str:
+    """Return the section on an entry that splits draw: what is scored, or that `test` does not play it."""
     splits = BENCHMARK.splits_with(noun, name)
     if "test" in splits:
-        table = scores.of_stratum(stratum)
-        return f"{SCORES}{_table(table)}\n\n{of_what}{SOURCE}" if table else f"{SCORES}None yet."
+        return _scores(BASELINES, stratum, of_what + SOURCE)
     played = f"It is held out: only {_named(splits)} plays it" if splits else "No split plays it"
-    return (
-        f"{SCORES}{played}, so [the benchmark](../../benchmark.md), whose scores are those of `test`, has none of it."
-    )
+    link = "[the benchmark](../../benchmark.md), whose scores are those of `test`"
+    return f"## {BASELINES}\n\n{played}, so {link}, has none of it."
 
 
 def _tests(room: str, words: set[str]) -> str:

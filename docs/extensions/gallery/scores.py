@@ -20,15 +20,18 @@ def tables() -> list[Rows]:
 
 
 def of_stratum(label: str) -> Rows:
-    """Return who scores what S_loc [%] on a category of motions or an object, a column for each control class.
+    """Return who scores what [%] on a stratum of episodes or under a condition, a column for each table that has it.
 
-    The first row is the header; empty if the page has no such scores.
+    The first row is the header, with the metric and control class of each; empty if the page has no such scores.
+
+    Args:
+        label: a category of motions, an object, a hand ("opposed hand"), a view or a switch of the appearance.
     """
     title = label.replace("_", " ")
     found = [table for table in tables() if title in table[0]]
     if not found:
         return []
-    header = ["", *(f"S_loc %, {table[0][0].partition(', ')[2]}" for table in found)]
+    header = ["", *(table[0][0] for table in found)]
     columns = [[row[table[0].index(title)] for row in table[1:]] for table in found]
     return [header, *([row[0], *values] for row, *values in zip(found[0][1:], *columns, strict=True))]
 
