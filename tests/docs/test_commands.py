@@ -26,6 +26,7 @@ LEROBOT = {
     "lerobot-eval": ("lerobot.configs.eval", "EvalPipelineConfig"),
     "lerobot-edit-dataset": ("lerobot.scripts.lerobot_edit_dataset", "EditDatasetConfig"),
 }
+STUDIES = "recipes/study/run.py"
 PLUGINS = ("lerobot_env_dynahoi", "lerobot_policy_obact", "lerobot_policy_actiontokens", "lerobot.policies.factory")
 PARSER_OPTIONS = ("config_path", "path", "type", "discover_packages_path")
 """Options of LeRobot's parser itself, of any config or of any choice."""
@@ -64,7 +65,7 @@ def test_lerobot_commands_have_the_options_shown(words: tuple[str, ...]):
 @pytest.mark.parametrize("span", SPANS)
 def test_options_named_in_the_text_exist_in_some_command(span: str):
     (option,) = options(span.split()[:1])
-    known = any(option in _dynahoi_options(command) for command in COMMANDS)
+    known = any(option in _dynahoi_options(command) for command in COMMANDS) or f" {option} " in _help(STUDIES)
     assert known or any(_has(_lerobot_config(name), option[2:].split("."), {}) for name in LEROBOT)
 
 
