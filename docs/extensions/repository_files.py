@@ -34,7 +34,11 @@ PICTURES = (".gif", ".png", ".jpg", ".svg")
 
 def written_pages() -> list[Path]:
     """Return the Markdown files below ``docs`` that people wrote."""
-    return [path for path in sorted(DOCS.rglob("*.md")) if path.relative_to(DOCS).parts[0] not in GENERATED]
+    return list(filter(_is_written, sorted(DOCS.rglob("*.md"))))
+
+
+def _is_written(path: Path) -> bool:
+    return path.is_file() and path.relative_to(DOCS).parts[0] not in GENERATED
 
 
 @functools.cache
@@ -136,7 +140,7 @@ def _item(path: Path) -> str:
 
 def _relink(app: Sphinx, docname: str, source: list[str]) -> None:
     path = Path(app.srcdir) / f"{docname}.md"
-    if path in written_pages():
+    if _is_written(path):
         source[0] = relinked(source[0], path, path)
 
 
