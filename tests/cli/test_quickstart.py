@@ -22,9 +22,6 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.benchmark import MOTIONS
 from tests.report.example_runs import example_run
 
-SHORT = ["--episodes", "4", "--rounds", "1", "--evaluation-episodes", "1"]
-
-
 STANDARD = Path(__file__).parents[2] / "recipes" / "train" / "standard.yaml"
 """What the quickstart shortens; wheels hold only the copy."""
 
@@ -43,25 +40,14 @@ def test_it_trains_on_the_device_it_is_evaluated_on(tmp_path: Path, monkeypatch:
     assert yaml.safe_load((tmp_path / "training.yaml").read_text())["policy"]["device"] == "cuda"
 
 
-@pytest.mark.slow
-def test_it_leaves_a_dataset_a_checkpoint_results_and_a_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "quickstart"
-    assert main(["quickstart", "--out", str(out), *SHORT]) == 0, capsys.readouterr().err
-    assert main(["verify", str(out / "dataset")]) == 0
-    config = json.loads((out / "training/pretrained_model/config.json").read_text())
-    assert config["type"] == "obact"
-    kinds = sorted(MOTIONS)
-    for name in ("obact", *quickstart.BASELINES):
-        assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
-    page = (out / "report.html").read_text()
-    assert all(name in page for name in ("obact", *quickstart.BASELINES))
-    assert "S_loc" in (out / "table.txt").read_text()
-
-    capsys.readouterr()
-    assert main(["quickstart", "--out", str(out), *SHORT]) == 0
-    assert capsys.readouterr().out.count("already done") == 4, "a second run must find everything there"
+def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[quickstart.Size] = []
+    monkeypatch.setattr(quickstart, "_run_stages", lambda _, size, __: sizes.append(size))
+    monkeypatch.setattr(quickstart, "_conclude", lambda *_, **__: None)
+    for words in ([], ["--episodes", "4", "--rounds", "2", "--evaluation-episodes", "3"], ["--tiny"]):
+        assert main(["quickstart", "--out", str(tmp_path), *words]) == 0
+    assert sizes == [quickstart.FULL, quickstart.Size(4, 2, 3), quickstart.TINY]
+    assert sorted(quickstart.KINDS[: quickstart.FULL.kinds]) == sorted(MOTIONS)
 
 
 def on_a_terminal(command: list[str]) -> tuple[int, str]:
@@ -79,18 +65,41 @@ def on_a_terminal(command: list[str]) -> tuple[int, str]:
 
 
 @pytest.mark.slow
-def test_every_stage_shows_a_bar_with_the_time_left_and_nothing_else_speaks(tmp_path: Path) -> None:
+def test_a_run_shows_its_progress_and_leaves_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "tiny"
     program = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"]
-    code, said = on_a_terminal([*program, "--out", str(tmp_path / "tiny")])
+    code, said = on_a_terminal([*program, "--out", str(out)])
     assert code == 0, said
+    check_what_it_said(said, out)
+    check_what_it_left(out)
+
+    capsys.readouterr()
+    assert main(["quickstart", "--tiny", "--out", str(out)]) == 0
+    assert capsys.readouterr().out.count("already done") == 4, "a second run must find everything there"
+
+
+def check_what_it_said(said: str, out: Path) -> None:
+    """Every stage shows a bar with the time left, nothing else speaks, and the last line opens the report."""
     stages = said.split("[1/4]")[1].replace("[2/4]", "[3/4]").replace("[4/4]", "[3/4]").split("[3/4]")
     for stage, unit in zip(stages, ("generating", "training", "evaluating", "hold on test_small"), strict=True):
         bars = [part for part in stage.replace("\n", "\r").split("\r") if part.strip().startswith(unit)]
         assert any("100%|" in bar for bar in bars), (unit, stage)
         assert all("<" in bar for bar in bars), "elapsed<remaining"
     assert not [word for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec") if word in said]
-    last = said.strip().splitlines()[-1].strip()
-    assert last == f"python -m webbrowser {(tmp_path / 'tiny' / 'report.html').as_uri()}"
+    assert said.strip().splitlines()[-1].strip() == f"python -m webbrowser {(out / 'report.html').as_uri()}"
+
+
+def check_what_it_left(out: Path) -> None:
+    """A dataset, a checkpoint, results and a report."""
+    assert main(["verify", str(out / "dataset")]) == 0
+    config = json.loads((out / "training/pretrained_model/config.json").read_text())
+    assert config["type"] == "obact"
+    kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
+    for name in ("obact", *quickstart.BASELINES):
+        assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
+    page = (out / "report.html").read_text()
+    assert all(name in page for name in ("obact", *quickstart.BASELINES))
+    assert "S_loc" in (out / "table.txt").read_text()
 
 
 def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
