@@ -17,6 +17,9 @@ def _generate(app: Sphinx) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Draw the pictures that are missing and write the pages when a build begins."""
+    """Draw the pictures that are missing and write the pages when a build begins.
+
+    After that the process owns MuJoCo's threads, without which a forked reader waits forever.
+    """
     app.connect("builder-inited", _generate)
-    return {"parallel_read_safe": True}
+    return {"parallel_read_safe": False}
