@@ -151,6 +151,7 @@ def test_open_opens_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         example_run(tmp_path / "results" / name, name, skill=0.5)
     monkeypatch.setattr(quickstart.webbrowser, "open", opened.append)
     monkeypatch.setattr(quickstart, "_run_stages", lambda *_: None)
+    monkeypatch.setattr(quickstart, "render_report", lambda _, page: page)
     assert main(["quickstart", "--out", str(tmp_path)]) == 0
     assert not opened
     assert main(["quickstart", "--out", str(tmp_path), "--open"]) == 0

@@ -69,6 +69,7 @@ def test_options_named_in_the_text_exist_in_some_command(span: str):
     assert known or any(_has(_lerobot_config(name), option[2:].split("."), {}) for name in LEROBOT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", of("python"), ids=" ".join)
 def test_python_programs_have_the_options_shown(words: tuple[str, ...]):
     if words[1] == "-m":

@@ -42,6 +42,7 @@ def test_other_conditions_are_refused_in_a_sentence(tmp_path: Path, other: dict,
             compare_results(a, b, "S_loc", across=[name for name in ("protocol", "inference") if name != axis])
 
 
+@pytest.mark.slow
 def test_the_report_pairs_across_what_it_is_asked_to(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     results(tmp_path / "a", 0.9)
     results(tmp_path / "b", 0.3, protocol="observe_then_blind")

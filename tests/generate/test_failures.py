@@ -59,6 +59,7 @@ def test_by_default_they_are_drawn_again(tmp_path):
     assert manifest.yields["missed"] > 0 == manifest.yields["failed"]
 
 
+@pytest.mark.slow
 def test_any_number_of_workers_gives_the_same_bytes(kept, tmp_path):
     generate(plan(), tmp_path / "d", record=record, workers=2)
     assert Manifest.read(tmp_path / "d") == Manifest.read(kept)

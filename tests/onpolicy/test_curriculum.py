@@ -6,6 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from dynahoi_lerobot.experts.hold import Hold
 from dynahoi_lerobot.experts.intercept import Intercept
@@ -29,6 +30,7 @@ def test_every_episode_is_played_once_before_any_is_played_again():
     assert {spec.seed for spec in some.episodes(2)} <= set(seeds)
 
 
+@pytest.mark.slow
 def test_kinds_that_fail_come_more_often():
     some = curriculum()
     lobs, verticals = some.episodes(0)[::2], some.episodes(0)[1::2]

@@ -84,6 +84,7 @@ def assert_acts(checkpoint: Path, *views: str) -> None:
     assert len(episode) > episode.meta.window_frames
 
 
+@pytest.mark.slow
 def test_a_policy_with_a_second_camera_learns_and_acts(tmp_path: Path):
     recipe = tiny_recipe(tmp_path, "two_views", rounds=1)
     (line,) = run(recipe, tmp_path / "out")
@@ -91,6 +92,7 @@ def test_a_policy_with_a_second_camera_learns_and_acts(tmp_path: Path):
     assert_acts(tmp_path / "out" / dagger.CHECKPOINT, "side")
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_ends_as_one_that_was_not(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

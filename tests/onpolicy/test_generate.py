@@ -114,6 +114,7 @@ def test_any_number_of_workers_gives_the_same_bytes(generated: Path, actor: Path
     assert Manifest.read(tmp_path / "d").files == Manifest.read(generated).files
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_to_the_same_bytes(
     generated: Path, actor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

@@ -44,6 +44,7 @@ def test_the_stand_in_refuses_what_a_gpu_refuses(gpu: None):
         there.numpy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inference", [{}, {"mode": "async", "latency_ms": [0.0, 370.0]}], ids=["sync", "async"])
 def test_a_policy_on_a_gpu_plays_learns_and_goes_on(tmp_path: Path, gpu: None, inference: dict):
     changes = {"inference": inference, "teacher_share": 0.0, "rounds": 1, "updates": 1}

@@ -47,6 +47,7 @@ def train(monkeypatch: pytest.MonkeyPatch, root: Path, out: Path, *words: str) -
     return out / "checkpoints" / "last" / "pretrained_model"
 
 
+@pytest.mark.slow
 def test_act_with_the_stock_features_learns_from_it_and_acts(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

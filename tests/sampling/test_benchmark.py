@@ -49,6 +49,7 @@ def test_what_others_register_changes_no_spec_no_state_and_no_pixel():
     assert json.loads(run_module("tests.third_party.plays", "--register")) == alone
 
 
+@pytest.mark.slow
 def test_what_others_register_is_played_by_name(tmp_path: Path):
     run_module("tests.third_party.by_name", str(tmp_path / "dataset"))
     assert (tmp_path / "dataset" / "meta" / "info.json").is_file()

@@ -25,7 +25,7 @@ PALM_RADIUS_M = 0.03
 FAR_M = 1.0
 
 
-@pytest.fixture(scope="module", params=[48, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[48, pytest.param(200, marks=pytest.mark.slow)])
 def beside_fixtures(request: pytest.FixtureRequest) -> list[EpisodeSpec]:
     return sample_specs(Recipe(motions=KINDS), range(request.param), threads=0)
 

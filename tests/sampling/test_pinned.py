@@ -99,6 +99,7 @@ def test_batch_size_and_threads_change_no_digest(batch_size: int, threads: int):
     assert pin.spec_digests("test", seeds, threads=threads) == {seed: PINNED["specs"]["test"][seed] for seed in seeds}
 
 
+@pytest.mark.slow
 def test_a_motion_and_an_object_of_a_plugin_change_no_digest(tmp_path: Path):
     info = tmp_path / "third_party-1.0.dist-info"
     info.mkdir()

@@ -29,6 +29,7 @@ def localized_percent(name: str, control: str, specs: list[EpisodeSpec]) -> floa
     return 100 * float(np.mean([episode.first_localized is not None for episode in episodes]))
 
 
+@pytest.mark.slow
 def test_no_target_comes_to_a_hand_that_waits(many_specs: list[EpisodeSpec]):
     assert localized_percent("hold", "standard", many_specs) == 0
 

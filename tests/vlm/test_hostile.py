@@ -23,7 +23,7 @@ from tests.vlm.hostile import FRAMES, GOOD, HOSTILE, KEY, SLOW, STATE, UNKNOWN_U
 from tests.vlm.server import Exchange, serving
 
 IMAGE = np.full((32, 32, 3), 200, np.uint8)
-TIMEOUT_S = 1.0
+TIMEOUT_S = 0.5
 SLACK_S = 1.0
 """Both long enough for a busy machine; without a deadline the slow servers take 3 to 5 s."""
 

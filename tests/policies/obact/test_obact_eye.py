@@ -49,6 +49,7 @@ def dots(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
     return images, eye.camera.place(camera)
 
 
+@pytest.mark.slow
 def test_it_learns_where_a_square_is_and_says_how_sure_it_is():
     torch.manual_seed(0)
     eye = EyeBackbone(16, channels=8, fovea=12, embedding=4, frozen=False)

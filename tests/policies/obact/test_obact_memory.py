@@ -32,6 +32,7 @@ def last_action(policy: ObActPolicy, steps: list[dict]) -> torch.Tensor:
     return [policy.select_action(step) for step in steps][-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("memory", MEMORIES)
 def test_a_decision_sees_the_frames_of_its_memory_and_no_others(memory: str):
     policy = remembering(memory)

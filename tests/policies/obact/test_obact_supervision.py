@@ -182,6 +182,7 @@ def test_the_weight_of_relative_dimensions_shifts_the_loss_without_scaling_it() 
     assert loss(9.0, palm) == pytest.approx(loss(1.0, palm))
 
 
+@pytest.mark.slow
 def test_a_chunk_predicting_flow_learns_one_chunk_and_returns_it() -> None:
     options = {"n_layers": 1, "predicts": "chunk"}
     policy = make_policy(head_options=options, ema_decay=0.0, action_frame="absolute")

@@ -135,6 +135,7 @@ def test_a_study_evaluates_under_conditions_that_exist(path: Path) -> None:
         assert parser.parse_args(["--policy=hold", *STUDY.repeated(how)]).policy == "hold"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", STUDIES, ids=str)
 def test_a_study_changes_options_that_exist(path: Path) -> None:
     register_third_party_plugins()
