@@ -64,6 +64,7 @@ def test_the_script_imports_nothing_of_the_package() -> None:
     assert names == {"__future__", "sys", "pathlib", "numpy", "pandas", "pyarrow.parquet"}
 
 
+@pytest.mark.slow
 def test_a_dataset_with_failures_gives_the_same_metrics(recorded) -> None:
     root, episodes = recorded
     assert {episode.success for episode in episodes} == {True, False}

@@ -138,6 +138,7 @@ def test_a_wrong_recipe_is_refused_in_a_sentence(
     assert not out.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("timing", [{"latency_ms": 150.0}, {"latency_ms": [0.0, 370.0], "corrected": True}])
 def test_a_student_learns_with_inferences_that_take_time(tmp_path: Path, timing: dict):
     recipe = tiny_recipe(tmp_path, inference={"mode": "async", **timing}, rounds=2, teacher_share=0.0)

@@ -60,6 +60,7 @@ def test_act_with_the_stock_features_learns_from_it_and_acts(
     assert len(episode) > episode.meta.window_frames
 
 
+@pytest.mark.slow
 def test_obact_learns_its_forecast_from_it(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     recipe = yaml.safe_load(tiny_recipe(tmp_path).read_text())
     policy = recipe["policy"] | {"privileged_key": "target.pose", "privileged_weight": 0.0}

@@ -34,6 +34,7 @@ def test_no_target_comes_to_a_hand_that_waits(many_specs: list[EpisodeSpec]):
     assert localized_percent("hold", "standard", many_specs) == 0
 
 
+@pytest.mark.slow
 def test_targets_lie_on_all_sides_of_the_home(many_specs: list[EpisodeSpec]):
     """In front more often, as the camera must see them first; but no half-space is the right guess for nine of ten."""
     directions = np.stack([spec.intercept_pos_w - spec.home_pos_w for spec in many_specs])
