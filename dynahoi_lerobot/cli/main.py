@@ -8,7 +8,7 @@ import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from dynahoi_lerobot.foundation.output import check_output
 
@@ -39,6 +39,10 @@ LONGEST = 800
 
 class _Parser(argparse.ArgumentParser):
     """Says what is wrong with an argument in one sentence, without the whole usage before it."""
+
+    def __init__(self, **options: Any) -> None:
+        """Take no abbreviated options: results store the command line, with only the whole ``--salt`` hidden."""
+        super().__init__(**options, allow_abbrev=False)
 
     def error(self, message: str) -> NoReturn:
         """Raise a ValueError, which ``main`` prints."""

@@ -52,7 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_salt_argument(parser)
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
     parser.add_argument(
-        "--batch-size", type=whole(1, 4096), default=32, help="worlds simulated together; no influence on the result"
+        "--batch-size",
+        type=whole(1, 4096),
+        default=32,
+        help="worlds simulated together; no influence on the result, and 1 for policies with --inference-ms measured",
     )
     parser.add_argument("--gifs", type=whole(0, 10**6), default=0, help="number of episodes to record as GIFs in --out")
     parser.add_argument("--per-kind", action="store_true", help="also print a row for each motion")

@@ -24,7 +24,7 @@ from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.salt import seal, split_of
+from dynahoi_lerobot.sampling.salt import seal, split_of, stream_label
 from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
 
 TOLERANCE = 1e-5
@@ -72,6 +72,8 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     if recipe.split != seed_stream(split) or recipe.capture != info.capture:
         played = f"{recipe.split} under {recipe.capture}"
         yield f"metrics.json names split {info.split} and capture rule {info.capture}, but its recipe plays {played}"
+    if info.split != (label := stream_label(split, recipe.salt)):
+        yield f"metrics.json names split {info.split}, but its recipe plays {label}"
     seeds = Counter(row["seed"] for row in results.rows)
     if repeated := sorted(seed for seed, count in seeds.items() if count > 1):
         yield f"seed {repeated[0]} is there {seeds[repeated[0]]} times"

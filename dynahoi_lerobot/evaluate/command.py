@@ -68,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
     )
     recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
     specs = _specs(args, recipe, recorder)
+    args.batch_size = _batch_size(args, inference)
     for episodes in _played(args, recipe, actor, specs):
         recorder.extend(episodes)
         info.extra.update(actor.report())
@@ -89,6 +90,15 @@ def _real_time(actor: Actor, inference: Inference) -> Actor:
     if not isinstance(actor, ChunkAgent):
         raise ValueError(f"--inference {inference.mode} needs a policy that plans chunks; {actor.name!r} is an expert")
     return RealTimeAgent(actor, inference)
+
+
+def _batch_size(args: argparse.Namespace, inference: Inference) -> int:
+    """Return how many worlds are played together: one where the time of a LeRobot policy's inference is measured.
+
+    Such a policy infers for all worlds at once, which takes longer than for one robot. VLMs are asked world by world.
+    """
+    measured = inference.mode != SYNC and inference.latency_ms is None
+    return 1 if measured and args.policy != VLM else args.batch_size
 
 
 def _actor(args: argparse.Namespace) -> Actor:

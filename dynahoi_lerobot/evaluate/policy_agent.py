@@ -117,13 +117,17 @@ class PolicyAgent(ChunkAgent):
 
         start, batch, guidance = time.perf_counter(), self._batch(observation), {}
         if delays is not None and (executed is not None or self.accepts_prefix):
-            left_over = None if executed is None else self._chunk[:, int(executed[0]) :]
+            left_over = None if executed is None else self._left_over(int(executed[0]))
             guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
         seconds = np.full(len(worlds), time.perf_counter() - start)
         return Plan(actions, seconds, self._policy.expectations(worlds.tolist()) if self.corrects else ())
+
+    def _left_over(self, executed: int) -> Any:
+        """The (N, n, 18) normalised actions that are not executed yet; of a chunk that is over, where it led."""
+        return self._chunk[:, min(executed, self._chunk.shape[1] - 1) :]
 
     def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
         """Return (n, 18) commands for the frame that was noted last, in place of those of chunks."""

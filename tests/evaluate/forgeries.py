@@ -111,5 +111,6 @@ FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (lambda folder: edited_head(folder, benchmark="v9"), "are of version v9 of the benchmark, here is v"),
     (another_fingerprint, "or another recipe (0123456789abcdef, here is "),
     (lambda folder: edited_head(folder, split="val"), "names split val and capture rule attach, but its recipe plays"),
+    (lambda folder: edited_head(folder, split="test_small+12345678"), "but its recipe plays test_small\n"),
 ]
 """What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from dynahoi_lerobot.agent import Observation, Plan
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.evaluate.results import read_results
 
-CHECKPOINT = str(Path(__file__).parents[2] / "checkpoints" / "obact_standard")
+CHECKPOINTS = Path(__file__).parents[2] / "checkpoints"
+CHECKPOINT = str(CHECKPOINTS / "obact_standard")
+LATE_CHECKPOINT = str(CHECKPOINTS / "obact_async")
 
 
 def test_settings_change_the_config_and_nothing_else() -> None:
@@ -29,6 +35,24 @@ def test_results_say_which_weights_they_are_of(tmp_path: Path) -> None:
     assert main(words) == 0
     digest = hashlib.sha256((copied / "model.safetensors").read_bytes()).hexdigest()
     assert read_results(tmp_path / "out").info.extra["weights"] == {"model.safetensors": digest}
+
+
+@pytest.mark.parametrize("mode", ["async", "rtc"])
+def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
+    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, worlds = PolicyAgent.plan, []
+
+    def slow(agent: PolicyAgent, observation: Observation, chosen: np.ndarray, **told: Any) -> Plan:
+        worlds.append(len(observation.state))
+        took = plan(agent, observation, chosen, **told)
+        return replace(took, seconds=np.full(1, 0.55))  # its chunks are of 8 frames, 0.4 s
+
+    monkeypatch.setattr(PolicyAgent, "plan", slow)
+    words = ["evaluate", "--policy", LATE_CHECKPOINT, "--split", "val", "--episodes", "2", "--out", str(tmp_path)]
+    assert main([*words, "--control-class", "unlimited", "--inference", mode, "--inference-ms", "measured"]) == 0
+    assert set(worlds) == {1}
+    assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
 
 
 @pytest.mark.parametrize(
