@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -29,6 +31,16 @@ HEAD_TYPES: dict[str, type] = {
     "command": str,
 }
 """Keys that ``metrics.json`` must have, with the types of their values; ``extra``, a dict, may stand beside them."""
+
+MOST_EPISODES = 100_000
+"""Episodes of results that are read."""
+LARGEST_EPISODE = 512 * HAND_DOF * 4
+"""Bytes of the commands of the longest episode that is read, 512 frames; ``HEADER`` bytes more stand before all commands."""
+HEADER = 4096
+LARGEST_HEAD = 2**24
+"""Bytes of the largest ``metrics.json`` that is read."""
+LONGEST_TEXT = 80
+"""Characters of a text that is shown because it cannot be printed."""
 
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 
@@ -74,8 +86,8 @@ def read(folder: Path) -> tuple[dict[str, Any], list[Row], list[np.ndarray]]:
         ResultsError: one sentence that says what is missing or damaged.
     """
     head = read_head(folder)
-    rows = _load(folder / EPISODES_FILE, _read_rows)
-    actions = _load(folder / ACTIONS_FILE, _read_actions)
+    rows = _load(folder / EPISODES_FILE, partial(_read_rows, n=head["n"]))
+    actions = _load(folder / ACTIONS_FILE, partial(_read_actions, n=head["n"]))
     if not head["n"] == len(rows) == len(actions) > 0:
         counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
         raise ResultsError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
@@ -92,6 +104,8 @@ def _load(path: Path, reader: Callable[[Path], Any]) -> Any:
 
 
 def _read_head(path: Path) -> dict[str, Any]:
+    if (size := path.stat().st_size) > LARGEST_HEAD:
+        raise ValueError(f"it has {size} bytes; allowed are {LARGEST_HEAD}")
     head = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     if not isinstance(head, dict):
         raise TypeError(f"it must hold an object, not {type(head).__name__}")
@@ -103,7 +117,23 @@ def _read_head(path: Path) -> dict[str, Any]:
     inference = (head.get("extra") or {}).get("inference") or ""
     if not isinstance(inference, str):
         raise TypeError(f"inference must be a text such as 'async 150 ms', got {inference!r}")
+    for text in _texts({key: value for key, value in head.items() if key != "command"}):
+        if not text.isprintable():  # it would be obeyed by the terminal that it is printed on
+            raise ValueError(f"its texts must be printable, got {text[:LONGEST_TEXT]!r}")
     return head
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield every text and key in ``value``, which was JSON."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            yield key
+            yield from _texts(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _texts(inner)
 
 
 def _refuse_constant(name: str) -> float:
@@ -117,12 +147,17 @@ def _write_rows(path: Path, rows: Sequence[Row]) -> None:
     pq.write_table(pa.Table.from_pylist(list(rows), schema=row_schema()), path)
 
 
-def _read_rows(path: Path) -> list[Row]:
+def _read_rows(path: Path, n: int) -> list[Row]:
+    """Return the rows; nothing is decompressed before their number is known to be ``n``."""
     import pyarrow.parquet as pq
 
     # opened here, because a path that ends in ``=value`` would be read as a partition
     with path.open("rb") as file:
-        table = pq.ParquetFile(file).read()
+        parquet = pq.ParquetFile(file)
+        if parquet.metadata.num_rows != n or n > MOST_EPISODES:
+            counts = f"{METRICS_FILE} {n}, {EPISODES_FILE} {parquet.metadata.num_rows}"
+            raise ValueError(f"the files disagree on the episodes: {counts}, or are of more than {MOST_EPISODES}")
+        table = parquet.read()
     return checked_rows(table)
 
 
@@ -138,7 +173,12 @@ def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray
         )
 
 
-def _read_actions(path: Path) -> list[np.ndarray]:
+def _read_actions(path: Path, n: int) -> list[np.ndarray]:
+    """Return the (T, 18) actions of ``n`` episodes; nothing is decompressed that is too large for them."""
+    with ZipFile(path) as members:
+        size, most = max(member.file_size for member in members.infolist()), n * LARGEST_EPISODE + HEADER
+    if size > most:
+        raise ValueError(f"{size} bytes are too many for {n} episodes; allowed are {most}")
     with np.load(path, allow_pickle=False) as archive:
         actions, offsets = archive["action"], archive["offsets"]
     if actions.ndim != 2 or actions.shape[1] != HAND_DOF or actions.dtype != np.float32:

@@ -69,6 +69,9 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_head(extra="x"), "extra must be of type dict, got str"),
     (set_head(extra={"n_obs_frames": float("nan")}), "NaN is no number of JSON"),
     (set_head(extra={"inference": 150.0}), "inference must be a text such as 'async 150 ms', got 150.0"),
+    (set_head(fingerprint="0\x1b[8m\n1"), r"its texts must be printable, got '0\x1b[8m\n1'"),
+    (set_head(metrics={"S_loc\r": {}}), r"its texts must be printable, got 'S_loc\r'"),
+    (lambda folder: (folder / "metrics.json").write_text(" " * 2**25), "33554432 bytes; allowed are 16777216"),
     (set_column("S_loc", ["a"] * 4, pa.string()), "the column S_loc must be of type double, not string"),
     (set_column("S_loc", [0.0, 1.0, 0.5, 1.0]), "seed 2 has the S_loc 0.5, which must be 0 or 1"),
     (set_column("E_loc", [0.0, 1.0, float("nan"), 1.0]), "seed 2 has the E_loc nan, which must be 0 to inf"),
@@ -80,6 +83,7 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_actions(action=lambda old: old[:, :17]), r"actions must be (K, 18) float32, not"),
     (set_actions(action=lambda old: old * np.float32("nan")), "an action is not a finite number"),
     (set_actions(action=lambda old: old.astype(object)), "actions.npz is damaged"),
+    (set_actions(action=lambda old: np.zeros((10**5, 18), np.float32)), "7200128 bytes are too many for 4 episodes"),
     (set_actions(offsets=lambda old: old[::-1]), "offsets must rise from 0 to"),
     (set_actions(offsets=lambda old: old[:, None]), "offsets must be (N + 1,) integers"),
 ]
