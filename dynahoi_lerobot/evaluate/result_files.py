@@ -35,8 +35,9 @@ HEAD_TYPES: dict[str, type] = {
 MOST_EPISODES = 100_000
 """Episodes of results that are read."""
 LARGEST_EPISODE = 512 * HAND_DOF * 4
-"""Bytes of the commands of the longest episode that is read, 512 frames; ``HEADER`` bytes more stand before all commands."""
+"""Bytes of the commands of the longest episode that is read, 512 frames."""
 HEADER = 4096
+"""Bytes that may stand before the commands of all episodes."""
 LARGEST_HEAD = 2**24
 """Bytes of the largest ``metrics.json`` that is read."""
 LONGEST_TEXT = 80
