@@ -2,8 +2,8 @@
 
 python benchmarks/columns.py [--episodes 16] [--image-size 64] [--samples 100] [--turns 3] [--json FILE]
 
-Windows are ObAct's: 11 frames of every observation, 18 actions. Processor time of one process; on a busy machine only
-ratios of one run mean something.
+Windows are the tracker's: 11 frames of every observation, 18 actions. Processor time of one process; on a busy machine
+only ratios of one run mean something.
 
 frames: ``dynahoi generate``. episodes: with ``--privileged-columns episodes``. lean: the latter without
 ``observation.fingertips``, which ``lerobot-edit-dataset`` removes. subtasks: the first with ``--subtasks``.

@@ -1,7 +1,7 @@
 """How well an eye sees where the target is: errors along and across the line of sight, by distance from the origin.
 
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--pictures 4096] [--camera side] [--json FILE]
-python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/obact_standard --episodes 110
+python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/tracker_standard --episodes 110
 
 Random poses of episodes of a split that the eye was not trained on, or what the hand sees while a policy acts, until it
 could have met the target; only targets within the image count.
@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from lerobot_policy_obact.backbones.eye import EyeBackbone
-from lerobot_policy_obact.backbones.pinhole import CAMERAS
+from lerobot_policy_tracker.backbones.eye import EyeBackbone
+from lerobot_policy_tracker.backbones.pinhole import CAMERAS
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec

@@ -20,7 +20,7 @@ from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.rollout.inference import ASYNC
 
-SHIPPED = Path(__file__).parents[1] / "checkpoints" / "obact_standard"
+SHIPPED = Path(__file__).parents[1] / "checkpoints" / "tracker_standard"
 TINY = {"policies": [SHIPPED], "latencies": [0.0, 150.0], "episodes": 2}
 METRICS = ("S_loc", "Q_line")
 

@@ -2,8 +2,9 @@
 
 python benchmarks/load.py [--episodes 64] [--image-size 128] [--backend pyav] [--json FILE]
 
-The window is ObAct's: the current and five earlier frames, two frames apart, and sixteen actions. Rates are per second
-of processor time of one process, so that a busy machine does not blur them; ``--workers`` measures wall time instead.
+The window is the tracker's: the current and five earlier frames, two frames apart, and sixteen actions. Rates are per
+second of processor time of one process, so that a busy machine does not blur them; ``--workers`` measures wall time
+instead.
 """
 
 from __future__ import annotations

@@ -21,9 +21,9 @@ import numpy as np
 import torch
 import yaml
 from lerobot.configs.train import TrainPipelineConfig
-from lerobot_policy_obact.learner import ObActLearner, make_learner
-from obact_training import Watch, read_and_update
+from lerobot_policy_tracker.learner import TrackerLearner, make_learner
 from support.options import benchmark_parser, write_numbers
+from tracker_training import Watch, read_and_update
 
 from dynahoi_lerobot.dataset import write_episodes
 from dynahoi_lerobot.dataset.merge import merge
@@ -64,7 +64,7 @@ def main() -> None:
     write_numbers(args, processor_seconds=table, turns=measured)
 
 
-def random_learner(image_size: int, episodes: int) -> ObActLearner:
+def random_learner(image_size: int, episodes: int) -> TrackerLearner:
     """Return a learner of the recipe's policy that has learned nothing."""
     recipe = read_recipe(DaggerRecipe, RECIPE, worlds=episodes, batch_episodes=episodes)
     policy = dict(recipe.policy) | {"backbone_options": {}, "image_size": image_size}
@@ -73,7 +73,7 @@ def random_learner(image_size: int, episodes: int) -> ObActLearner:
     return make_learner(recipe)
 
 
-def in_memory(learner: ObActLearner, args: Any, folder: Path) -> dict[str, float]:
+def in_memory(learner: TrackerLearner, args: Any, folder: Path) -> dict[str, float]:
     """Play a round and learn from it as `dynahoi dagger` does; return processor times by part."""
     recipe = recorded_recipe(args.image_size)
     batch, parts = make_batch(recipe, args.episodes, threads=1), Watch()
@@ -87,7 +87,7 @@ def in_memory(learner: ObActLearner, args: Any, folder: Path) -> dict[str, float
     return per_unit(parts, args.episodes, decisions)
 
 
-def through_a_dataset(learner: ObActLearner, args: Any, folder: Path) -> dict[str, float]:
+def through_a_dataset(learner: TrackerLearner, args: Any, folder: Path) -> dict[str, float]:
     """Record the same episodes, write them, merge and learn from them as `lerobot-train` does; likewise."""
     learner.save_pretrained(folder / "policy")
     path = str(folder / "policy")
@@ -113,7 +113,7 @@ def recorded_recipe(image_size: int, **changes: Any) -> Recipe:
     return Recipe(control_class="standard", image_size=image_size, **changes)
 
 
-def training(learner: ObActLearner, folder: Path) -> Path:
+def training(learner: TrackerLearner, folder: Path) -> Path:
     """Write the configuration with which `lerobot-train` trains the same policy from a dataset."""
     policy = learner.recipe.policy | {"privileged_key": "target.pose", "privileged_weight": 0.0}
     path = folder / "train.yaml"

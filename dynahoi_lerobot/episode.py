@@ -33,7 +33,7 @@ class EpisodeMeta:
         attempts: how many attempts the agent needed, from 1.
         fingerprint: identifies the code and recipe that made the episode.
         benchmark: version of the benchmark that the episode was drawn and played under.
-        actor: the policy whose states the recording is to show, type and hash of its checkpoint (``obact@...``), also
+        actor: the policy whose states the recording is to show, type and hash of its checkpoint (``tracker@...``), also
             where a teacher leads; empty if nobody but an expert ever does.
     """
 

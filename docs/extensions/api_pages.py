@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = {
     "dynahoi_lerobot": ROOT / "dynahoi_lerobot",
     "lerobot_env_dynahoi": ROOT / "envs/lerobot_env_dynahoi/lerobot_env_dynahoi",
-    "lerobot_policy_obact": ROOT / "policies/lerobot_policy_obact/lerobot_policy_obact",
+    "lerobot_policy_tracker": ROOT / "policies/lerobot_policy_tracker/lerobot_policy_tracker",
     "lerobot_policy_actiontokens": ROOT / "policies/lerobot_policy_actiontokens/lerobot_policy_actiontokens",
 }
 """Source folder of every distribution's package."""

@@ -35,7 +35,7 @@ def main() -> None:
     figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
     for run in args.runs:
         minutes, scores = training_scores(run / "log.jsonl", args.metric)
-        axes.plot(minutes, scores, label=f"ObAct, its own states: {run.name}")
+        axes.plot(minutes, scores, label=f"Tracker, its own states: {run.name}")
     for folder in args.results:
         draw_result(axes, json.loads((folder / "metrics.json").read_text()), args.metric)
     axes.set(xlabel="minutes on one CPU core", ylabel=f"{args.metric} [%]", xlim=(0, None), ylim=(0, 100))

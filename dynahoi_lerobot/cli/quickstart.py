@@ -1,6 +1,6 @@
 """``dynahoi quickstart``: dataset, training, evaluation and report, in minutes on two CPU cores.
 
-generate -> dagger (ObAct) -> lerobot-eval -> privileged baselines -> report. Each stage is skipped if what it leaves
+generate -> dagger (tracker) -> lerobot-eval -> privileged baselines -> report. Each stage is skipped if what it leaves
 when it is done is there, so a stopped quickstart can be resumed.
 """
 
@@ -36,7 +36,7 @@ TRAINING = Path(__file__).with_suffix(".yaml")
 KINDS = BENCHMARK.splits[SMALL_TEST].motions
 GIFS = 6
 BASELINES = ("intercept", "constant_velocity", "hold")
-NEEDS = ("torch", "lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
+NEEDS = ("torch", "lerobot", "lerobot_env_dynahoi", "lerobot_policy_tracker")
 """Packages that the core install leaves out."""
 TABLE = "table.txt"
 TASK_DONE = "metrics so far:"
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
             f"training needs {', '.join(missing)}: pip install 'dynahoi_lerobot[lerobot]' lerobot_env_dynahoi "
-            "lerobot_policy_obact"
+            "lerobot_policy_tracker"
         )
     out = args.out.resolve()
     out.mkdir(parents=True, exist_ok=True)
@@ -111,8 +111,8 @@ def run(args: argparse.Namespace) -> int:
 def _run_stages(out: Path, size: Size, start: float) -> None:
     stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
-        ("train ObAct on its own episodes", _checkpoint(out), _train),
-        ("evaluate it with lerobot-eval", out / "results" / "obact", _evaluate),
+        ("train the tracker on its own episodes", _checkpoint(out), _train),
+        ("evaluate it with lerobot-eval", out / "results" / "tracker", _evaluate),
         ("evaluate the privileged baselines", out / TABLE, _baselines),
     ]
     for number, (what, product, stage) in enumerate(stages, 1):
@@ -146,7 +146,7 @@ def _train(out: Path, size: Size) -> None:
 
 def _evaluate(out: Path, size: Size) -> None:
     """Evaluate in a folder of its own, which becomes the results' when all kinds are played."""
-    kinds, results, partial = KINDS[: size.kinds], out / "results" / "obact", out / "results" / "obact.partial"
+    kinds, results, partial = KINDS[: size.kinds], out / "results" / "tracker", out / "results" / "tracker.partial"
     shutil.rmtree(partial, ignore_errors=True)
     words = [
         f"--policy.path={_checkpoint(out)}",
@@ -178,7 +178,7 @@ def _device() -> str:
 
 def _baselines(out: Path, size: Size) -> None:
     """Evaluate the privileged baselines on the same episodes, and record some captures as GIFs."""
-    count = str(len(read_results(out / "results" / "obact").rows))
+    count = str(len(read_results(out / "results" / "tracker").rows))
     for name in BASELINES:
         gifs = GIFS if name == "intercept" else 0
         folder = str(out / "results" / name)
@@ -189,7 +189,7 @@ def _baselines(out: Path, size: Size) -> None:
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:
     """Write the report, print its table and, in the last line, the command that opens it."""
-    folders = [out / "results" / name for name in ("obact", *BASELINES)]
+    folders = [out / "results" / name for name in ("tracker", *BASELINES)]
     page = render_report(folders, out / "report.html")
     table = results_table([read_results(folder) for folder in folders])
     (out / TABLE).write_text(table + "\n")

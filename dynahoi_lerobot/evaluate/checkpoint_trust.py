@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 CONFIG = "config.json"
-OWN_PACKAGES = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact", "lerobot_policy_actiontokens")
+OWN_PACKAGES = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_tracker", "lerobot_policy_actiontokens")
 """Packages whose processor steps may be named by class; all other steps must be registered with LeRobot."""
 
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-PLUGINS = {"obact": "lerobot_policy_obact", "actiontokens": "lerobot_policy_actiontokens"}
+PLUGINS = {"tracker": "lerobot_policy_tracker", "actiontokens": "lerobot_policy_actiontokens"}
 """Distribution of a type of policy that LeRobot does not have."""
 EXTRAS = {"pi0": "pi", "pi0_fast": "pi", "pi05": "pi", "multi_task_dit": "multi-task-dit", "vla_jepa": "vla-jepa"}
 """Extra of LeRobot for a type of policy, where it has another name."""

@@ -55,7 +55,7 @@ def learner_module(policy: dict[str, Any]) -> Any:
     try:
         return importlib.import_module(f"lerobot_policy_{kind}.learner")
     except ModuleNotFoundError as error:
-        raise ValueError(f"policy.type must name a policy with a learner, such as obact, got {kind!r}") from error
+        raise ValueError(f"policy.type must name a policy with a learner, such as tracker, got {kind!r}") from error
 
 
 def _told(line: dict[str, Any], rounds: int) -> str:

@@ -1,6 +1,6 @@
 """Export a checkpoint for acting alone, with a model card that holds its results.
 
-python recipes/train/export.py outputs/obact_cpu/checkpoints/last/pretrained_model results/obact_cpu OUT
+python recipes/train/export.py outputs/tracker_cpu/checkpoints/last/pretrained_model results/tracker_cpu OUT
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from pathlib import Path
 
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies import make_pre_post_processors
-from lerobot_policy_obact import ObActPolicy
-from lerobot_policy_obact.write_card import card_with_results
+from lerobot_policy_tracker import TrackerPolicy
+from lerobot_policy_tracker.write_card import card_with_results
 
 
 def main() -> None:
@@ -24,7 +24,7 @@ def main() -> None:
     config = PreTrainedConfig.from_pretrained(args.checkpoint)
     config.ema_decay = 0.0  # the average becomes the weights: half the size
     config.pretrained_path = None
-    policy = ObActPolicy.from_pretrained(args.checkpoint, config=config)
+    policy = TrackerPolicy.from_pretrained(args.checkpoint, config=config)
     policy.save_pretrained(args.out)
     for pipeline in make_pre_post_processors(config, pretrained_path=str(args.checkpoint)):
         pipeline.save_pretrained(args.out)

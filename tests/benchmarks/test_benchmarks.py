@@ -52,7 +52,7 @@ def test_it_runs_and_writes_its_numbers(script: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_an_eye_is_tested_on_what_a_policy_sees(tmp_path: Path) -> None:
-    checkpoint = BENCHMARKS.parent / "checkpoints" / "obact_standard"
+    checkpoint = BENCHMARKS.parent / "checkpoints" / "tracker_standard"
     command = [
         sys.executable,
         str(BENCHMARKS / "eye.py"),

@@ -93,24 +93,24 @@ def check_what_it_left(out: Path) -> None:
     """A dataset, a checkpoint, results and a report."""
     assert main(["verify", str(out / "dataset")]) == 0
     config = json.loads((out / "training/pretrained_model/config.json").read_text())
-    assert config["type"] == "obact"
+    assert config["type"] == "tracker"
     kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
-    for name in ("obact", *quickstart.BASELINES):
+    for name in ("tracker", *quickstart.BASELINES):
         assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
     page = (out / "report.html").read_text()
-    assert all(name in page for name in ("obact", *quickstart.BASELINES))
+    assert all(name in page for name in ("tracker", *quickstart.BASELINES))
     assert "S_loc" in (out / "table.txt").read_text()
 
 
 def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment writes results after every kind of motion, so a folder with some of them is not all."""
-    partial, results = tmp_path / "results" / "obact.partial", tmp_path / "results" / "obact"
+    partial, results = tmp_path / "results" / "tracker.partial", tmp_path / "results" / "tracker"
     codes = iter((1, 0))
 
     def run_lerobot(_: str, words: list[str], *__: object) -> int:
         assert f"--env.results_dir={partial}" in words
         assert not partial.exists(), "what an earlier run left is not mixed in"
-        example_run(partial, "obact", skill=0.5)
+        example_run(partial, "tracker", skill=0.5)
         return next(codes)
 
     monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
@@ -126,7 +126,7 @@ def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeyp
     ran: list[str] = []
     for name in ("_generate", "_train", "_evaluate", "_baselines"):
         monkeypatch.setattr(quickstart, name, lambda *_, name=name: ran.append(name))
-    for folder in ("dataset", "training/pretrained_model", "results/obact", "results/hold"):
+    for folder in ("dataset", "training/pretrained_model", "results/tracker", "results/hold"):
         (tmp_path / folder).mkdir(parents=True)
     quickstart._run_stages(tmp_path, quickstart.TINY, 0.0)
     assert ran == ["_baselines"]
@@ -147,7 +147,7 @@ def test_the_core_install_is_told_what_the_quickstart_needs(
 
 def test_open_opens_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
-    for name in ("obact", *quickstart.BASELINES):
+    for name in ("tracker", *quickstart.BASELINES):
         example_run(tmp_path / "results" / name, name, skill=0.5)
     monkeypatch.setattr(quickstart.webbrowser, "open", opened.append)
     monkeypatch.setattr(quickstart, "_run_stages", lambda *_: None)

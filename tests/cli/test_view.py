@@ -15,7 +15,7 @@ from dynahoi_lerobot.cli.clip import Clip, write_clip
 from dynahoi_lerobot.evaluate.gif import BORDERS
 from tests.dataset.episodes import write
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_standard"
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "tracker_standard"
 
 
 def view(*words: object) -> int:

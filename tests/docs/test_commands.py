@@ -27,7 +27,7 @@ LEROBOT = {
     "lerobot-edit-dataset": ("lerobot.scripts.lerobot_edit_dataset", "EditDatasetConfig"),
 }
 STUDIES = "recipes/study/run.py"
-PLUGINS = ("lerobot_env_dynahoi", "lerobot_policy_obact", "lerobot_policy_actiontokens", "lerobot.policies.factory")
+PLUGINS = ("lerobot_env_dynahoi", "lerobot_policy_tracker", "lerobot_policy_actiontokens", "lerobot.policies.factory")
 PARSER_OPTIONS = ("config_path", "path", "type", "discover_packages_path")
 """Options of LeRobot's parser itself, of any config or of any choice."""
 

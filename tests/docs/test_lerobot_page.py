@@ -63,7 +63,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow  # LeRobot takes long to import
-@pytest.mark.parametrize("options", [("obact", "--dataset.image_transforms.enable=true"), ("tdmpc",)], ids=" ".join)
+@pytest.mark.parametrize("options", [("tracker", "--dataset.image_transforms.enable=true"), ("tdmpc",)], ids=" ".join)
 def test_lerobot_trains_two_steps(options: tuple[str, ...], data: Path, tmp_path: Path):
     from tests.docs.playing import run
 

@@ -108,10 +108,10 @@ def test_scores_of_a_hand_are_not_those_of_an_object_of_that_name(name: str):
 
 
 @pytest.mark.parametrize("name", RANDOMIZATIONS)
-def test_a_page_of_the_appearance_says_what_it_costs_obact(name: str):
+def test_a_page_of_the_appearance_says_what_it_costs_tracker(name: str):
     header, *rows = scores.of_stratum(name)
     assert header == ["", "S_loc %, `standard`"]
-    assert [row[0] for row in rows] == ["ObAct, one camera", "ObAct, two cameras"]
+    assert [row[0] for row in rows] == ["Tracker, one camera", "Tracker, two cameras"]
     assert f"| {rows[1][0]} | {rows[1][1]} |" in SECTIONS["appearances"][name]
 
 
@@ -159,7 +159,7 @@ def test_files_that_pages_link_to_have_pages_with_their_text():
     assert ROOT / "CONTRIBUTING.md" in linked_files()
     assert "literalinclude" in GENERATED["files/recipes/lean.yaml.md"]
     assert "(train/standard.yaml.md)" in GENERATED["files/recipes/train.md"]
-    card = GENERATED["files/checkpoints/obact_standard/README.md"]
+    card = GENERATED["files/checkpoints/tracker_standard/README.md"]
     assert card.startswith("---\norphan: true\n---\n")
     assert "library_name" not in card
 

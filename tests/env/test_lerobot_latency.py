@@ -13,7 +13,7 @@ from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot_env_dynahoi import DynahoiEnvConfig
-from lerobot_policy_obact import ObActConfig
+from lerobot_policy_tracker import TrackerConfig
 
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Results, read_results
@@ -54,11 +54,11 @@ def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def obact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tracker(tmp_path_factory: pytest.TempPathFactory) -> Path:
     small = {"width": 16, "n_attention_heads": 2, "backbone_options": {"n_keypoints": 4, "channels": 8}}
     small |= {"head_options": {"n_layers": 1}, "ema_decay": 0.0, "noise_scale": 0.0, "image_size": 32}
-    config = ObActConfig(n_obs_frames=5, obs_stride=1, horizon=8, n_action_steps=4, **small, **FEATURES)
-    return saved(config, tmp_path_factory.mktemp("obact"))
+    config = TrackerConfig(n_obs_frames=5, obs_stride=1, horizon=8, n_action_steps=4, **small, **FEATURES)
+    return saved(config, tmp_path_factory.mktemp("tracker"))
 
 
 def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> Results:
@@ -93,10 +93,10 @@ def test_a_policy_with_a_queue_plays_the_same_episodes(act: Path, tmp_path: Path
     assert found.info.extra["inference"] == "async 150 ms"
 
 
-def test_a_policy_with_a_memory_plays_the_same_episodes(obact: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_policy_with_a_memory_plays_the_same_episodes(tracker: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     skipping = ("--policy.latency_frames=3", "--policy.n_action_steps=3", "--policy.replan_key=")
-    found = through_lerobot(obact, tmp_path, monkeypatch, *LATE, *skipping)
-    assert_same_as_with_whole_chunks(obact, found)
+    found = through_lerobot(tracker, tmp_path, monkeypatch, *LATE, *skipping)
+    assert_same_as_with_whole_chunks(tracker, found)
 
 
 @pytest.mark.parametrize(
@@ -116,10 +116,10 @@ def test_what_lerobots_loop_cannot_do_is_a_sentence(
 
 
 def test_a_policy_that_replans_at_other_times_is_a_sentence(
-    obact: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tracker: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    with pytest.raises(ValueError, match=r"'obact' infers anew when observation.phase rises"):
-        through_lerobot(obact, tmp_path, monkeypatch, *LATE)
+    with pytest.raises(ValueError, match=r"'tracker' infers anew when observation.phase rises"):
+        through_lerobot(tracker, tmp_path, monkeypatch, *LATE)
 
 
 def test_without_a_command_line_the_length_of_the_queue_must_be_told():

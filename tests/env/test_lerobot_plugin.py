@@ -173,7 +173,7 @@ def test_tasks_are_kinds_or_categories() -> None:
 def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text('{"type": "act"}')
     assert policy_name(["lerobot-eval", f"--policy.path={tmp_path}"]) == "act"
-    assert policy_name(["lerobot-train", "--policy.type=obact"]) == "obact"
+    assert policy_name(["lerobot-train", "--policy.type=tracker"]) == "tracker"
     assert policy_name(["somebody's script"]) == "policy"
     assert policy_name(["lerobot-eval", "--policy.path", "me/policy"]) == "me/policy"
 

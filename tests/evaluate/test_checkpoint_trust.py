@@ -19,7 +19,7 @@ from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.evaluate.checkpoint_trust import PolicyError, UntrustedCheckpointError, check_folder
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_standard"
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "tracker_standard"
 PREPROCESSOR = "policy_preprocessor.json"
 
 
@@ -161,7 +161,7 @@ def test_links_that_lead_out_are_refused(name: str, checkpoint: Path, tmp_path: 
         (PREPROCESSOR, "[1]", "holds no list of processor steps"),
         (PREPROCESSOR, '{"steps": [1]}', "holds no list of processor steps"),
         (PREPROCESSOR, '{"steps": [{"registry_name": "device_processor", "config": 5}]}', "config 5, which is no"),
-        ("config.json", '{"type": ["obact"]}', "there is no policy"),
+        ("config.json", '{"type": ["tracker"]}', "there is no policy"),
         ("config.json", "[]", "there is no policy"),
     ],
 )
@@ -173,11 +173,11 @@ def test_damaged_files_are_one_sentence(name: str, text: str, sentence: str, che
 
 @pytest.fixture
 def hub(checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Serve the checkpoint as the Hub's repository you/obact, laid out as its cache is; collect what is fetched."""
-    cache, fetched = tmp_path / "models--you--obact", []
+    """Serve the checkpoint as the Hub's repository you/tracker, laid out as its cache is; collect what is fetched."""
+    cache, fetched = tmp_path / "models--you--tracker", []
 
     def snapshot_download(repo_id: str, *, revision: str | None, allow_patterns: list[str], **_: object) -> str:
-        assert repo_id == "you/obact"
+        assert repo_id == "you/tracker"
         folder = cache / "snapshots" / "c0ffee"
         assert revision in (None, folder.name)
         for file in (file for file in checkpoint.rglob("*") if file.is_file()):
@@ -198,7 +198,7 @@ def test_a_hub_repository_is_checked_before_its_weights_are_fetched(
 ) -> None:
     add_step(checkpoint, program(marker))
     with pytest.raises(UntrustedCheckpointError, match=r"os\.mkdir"):
-        PolicyAgent("you/obact")
+        PolicyAgent("you/tracker")
     assert not marker.exists()
     assert hub
     assert all(name.endswith(".json") for name in hub)
@@ -206,8 +206,8 @@ def test_a_hub_repository_is_checked_before_its_weights_are_fetched(
 
 def test_a_harmless_hub_repository_plays_without_its_other_files(checkpoint: Path, hub: list[str]) -> None:
     (checkpoint / "optimizer.pt").write_bytes(b"never fetched")
-    agent = PolicyAgent("you/obact")
-    assert agent.name == "you/obact"
+    agent = PolicyAgent("you/tracker")
+    assert agent.name == "you/tracker"
     assert agent.image_size == 96
     assert "model.safetensors" in hub
     assert "optimizer.pt" not in hub

@@ -17,8 +17,8 @@ from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.evaluate.results import read_results
 
 CHECKPOINTS = Path(__file__).parents[2] / "checkpoints"
-CHECKPOINT = str(CHECKPOINTS / "obact_standard")
-LATE_CHECKPOINT = str(CHECKPOINTS / "obact_async")
+CHECKPOINT = str(CHECKPOINTS / "tracker_standard")
+LATE_CHECKPOINT = str(CHECKPOINTS / "tracker_async")
 
 
 def test_settings_change_the_config_and_nothing_else() -> None:

@@ -133,7 +133,7 @@ def test_results_that_do_not_say_what_was_played_are_refused(checkpoint: Path, t
     assert "does not say what was played" in err
 
 
-STRANGERS = ["you/other", "intercept", "outputs/gone/pretrained_model", "obact"]
+STRANGERS = ["you/other", "intercept", "outputs/gone/pretrained_model", "tracker"]
 
 
 @pytest.mark.parametrize("policy", STRANGERS)
@@ -186,12 +186,12 @@ def test_results_of_lerobot_eval_name_the_folder_in_their_command(
 ):
     push(checkpoint, "me/policy")
     command = f"lerobot-eval --policy.path={checkpoint} --env.type=dynahoi"
-    results = write_split(tmp_path / "results", "ood_speed", range(2), policy="obact", command=command)
+    results = write_split(tmp_path / "results", "ood_speed", range(2), policy="tracker", command=command)
     assert push(results, "me/policy")[0] == 0
     trained = write_split(
-        tmp_path / "trained", "ood_speed", range(2), policy="obact", command=command.replace("eval", "train")
+        tmp_path / "trained", "ood_speed", range(2), policy="tracker", command=command.replace("eval", "train")
     )
-    assert "is of obact, and nothing shows" in push(trained, "me/policy")[2]
+    assert "is of tracker, and nothing shows" in push(trained, "me/policy")[2]
 
 
 def test_what_is_for_results_is_refused_for_a_checkpoint(checkpoint: Path, hub: Hub, push: Push):

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from lerobot_policy_obact import ObActPolicy
-from lerobot_policy_obact.backbones.eye import EyeBackbone
+from lerobot_policy_tracker import TrackerPolicy
+from lerobot_policy_tracker.backbones.eye import EyeBackbone
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.cli.main import main
@@ -71,7 +71,7 @@ def test_the_checkpoint_acts_as_any_lerobot_policy_does(finished: Path):
     files = {"config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"}
     files |= {"train_config.json"}
     assert files <= {path.name for path in checkpoint.iterdir()}
-    policy = ObActPolicy.from_pretrained(checkpoint)
+    policy = TrackerPolicy.from_pretrained(checkpoint)
     stored = load_file(checkpoint / "model.safetensors")
     assert set(stored) == set(policy.state_dict())
     assert_acts(checkpoint)
@@ -125,7 +125,7 @@ def test_a_run_that_was_stopped_ends_as_one_that_was_not(
         ({"threads": -1}, "threads must be 0 or more, got -1"),
         ({"teacher_share": 1.5}, "teacher_share must be 0 to 1, got 1.5"),
         ({"episodes": {"split": "test"}}, "episodes.split must be train, got test"),
-        ({"policy": {"type": "act"}}, "policy.type must name a policy with a learner, such as obact, got 'act'"),
+        ({"policy": {"type": "act"}}, "policy.type must name a policy with a learner, such as tracker, got 'act'"),
         ({"nonsense": 1}, "nonsense"),
     ],
 )

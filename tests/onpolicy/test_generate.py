@@ -88,7 +88,7 @@ def test_it_is_verified_and_made_again_without_the_policy(generated: Path):
         (at("executed_action", (-30, 0), lambda x: x + 0.02), "from where executed_action led"),
         (at("executed_action", (-30, 5), 7.0), "executed_action has joint angles"),
         (row_is(agent="hold"), "agent is 'hold'"),
-        (row_is(actor="obact@0123456789abcdef"), "actor is 'obact@0123456789abcdef'"),
+        (row_is(actor="tracker@0123456789abcdef"), "actor is 'tracker@0123456789abcdef'"),
         (row_is(length_frames=30), "frames are recorded; there are"),
     ],
     ids=lambda value: value if isinstance(value, str) else "damage",
@@ -213,7 +213,7 @@ def test_a_checkpoint_that_could_run_code_is_refused(actor: Path, tmp_path: Path
 
 def test_a_recipe_that_names_another_actor_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     recipe = tmp_path / "recipe.yaml"
-    recipe.write_text("actor: obact@0123456789abcdef\n")
+    recipe.write_text("actor: tracker@0123456789abcdef\n")
     for given, told in ((None, "give its checkpoint with --actor"), (actor, f"is {actor_name(str(actor))}")):
         assert main(words(given, tmp_path / "d", "--recipe", recipe)) == 2
         assert told in capsys.readouterr().err

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from lerobot_policy_obact.eye_training import EyeTraining
-from lerobot_policy_obact.learner import make_learner
+from lerobot_policy_tracker.eye_training import EyeTraining
+from lerobot_policy_tracker.learner import make_learner
 from torch.utils._pytree import tree_map_only
 
 from dynahoi_lerobot.onpolicy.dagger import Dagger

@@ -22,7 +22,7 @@ def frame(t: int, worlds: int) -> Observation:
 
 
 def test_chunks_of_different_latencies_each_begin_with_their_own_old_chunk(tmp_path: Path):
-    from lerobot_policy_obact.learner import make_learner
+    from lerobot_policy_tracker.learner import make_learner
 
     learner = make_learner(read_recipe(DaggerRecipe, tiny_recipe(tmp_path)))
     student = LateStudent(learner, StudentInference("async", (0.0, 370.0)), np.random.default_rng(1))
@@ -44,7 +44,7 @@ def test_chunks_of_different_latencies_each_begin_with_their_own_old_chunk(tmp_p
 
 
 def test_corrected_commands_are_those_of_the_policy_for_what_each_chunk_expected(tmp_path: Path):
-    from lerobot_policy_obact.learner import make_learner
+    from lerobot_policy_tracker.learner import make_learner
 
     learner = make_learner(read_recipe(DaggerRecipe, tiny_recipe(tmp_path)))
     timing = StudentInference("async", (100.0, 370.0), corrected=True)

@@ -1,4 +1,4 @@
-"""LeRobot's own training learns from on-policy recordings: ObAct's forecast, and ACT with the stock features."""
+"""LeRobot's own training learns from on-policy recordings: the tracker's forecast, and ACT with the stock features."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import torch
 import yaml
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.scripts.lerobot_train import main as lerobot_train
-from lerobot_policy_obact.demonstrated import Demonstrated
-from lerobot_policy_obact.heads.intercept import KNOTS
+from lerobot_policy_tracker.demonstrated import Demonstrated
+from lerobot_policy_tracker.heads.intercept import KNOTS
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.control_class import control_class_of
@@ -61,7 +61,7 @@ def test_act_with_the_stock_features_learns_from_it_and_acts(
 
 
 @pytest.mark.slow
-def test_obact_learns_its_forecast_from_it(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_tracker_learns_its_forecast_from_it(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     recipe = yaml.safe_load(tiny_recipe(tmp_path).read_text())
     policy = recipe["policy"] | {"privileged_key": "target.pose", "privileged_weight": 0.0}
     (tmp_path / "train.yaml").write_text(yaml.safe_dump({"dataset": {"repo_id": "local/d"}, "policy": policy}))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from lerobot_policy_obact.heads.intercept import KNOTS
-from lerobot_policy_obact.lesson import Lesson
+from lerobot_policy_tracker.heads.intercept import KNOTS
+from lerobot_policy_tracker.lesson import Lesson
 
 from dynahoi_lerobot.onpolicy.rounds import Round
 

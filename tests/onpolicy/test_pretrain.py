@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from lerobot_policy_obact import eye_training
-from lerobot_policy_obact.backbones.eye import EyeBackbone
+from lerobot_policy_tracker import eye_training
+from lerobot_policy_tracker.backbones.eye import EyeBackbone
 from safetensors.torch import load_file
 
 from dynahoi_lerobot.cli.main import main
@@ -23,7 +23,7 @@ def tiny_recipe(folder: Path, **changes: object) -> Path:
     """Write a recipe of seven updates, saved after the third, the sixth and the last."""
     recipe = {"out": str(folder / "eye"), "episodes": {"image_size": 32}, "n_episodes": 2, "batch_size": BATCH}
     recipe |= {"pictures": BATCH * UPDATES, "save_every": SAVE_EVERY}
-    recipe |= {"policy": {"type": "obact", "backbone_options": TINY_EYE}}
+    recipe |= {"policy": {"type": "tracker", "backbone_options": TINY_EYE}}
     path = folder / "recipe.yaml"
     path.write_text(yaml.safe_dump(recipe | changes))
     return path

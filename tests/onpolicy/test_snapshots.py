@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lerobot_policy_obact.backbones.eye import EyeBackbone
-from lerobot_policy_obact.backbones.pinhole import CAMERAS
+from lerobot_policy_tracker.backbones.eye import EyeBackbone
+from lerobot_policy_tracker.backbones.pinhole import CAMERAS
 
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
 from dynahoi_lerobot.onpolicy.snapshots import PictureStream, snapshots
@@ -74,7 +74,7 @@ def test_fingers_move_between_some_pictures_and_some_come_twice(monkeypatch: pyt
 def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
     def surroundings(share: float) -> int:
         """Return how many of four episodes have distractors."""
-        recipe = EyeRecipe(tmp_path, {"type": "obact"}, RECIPE, n_episodes=4, randomized_share=share)
+        recipe = EyeRecipe(tmp_path, {"type": "tracker"}, RECIPE, n_episodes=4, randomized_share=share)
         return sum(bool(spec.appearance.distractors) for spec in PictureStream(recipe).specs)
 
     assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
@@ -82,4 +82,4 @@ def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
 
 def test_a_share_beyond_one_is_refused(tmp_path: Path):
     with pytest.raises(ValueError, match=re.escape("randomized_share must be 0 to 1, got 1.5")):
-        EyeRecipe(tmp_path, {"type": "obact"}, randomized_share=1.5)
+        EyeRecipe(tmp_path, {"type": "tracker"}, randomized_share=1.5)

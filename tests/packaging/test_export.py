@@ -10,7 +10,7 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies import make_pre_post_processors
-from lerobot_policy_obact import ObActConfig, ObActPolicy
+from lerobot_policy_tracker import TrackerConfig, TrackerPolicy
 
 from tests.report.example_runs import example_run
 
@@ -23,9 +23,9 @@ OUTPUTS = {"action": PolicyFeature(FeatureType.ACTION, (18,))}
 SMALL = {"width": 16, "n_attention_heads": 2, "image_size": 32, "device": "cpu", "push_to_hub": False}
 
 
-def trained(folder: Path) -> ObActPolicy:
+def trained(folder: Path) -> TrackerPolicy:
     """Save a small policy whose averaged weights differ from its newest ones; return it."""
-    policy = ObActPolicy(ObActConfig(input_features=INPUTS, output_features=OUTPUTS, ema_decay=0.9, **SMALL))
+    policy = TrackerPolicy(TrackerConfig(input_features=INPUTS, output_features=OUTPUTS, ema_decay=0.9, **SMALL))
     with torch.no_grad():
         for parameter in policy.model.parameters():
             parameter.add_(torch.randn_like(parameter))
@@ -39,12 +39,12 @@ def trained(folder: Path) -> ObActPolicy:
 def test_an_export_acts_by_the_average_and_shows_its_results(tmp_path: Path) -> None:
     checkpoint, out = tmp_path / "checkpoint", tmp_path / "out"
     average = trained(checkpoint).ema.module.state_dict()
-    example_run(tmp_path / "results", "obact", skill=0.7)
+    example_run(tmp_path / "results", "tracker", skill=0.7)
     command = [sys.executable, str(SCRIPT), str(checkpoint), str(tmp_path / "results"), str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
-    exported = ObActPolicy.from_pretrained(out)
+    exported = TrackerPolicy.from_pretrained(out)
     assert exported.ema is None
     torch.testing.assert_close(exported.model.state_dict(), average)
     sizes = [(folder / "model.safetensors").stat().st_size for folder in (checkpoint, out)]

@@ -25,10 +25,10 @@ def named(policy: str, folder: str = "run") -> Results:
     ("policy", "label"),
     [
         ("expert", "expert"),
-        ("outputs/train/obact/checkpoints/last/pretrained_model", "obact"),
+        ("outputs/train/tracker/checkpoints/last/pretrained_model", "tracker"),
         ("outputs/study/act/training/checkpoints/last/pretrained_model", "act"),
-        (r"outputs\obact\checkpoints\030000\pretrained_model", "obact"),
-        ("someone/obact_dynahoi", "obact_dynahoi"),
+        (r"outputs\tracker\checkpoints\030000\pretrained_model", "tracker"),
+        ("someone/tracker_dynahoi", "tracker_dynahoi"),
         ("last", "last"),
         ("", "?"),
         ("two\nlines\x00", "two?lines?"),
@@ -45,17 +45,17 @@ def test_long_names_keep_both_ends():
 
 
 def test_equal_names_are_told_apart_by_folder_and_then_by_number():
-    assert unique_labels([named("obact", "s1"), named("obact", "s5"), named("hold")]) == [
-        "obact (s1)",
-        "obact (s5)",
+    assert unique_labels([named("tracker", "s1"), named("tracker", "s5"), named("hold")]) == [
+        "tracker (s1)",
+        "tracker (s5)",
         "hold",
     ]
     assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
 
 
 def test_a_policy_whose_inference_takes_time_is_labelled_as_such():
-    late = replace(named("obact"), info=replace(named("obact").info, extra={"inference": "async 150 ms"}))
-    assert unique_labels([late, named("obact")]) == ["obact, async 150 ms", "obact"]
+    late = replace(named("tracker"), info=replace(named("tracker").info, extra={"inference": "async 150 ms"}))
+    assert unique_labels([late, named("tracker")]) == ["tracker, async 150 ms", "tracker"]
 
 
 def test_entries_come_best_first_and_once(tmp_path: Path):

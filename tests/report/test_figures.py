@@ -111,12 +111,12 @@ def test_a_study_of_several_seeds_has_a_curve_for_each(tmp_path: Path):
 def test_latency_has_a_line_for_each_policy_and_way_of_bridging_it(tmp_path: Path):
     timings = {"a": "", "b": "async 150 ms", "c": "async 150 ms, corrected", "d": "async measured", "e": "soon"}
     for name, inference in timings.items():
-        example_run(tmp_path / name, "obact", 0.5, 2, inference=inference)
+        example_run(tmp_path / name, "tracker", 0.5, 2, inference=inference)
     entries = read_entries([tmp_path / name for name in timings])
     assert FIGURES["latency"].render(entries) is not None
     lines = grouped(entries, policy_and_rules)
     assert {curve.label: {entry.results.folder.name for entry in curve.entries} for curve in lines} == {
-        "obact": {"a", "b", "d", "e"},
+        "tracker": {"a", "b", "d", "e"},
         "corrected": {"c"},
     }
     known = {entry.results.folder.name: declared_ms(entry) for entry in entries}

@@ -119,7 +119,7 @@ def _view(name: str) -> str:
         name,
         f"![{name}]({name}.gif)",
         f"From {seen}. {inspect.getdoc(draw)}{option}",
-        _scores(OBACT, name, SMALL_SOURCE) or "No checkpoint that ships reads it.",
+        _scores(TRACKER, name, SMALL_SOURCE) or "No checkpoint that ships reads it.",
         _tests("renderers", {name, draw.__name__}),
         f"## Try it\n\n```bash\ndynahoi view --motion lob --view {name} --out {name}.gif\n```",
         f"Code: {reference(draw)}",
@@ -131,7 +131,7 @@ def _appearance(name: str) -> str:
         name,
         f"![four episodes as they are, and below with {name}]({name}.png)",
         f"{inspect.getdoc(RANDOMIZATIONS[name])} Above: the default; below: the same episodes with `{name}`.",
-        _scores(OBACT, name, f"Its eye learned from randomised looks, the rest from the default. {SMALL_SOURCE}"),
+        _scores(TRACKER, name, f"Its eye learned from randomised looks, the rest from the default. {SMALL_SOURCE}"),
         _tests("sampling", {name, "RANDOMIZATIONS"}),
         f"## Try it\n\n```bash\ndynahoi generate --root data/{name} --episodes 8 --appearance {name}\n```",
     )
@@ -152,7 +152,7 @@ def _metric(name: str) -> str:
     )
 
 
-BASELINES, OBACT = "Scores of privileged baselines", "Scores of ObAct"
+BASELINES, TRACKER = "Scores of privileged baselines", "Scores of the tracker"
 SOURCE = "On the 1,000 episodes of `test`; [the benchmark](../../benchmark.md) has all of them."
 SMALL_SOURCE = "On the 110 episodes of `test_small`; [the benchmark](../../benchmark.md) has all of them."
 

@@ -12,7 +12,7 @@ from packaging.requirements import Requirement
 from dynahoi_lerobot.doctor.parts.base import Fact, part
 
 CORE = "dynahoi_lerobot"
-PLUGINS = ("lerobot_env_dynahoi", "lerobot_policy_obact")
+PLUGINS = ("lerobot_env_dynahoi", "lerobot_policy_tracker")
 OPTIONAL = {
     "lerobot": f"training and LeRobot's commands need it: pip install {' '.join((CORE, *PLUGINS))}",
     "torch": "comes with lerobot",

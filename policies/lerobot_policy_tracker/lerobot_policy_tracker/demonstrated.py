@@ -1,0 +1,112 @@
+"""Labels of a forecast from a dataset: where the target went, until it was caught, and how a hand closes around it.
+
+They are right wherever the hand is: the path of a target that is not held does not depend on it. When the hand meets
+the target does, so on-policy recordings keep what the teacher says of each state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from lerobot.utils.constants import ACTION
+from torch import Tensor
+
+from .configuration_tracker import TrackerConfig
+from .heads.base import ActionHead, ForecastHead
+from .heads.intercept import KNOTS, PALM_DIM
+from .privileged import read_column, read_episode_column
+
+CAUGHT = "localized"
+"""Column that tells whether the target has been caught."""
+ARRIVAL = "teacher.arrival"
+"""Column of on-policy recordings: time until the teacher would meet the target from here [s]."""
+GRASP = "stats/reference_joints"
+"""Column of the episode table: joint angles of the closed hand [rad]."""
+
+
+@dataclass(frozen=True)
+class ForecastLabels:
+    """What a forecast at some frames is compared with; shapes without the leading ``(B, K)`` of samples and decisions.
+
+    Attributes:
+        path: position of the target at `KNOTS` after the frame, in the frame of the state [m], ``(n, 3)``.
+        known: False where the episode has ended, or the target had been caught, ``(n,)``.
+        closed: joints that close the hand around the target [rad], ``(J,)``.
+        arrival: frames until the demonstrator, or the teacher from this state, meets the target, ``()``.
+    """
+
+    path: Tensor
+    known: Tensor
+    closed: Tensor
+    arrival: Tensor
+
+
+class Demonstrated:
+    """The labels of a LeRobot dataset, by global frame index.
+
+    Args:
+        meta: the dataset's LeRobot metadata.
+        key: column with the target's position, in the coordinates of ``observation.state``.
+
+    Raises:
+        ValueError: if the dataset has no such column, or does not tell when targets were caught.
+    """
+
+    def __init__(self, meta: Any, key: str) -> None:
+        self.position = torch.from_numpy(read_column(meta, key, PALM_DIM)[:, :PALM_DIM])
+        episode = read_column(meta, "episode_index", 1)[:, 0].astype(np.int64)
+        caught = read_column(meta, CAUGHT, 1)[:, 0] > 0.5
+        starts = np.flatnonzero(np.diff(episode, prepend=-1))
+        ends = np.append(starts[1:], len(episode))
+        spans = list(zip(starts, ends, strict=True))
+        catches = [first + int(caught[first:end].argmax()) if caught[first:end].any() else end for first, end in spans]
+        lengths = ends - starts
+        self.end = torch.from_numpy(np.repeat(ends, lengths))  # (F,) first frame of the next episode
+        self.catch = torch.from_numpy(np.repeat(np.array(catches), lengths))  # (F,) first frame with the target caught
+        self.closed = torch.from_numpy(np.repeat(_grasps(meta, ends), lengths, axis=0))  # (F, J)
+        self.arrival = self.catch - torch.arange(len(episode))  # (F,)
+        if ARRIVAL in meta.features:
+            self.arrival = torch.from_numpy(np.rint(read_column(meta, ARRIVAL, 1)[:, 0] * meta.fps).astype(np.int64))
+
+    def __call__(self, index: Tensor, offsets: list[int]) -> ForecastLabels:
+        """Return the labels at frames ``index + offsets``, ``(B, K, ...)``.
+
+        Args:
+            index: global index of each sample's own frame, shape ``(B,)``.
+            offsets: frames relative to it. Labels outside the sample's episode are arbitrary and must be masked.
+        """
+        frames = (index.cpu().reshape(-1, 1) + torch.tensor(offsets)).clamp(0, len(self.position) - 1)  # (B, K)
+        ahead = frames[..., None] + torch.tensor(KNOTS)  # (B, K, n)
+        held = (frames >= self.catch[frames])[..., None]  # a target that is held stays where it is
+        ahead = torch.where(held, frames[..., None], ahead)
+        known = (ahead < self.end[frames][..., None]) & (held | (ahead <= self.catch[frames][..., None]))
+        path = self.position[ahead.clamp_max(len(self.position) - 1)]
+        labels = (path, known, self.closed[frames], self.arrival[frames].clamp_min(1))
+        return ForecastLabels(*(label.to(index.device) for label in labels))
+
+
+def _grasps(meta: Any, ends: np.ndarray) -> np.ndarray:
+    """Return the joints of each episode's grasp, ``(E, J)``: the known one, or else the last that were commanded."""
+    known = read_episode_column(meta, GRASP)
+    return read_column(meta, ACTION, PALM_DIM + 1)[ends - 1, PALM_DIM:] if known is None else known
+
+
+def demonstrated(head: ActionHead, config: TrackerConfig, meta: Any | None) -> Demonstrated | None:
+    """Open the labels of a head that forecasts, if there is a dataset to train on.
+
+    Args:
+        head: the policy's head.
+        config: the policy's config.
+        meta: the dataset's LeRobot metadata; None while acting.
+
+    Raises:
+        ValueError: if the config names no column of the target's position.
+    """
+    if not isinstance(head, ForecastHead) or meta is None:
+        return None
+    if not config.privileged_key:
+        raise ValueError(f"head {config.head!r} learns where targets go: privileged_key must name a column, got ''.")
+    return Demonstrated(meta, config.privileged_key)
