@@ -93,8 +93,8 @@ def run(args: argparse.Namespace) -> int:
     """
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
-            f"training needs {', '.join(missing)}: pip install 'dynahoi_lerobot[lerobot]' lerobot_env_dynahoi "
-            "lerobot_policy_tracker"
+            f"training needs {', '.join(missing)}: pip install '.[lerobot]' ./envs/lerobot_env_dynahoi "
+            "./policies/lerobot_policy_tracker, in a checkout"
         )
     out = args.out.resolve()
     out.mkdir(parents=True, exist_ok=True)

@@ -40,7 +40,7 @@ A five-fingered hand watches a moving object, predicts where to meet it and catc
 benchmark: its seed, motion, object, instruction and length. The seed is all that is needed to play it:
 
 ```
-pip install dynahoi_lerobot lerobot_env_dynahoi
+pip install '.[lerobot]' ./envs/lerobot_env_dynahoi   # in a checkout of dynahoi-lerobot
 dynahoi evaluate --policy USER/POLICY --split test --out results
 dynahoi push results USER/POLICY --leaderboard {repo}
 ```

@@ -20,7 +20,7 @@ A `{type}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catch
 dexterous hand.
 
 ```bash
-pip install {needed}
+pip install {needed}   # in a checkout of dynahoi-lerobot
 dynahoi evaluate --policy {repo} --split test --out results/{name}
 ```
 """
@@ -48,11 +48,11 @@ def checkpoint_card(folder: Path, repo: str) -> str:
 
 
 def _needed(policy: str) -> str:
-    """Return what must be installed to play a type of policy, as words of ``pip install``."""
-    words = ['"dynahoi_lerobot[lerobot]"', "lerobot_env_dynahoi"]
+    """Return the arguments of ``pip install``, in a checkout, that a policy type needs."""
+    words = ['".[lerobot]"', "./envs/lerobot_env_dynahoi"]
     extra = EXTRAS.get(policy, policy)
     if policy in PLUGINS:
-        words.append(PLUGINS[policy])
+        words.append(f"./policies/{PLUGINS[policy]}")
     elif extra in _extras():
         words.append(f'"lerobot[{extra}]"')
     return " ".join(words)

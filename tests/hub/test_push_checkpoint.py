@@ -24,18 +24,18 @@ def test_a_checkpoint_without_a_card_gets_one(checkpoint: Path, hub: Hub, push: 
     assert metadata["library_name"] == "lerobot"
     assert metadata["datasets"] == ["me/catching"]
     assert "dynahoi evaluate --policy me/policy" in body
-    assert 'pip install "dynahoi_lerobot[lerobot]" lerobot_env_dynahoi lerobot_policy_tracker\n' in body
+    assert 'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi ./policies/lerobot_policy_tracker ' in body
 
 
 @pytest.mark.parametrize(
     ("kind", "needed"),
-    [("actiontokens", " lerobot_policy_actiontokens"), ("act", ""), ("smolvla", ' "lerobot[smolvla]"')],
+    [("actiontokens", " ./policies/lerobot_policy_actiontokens"), ("act", ""), ("smolvla", ' "lerobot[smolvla]"')],
 )
 def test_a_card_names_what_the_type_of_policy_needs(kind: str, needed: str, checkpoint: Path, hub: Hub, push: Push):
     (checkpoint / "config.json").write_text(json.dumps({"type": kind}))
     push(checkpoint, "me/policy")
     card = hub.repos[REPO].files["README.md"].decode()
-    assert f'pip install "dynahoi_lerobot[lerobot]" lerobot_env_dynahoi{needed}\n' in card
+    assert f'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi{needed} ' in card
 
 
 def test_a_folder_that_is_pushed_twice_has_two_cards_and_stays_as_it_was(checkpoint: Path, hub: Hub, push: Push):

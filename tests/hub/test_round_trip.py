@@ -127,5 +127,5 @@ def test_an_environment_is_made_by_its_name(hub: Hub, push: Push, tmp_path: Path
     code, out, err = push(folder, "me/dynahoi-env")
     assert code == 0, err
     assert f"environment pushed to {hub.url}/me/dynahoi-env" in out
-    assert set(hub.repos["models/me/dynahoi-env"].files) == {"README.md", "env.py", "requirements.txt"}
+    assert set(hub.repos["models/me/dynahoi-env"].files) == {"README.md", "env.py"}
     assert elsewhere(hub, tmp_path / "home", "-c", PLAY).split() == ["8", "2", "18", "2"]

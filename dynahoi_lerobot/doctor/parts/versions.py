@@ -14,7 +14,7 @@ from dynahoi_lerobot.doctor.parts.base import Fact, part
 CORE = "dynahoi_lerobot"
 PLUGINS = ("lerobot_env_dynahoi", "lerobot_policy_tracker")
 OPTIONAL = {
-    "lerobot": f"training and LeRobot's commands need it: pip install {' '.join((CORE, *PLUGINS))}",
+    "lerobot": "training and LeRobot's commands need it: pip install '.[lerobot]', in a checkout",
     "torch": "comes with lerobot",
 }
 """Libraries without which the core works, and what they are for."""

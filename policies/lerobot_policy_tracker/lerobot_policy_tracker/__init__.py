@@ -1,4 +1,4 @@
-"""The tracker, observe before act, as a LeRobot policy plugin: ``lerobot-train --policy.type=tracker``."""
+"""The engineered tracker as a LeRobot policy plugin: ``lerobot-train --policy.type=tracker``."""
 
 from importlib.metadata import version
 

@@ -19,7 +19,10 @@ MEMORY_MODULES = ("attention", "gru")
 @PreTrainedConfig.register_subclass("tracker")
 @dataclass
 class TrackerConfig(PreTrainedConfig):
-    """Observe before act: a short observed history, spatiotemporal attention and a generative action head.
+    """The engineered tracker: an eye, motion models fitted to what it saw, and an action head.
+
+    The published checkpoints use ``backbone="eye"`` or "two_eyes" and ``head="intercept"``. The defaults are a small
+    convolutional encoder and a flow-matching head, for comparison.
 
     Attributes:
         n_obs_frames: observed frames before the current one, the paper's ``s``; 0 is the single-frame

@@ -1,4 +1,4 @@
-"""The default head: flow matching (Lipman et al., 2023) with a diffusion transformer.
+"""Flow matching (Lipman et al., 2023) with a diffusion transformer.
 
 Time runs from noise to data: t = 0 is noise, t = 1 is the chunk.
 

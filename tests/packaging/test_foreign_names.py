@@ -1,0 +1,63 @@
+"""Nothing installs our distributions from an index, or opens a Hub repository, under a name that is not registered."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+READ = ("*.md", "*.py", "*.yaml", "*.toml", "*.txt", "*.html", "*.ipynb", "*.cff")
+DISTRIBUTION = r"(?:dynahoi(?:[-_]lerobot)?|lerobot[-_](?:env[-_]dynahoi|policy[-_](?:obact|tracker|actiontokens)))"
+INSTALL = re.compile(
+    rf"(?:pip install|uv add|uv tool install|uvx|pipx \w+)\b[^\n`#]*?(?<![\w./\\-]){DISTRIBUTION}(?![\w/.-])"
+)
+HUB_NAME = re.compile(r"(?<![\w./-])dynahoi/(?![\w<{].*?-v\d)[\w.-]*\w")
+LOCAL = re.compile(r"repo[-_]id\b")
+
+
+def foreign_names(text: str) -> list[str]:
+    """Return the lines that install or open what is registered nowhere."""
+    return [
+        line.strip()
+        for line in text.splitlines()
+        if INSTALL.search(line) or (HUB_NAME.search(line) and not LOCAL.search(line))
+    ]
+
+
+def test_the_repository_names_nothing_that_is_not_registered():
+    listed = subprocess.run(["git", "ls-files", *READ], cwd=ROOT, capture_output=True, text=True, check=True)
+    paths = [ROOT / name for name in listed.stdout.split() if ROOT / name != Path(__file__)]
+    assert len(paths) > 100
+    found = {path.relative_to(ROOT).as_posix(): foreign_names(path.read_text()) for path in paths if path.is_file()}
+    assert not {path: lines for path, lines in found.items() if lines}
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "pip install dynahoi_lerobot",
+        'pip install -q "dynahoi-lerobot[lerobot]"',
+        "uvx dynahoi quickstart",
+        "pip install . lerobot_env_dynahoi",
+        "lerobot-eval --policy.path=dynahoi/tracker_standard",
+        'LeRobotDataset("dynahoi/train")',
+    ],
+)
+def test_foreign_names_are_refused(line: str):
+    assert foreign_names(line)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi',
+        'gym.make("dynahoi/planar-v0")',
+        "--dataset.repo_id=dynahoi/train --dataset.root=data/train",
+        "dynahoi verify data/dynahoi/train",
+    ],
+)
+def test_paths_gymnasium_ids_and_local_datasets_are_fine(line: str):
+    assert not foreign_names(line)
