@@ -6,7 +6,7 @@ import numpy as np
 
 from dynahoi_lerobot.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
-from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
 from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.rollout.recorder import next_frames

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import LOCALIZATION_RADIUS_M
-from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch

@@ -11,8 +11,7 @@ from mujoco.batch import Batch
 from dynahoi_lerobot.appearance import Appearance, Solid
 from dynahoi_lerobot.foundation.products import norm
 from dynahoi_lerobot.motions import Motion
-from dynahoi_lerobot.motions.geometry import yaw_quat
-from dynahoi_lerobot.motions.launch import Box, Launch, Striker, Tether
+from dynahoi_lerobot.motions.launch import Box, Launch, Striker, Tether, yaw_quat
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.model import HIDDEN_POS, impact_solref
 from dynahoi_lerobot.scene.scene import Scene

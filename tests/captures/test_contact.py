@@ -12,7 +12,7 @@ from dynahoi_lerobot.captures.contact import HELD_FRAMES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS
-from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rollout.loop import make_batch, play
 from dynahoi_lerobot.rollout.recorder import Job

@@ -9,9 +9,8 @@ import pytest
 
 from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.motions.bounce import Bounce
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
-from dynahoi_lerobot.motions.throw import ThrowMotion
+from dynahoi_lerobot.motions.projectile import Bounce, ThrowMotion
 from tests.drawing import draw_motion
 from tests.simulation import Track, simulate
 

@@ -13,9 +13,8 @@ import pytest
 
 from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
 from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.motions.impact_response import Struck, WallRebound
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
-from dynahoi_lerobot.motions.struck import Struck
-from dynahoi_lerobot.motions.wall_rebound import WallRebound
 from tests.drawing import draw_motion
 from tests.simulation import simulate
 

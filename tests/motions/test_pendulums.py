@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.motions.conical import ConicalPendulum
-from dynahoi_lerobot.motions.suspended import SuspendedMotion
+from dynahoi_lerobot.motions.pendulum import ConicalPendulum, SuspendedMotion
 from tests.drawing import Drawn, draw_motion
 from tests.simulation import Track, simulate
 

@@ -9,9 +9,8 @@ import pytest
 
 from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.motions.geometry import heading
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
-from dynahoi_lerobot.motions.rolling import RollingMotion, rolling_acceleration
+from dynahoi_lerobot.motions.inclined_rolling import RollingMotion, rolling_acceleration
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, heading
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M
 from tests.drawing import draw_motion

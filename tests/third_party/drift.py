@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynahoi_lerobot.motions import MOTIONS, Draw, PrescribedMotion
-from dynahoi_lerobot.motions.geometry import Vector
+from dynahoi_lerobot.motions.launch import Vector
 
 
 @MOTIONS.register("a_drift")

@@ -11,7 +11,7 @@ from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
-from dynahoi_lerobot.motions.constant import Constant
+from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.world.playing import wait, world

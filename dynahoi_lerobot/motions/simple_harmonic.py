@@ -1,4 +1,4 @@
-"""Base class of simple harmonic motions along an axis."""
+"""Simple harmonic motion along one axis."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.motions.base import PrescribedMotion
-from dynahoi_lerobot.motions.draw import Draw
-from dynahoi_lerobot.motions.geometry import Vector
+from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion
+from dynahoi_lerobot.motions.launch import Vector
 
 MAX_PEAK_SPEED_M_S = 1.5
 
@@ -66,3 +65,33 @@ class HarmonicMotion(PrescribedMotion):
 
     def _along(self, amount: np.ndarray) -> np.ndarray:
         return self.amplitude_m * amount[:, None] * np.asarray(self.axis)
+
+
+@MOTIONS.register("lateral")
+@dataclass(frozen=True)
+class Lateral(HarmonicMotion):
+    """Harmonic along y, across the view."""
+
+    name: ClassVar[str] = "lateral"
+    phrase: ClassVar[str] = "oscillating from side to side"
+    axis: ClassVar[Vector] = (0.0, 1.0, 0.0)
+
+
+@MOTIONS.register("depth")
+@dataclass(frozen=True)
+class Depth(HarmonicMotion):
+    """Harmonic along x, where the palm faces."""
+
+    name: ClassVar[str] = "depth"
+    phrase: ClassVar[str] = "oscillating towards and away from the hand"
+    axis: ClassVar[Vector] = (1.0, 0.0, 0.0)
+
+
+@MOTIONS.register("vertical")
+@dataclass(frozen=True)
+class Vertical(HarmonicMotion):
+    """Harmonic along z."""
+
+    name: ClassVar[str] = "vertical"
+    phrase: ClassVar[str] = "oscillating up and down"
+    axis: ClassVar[Vector] = (0.0, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""Base class of pendulums: the target hangs from a rigid massless string."""
+"""Targets that hang from a rigid massless string."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynahoi_lerobot.foundation.products import product
-from dynahoi_lerobot.motions.base import PhysicalMotion
-from dynahoi_lerobot.motions.draw import Draw
-from dynahoi_lerobot.motions.geometry import Vector, as_vector
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Tether
+from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Tether, Vector, as_vector
 from dynahoi_lerobot.objects import TargetObject
 
 
@@ -72,3 +70,51 @@ def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarra
     """Components of a world vector in a frame that was turned by ``angle`` about ``axis`` (Rodrigues, backwards)."""
     c, s = np.cos(-angle), np.sin(-angle)
     return vector * c + np.cross(axis, vector) * s + axis * product(axis, vector) * (1 - c)
+
+
+@MOTIONS.register("planar")
+@dataclass(frozen=True)
+class PlanarPendulum(SuspendedMotion):
+    """Let go at rest at 12 to 40 degrees."""
+
+    name: ClassVar[str] = "planar"
+    phrase: ClassVar[str] = "swinging on a string"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw length and initial angle."""
+        return cls.hanging(draw, float(np.radians(draw.sample_speed(12, 40))))
+
+
+@MOTIONS.register("conical")
+@dataclass(frozen=True)
+class ConicalPendulum(SuspendedMotion):
+    """Steady precession at 12 to 32 degrees, started at exactly the speed that keeps the angle."""
+
+    name: ClassVar[str] = "conical"
+    phrase: ClassVar[str] = "circling on a string"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw length and angle."""
+        return cls.hanging(draw, float(np.radians(draw.sample_speed(12, 32))))
+
+    def precession_rad_s(self, target: TargetObject) -> float:
+        """Return W with W^2 cos(a) (I + m l^2 - I_z) = m g l: the rigid body's steady precession."""
+        effective = max(target.inertia[:2]) + target.mass_kg * self.length_m**2 - target.inertia[2]
+        torque = target.mass_kg * GRAVITY_M_S2 * self.length_m
+        return float(np.sqrt(torque / (effective * np.cos(self.angle_rad))))
+
+
+@MOTIONS.register("damped")
+@dataclass(frozen=True)
+class DampedPendulum(SuspendedMotion):
+    """Let go at rest at 20 to 45 degrees; drag over mass 0.15 to 0.5 per second."""
+
+    name: ClassVar[str] = "damped"
+    phrase: ClassVar[str] = "swinging on a string and slowly coming to rest"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw length, initial angle and drag."""
+        return cls.hanging(draw, float(np.radians(draw.sample_speed(20, 45))), draw.uniform(0.15, 0.5))

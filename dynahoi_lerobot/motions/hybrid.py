@@ -1,0 +1,240 @@
+"""Motions that combine several primitives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from dynahoi_lerobot.foundation.products import norm, product
+from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion
+from dynahoi_lerobot.motions.launch import Vector, as_vector
+
+
+@MOTIONS.register("figure_eight")
+@dataclass(frozen=True)
+class FigureEight(PrescribedMotion):
+    """r = center + h A sin q + z (A / 2) sin 2 q, q = w t + phase: A 0.1 to 0.25 m, 0.15 to 0.45 Hz.
+
+    Attributes:
+        center: crossing point [m].
+        amplitude_m: A.
+        rate_rad_s: w.
+        phase_rad: q at t = 0.
+        yaw_rad: direction of h, horizontal.
+    """
+
+    center: Vector
+    amplitude_m: float
+    rate_rad_s: float
+    phase_rad: float
+    yaw_rad: float
+    name: ClassVar[str] = "figure_eight"
+    category: ClassVar[str] = "hybrid"
+    phrase: ClassVar[str] = "tracing a figure of eight"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw size and rhythm."""
+        rate = 2 * np.pi * draw.sample_speed(0.15, 0.45)
+        return cls(draw.meeting_point(), draw.uniform(0.1, 0.25), float(rate), draw.angle(), draw.angle())
+
+    def position(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) position [m]."""
+        q = self._angle(time_s)
+        return np.asarray(self.center) + self._plane(np.sin(q), np.sin(2 * q) / 2)
+
+    def velocity(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) velocity [m/s]."""
+        q = self._angle(time_s)
+        return self.rate_rad_s * self._plane(np.cos(q), np.cos(2 * q))
+
+    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) acceleration [m/s^2]."""
+        q = self._angle(time_s)
+        return self.rate_rad_s**2 * self._plane(-np.sin(q), -2 * np.sin(2 * q))
+
+    def _angle(self, time_s: np.ndarray) -> np.ndarray:
+        return self.rate_rad_s * time_s + self.phase_rad
+
+    def _plane(self, along: np.ndarray, up: np.ndarray) -> np.ndarray:
+        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        return self.amplitude_m * np.column_stack([c * along, s * along, up])
+
+
+@MOTIONS.register("harmonic_drift")
+@dataclass(frozen=True)
+class HarmonicDrift(PrescribedMotion):
+    """r = meeting + u v tau + n A sin(w t + phase), n at right angles to u: drift 0.08 to 0.3 m/s, A 0.08 to 0.22 m.
+
+    Attributes:
+        meeting: centre of the oscillation at ``meeting_s`` [m].
+        drift: u v [m/s].
+        across: n, unit vector.
+        meeting_s: [s].
+        amplitude_m: A.
+        rate_rad_s: w, 0.4 to 1 Hz with peak speed at most 1.2 m/s.
+        phase_rad: phase at t = 0.
+    """
+
+    meeting: Vector
+    drift: Vector
+    across: Vector
+    meeting_s: float
+    amplitude_m: float
+    rate_rad_s: float
+    phase_rad: float
+    name: ClassVar[str] = "harmonic_drift"
+    category: ClassVar[str] = "hybrid"
+    phrase: ClassVar[str] = "oscillating while it drifts along"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw drift and oscillation."""
+        speed, amplitude = draw.sample_speed(0.08, 0.3), draw.uniform(0.08, 0.22)
+        direction = np.asarray(draw.level_heading(0.5, speed * draw.horizon_s))
+        across = np.cross(direction, draw.rng.normal(size=3))
+        rate = min(2 * np.pi * draw.sample_speed(0.4, 1.0), 1.2 / amplitude * draw.speed_scale)
+        return cls(
+            draw.meeting_point(), as_vector(speed * direction), as_vector(across / norm(across)),
+            draw.intercept_s, amplitude, float(rate), draw.angle(),
+        )  # fmt: skip
+
+    def position(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) position [m]."""
+        drifted = (time_s - self.meeting_s)[:, None] * np.asarray(self.drift)
+        return np.asarray(self.meeting) + drifted + self._aside(np.sin(self._phase(time_s)))
+
+    def velocity(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) velocity [m/s]."""
+        return np.asarray(self.drift) + self._aside(self.rate_rad_s * np.cos(self._phase(time_s)))
+
+    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) acceleration [m/s^2]."""
+        return self._aside(-(self.rate_rad_s**2) * np.sin(self._phase(time_s)))
+
+    def _phase(self, time_s: np.ndarray) -> np.ndarray:
+        return self.rate_rad_s * time_s + self.phase_rad
+
+    def _aside(self, amount: np.ndarray) -> np.ndarray:
+        return self.amplitude_m * amount[:, None] * np.asarray(self.across)
+
+
+@MOTIONS.register("line_then_arc")
+@dataclass(frozen=True)
+class LineThenArc(PrescribedMotion):
+    """A Dubins piece LS (Appendix "Geometric view"): speed 0.25 to 0.9 m/s, then an arc of 0.15 to 0.4 m radius.
+
+    Attributes:
+        bend: where the line meets the arc [m].
+        yaw_rad: direction of the line, horizontal.
+        bend_s: when the target is there [s]; within the observation window.
+        speed_m_s: constant speed.
+        radius_m: signed radius; positive bends to the left.
+    """
+
+    bend: Vector
+    yaw_rad: float
+    bend_s: float
+    speed_m_s: float
+    radius_m: float
+    name: ClassVar[str] = "line_then_arc"
+    category: ClassVar[str] = "hybrid"
+    phrase: ClassVar[str] = "moving in a line that bends into an arc"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw line, bend and arc; at least the last fifth of the window shows the arc."""
+        bend_s = draw.window_s * draw.uniform(0.2, 0.8)
+        radius = draw.uniform(0.15, 0.4) * draw.sign()
+        return cls(draw.meeting_point(), draw.angle(), bend_s, draw.sample_speed(0.25, 0.9), radius)
+
+    def position(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) position [m]."""
+        line, turn = self._split(time_s)
+        along = self.speed_m_s * line + self.radius_m * np.sin(turn)
+        aside = self.radius_m * (1 - np.cos(turn))
+        return np.asarray(self.bend) + self._plane(along, aside)
+
+    def velocity(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) velocity [m/s]."""
+        _, turn = self._split(time_s)
+        return self.speed_m_s * self._plane(np.cos(turn), np.sin(turn))
+
+    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) acceleration [m/s^2]: none on the line, centripetal on the arc."""
+        _, turn = self._split(time_s)
+        centripetal = (time_s > self.bend_s) * self.speed_m_s**2 / self.radius_m
+        return self._plane(-centripetal * np.sin(turn), centripetal * np.cos(turn))
+
+    def _split(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Time before the bend (negative) [s] and angle turned after it [rad], (K,) each."""
+        since = time_s - self.bend_s
+        return np.minimum(since, 0.0), self.speed_m_s * np.maximum(since, 0.0) / self.radius_m
+
+    def _plane(self, along: np.ndarray, aside: np.ndarray) -> np.ndarray:
+        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        return np.column_stack([along * c - aside * s, along * s + aside * c, np.zeros_like(along)])
+
+
+KNOT_S = 0.5
+BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
+"""Rows: coefficients of 1, s, s^2, s^3 for the four control points around a segment, s in [0, 1)."""
+
+
+@MOTIONS.register("random_spline")
+@dataclass(frozen=True)
+class RandomSpline(PrescribedMotion):
+    """Twice continuously differentiable; control points every 0.5 s, steps of 0.15 to 0.45 m, drawn to their middle.
+
+    Attributes:
+        points: control points [m]; the first segment starts at t = 0.
+        knot_s: time between control points [s].
+    """
+
+    points: tuple[Vector, ...]
+    knot_s: float
+    name: ClassVar[str] = "random_spline"
+    category: ClassVar[str] = "hybrid"
+    phrase: ClassVar[str] = "wandering along a smooth random path"
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Draw control points as a random walk with a pull back to the meeting point."""
+        knot_s = KNOT_S / draw.speed_scale
+        count = int(np.ceil(draw.horizon_s / knot_s)) + 4
+        step = draw.uniform(0.15, 0.45)
+        middle, heading = np.asarray(draw.meeting_point()), draw.rng.normal(size=3)
+        points = [middle + 0.1 * draw.rng.normal(size=3)]
+        for _ in range(count - 1):
+            heading = 0.6 * heading / norm(heading) + 0.6 * draw.rng.normal(size=3)
+            pull = 0.25 * (middle - points[-1])
+            points.append(points[-1] + pull + step * heading / norm(heading))
+        return cls(tuple(as_vector(p) for p in points), knot_s)
+
+    def position(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) position [m]."""
+        return self._evaluate(time_s, 0)
+
+    def velocity(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) velocity [m/s]."""
+        return self._evaluate(time_s, 1) / self.knot_s
+
+    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) acceleration [m/s^2]."""
+        return self._evaluate(time_s, 2) / self.knot_s**2
+
+    def _evaluate(self, time_s: np.ndarray, order: int) -> np.ndarray:
+        """(K, 3) the ``order``-th derivative with respect to the segment's parameter s."""
+        points = np.asarray(self.points)
+        segment = np.clip(np.floor(time_s / self.knot_s).astype(int), 0, len(points) - 4)
+        s = time_s / self.knot_s - segment
+        powers = [np.zeros_like(s)] * order + [_falling(k, order) * s ** (k - order) for k in range(order, 4)]
+        weights = product(np.column_stack(powers), BASIS)  # (K, 4)
+        return np.einsum("kw,kwd->kd", weights, points[segment[:, None] + np.arange(4)])
+
+
+def _falling(power: int, order: int) -> float:
+    """power (power - 1) ... over ``order`` factors."""
+    return float(np.prod(np.arange(power, power - order, -1))) if order else 1.0
