@@ -193,7 +193,7 @@ def _conclude(out: Path, start: float, *, show: bool) -> None:
     page = render_report(folders, out / "report.html")
     table = results_table([read_results(folder) for folder in folders])
     (out / TABLE).write_text(table + "\n")
-    print(f"\n{table}\n\nThis is a few minutes of training; docs/experiments.md says what more brings.")
+    print(f"\n{table}\n\nThis is a few minutes of training; docs/results.md says what more training brings.")
     print(f"everything is in {out}, after {time.monotonic() - start:.0f} s; this opens the report:")
     print(f"python -m webbrowser {page.resolve().as_uri()}")
     if show:

@@ -47,7 +47,9 @@ def make_actor(
 def add_trust_argument(parser: argparse.ArgumentParser) -> None:
     """Declare ``--trust``, which every command that loads a policy has."""
     parser.add_argument(
-        "--trust", action="store_true", help="load the checkpoint even if that runs code of its own (docs/trust.md)"
+        "--trust",
+        action="store_true",
+        help="load the checkpoint even if that runs its own code (docs/notes/trust.md)",
     )
 
 

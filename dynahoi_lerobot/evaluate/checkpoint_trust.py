@@ -1,7 +1,7 @@
 """Checkpoints are code: what a policy checkpoint could run while it is loaded, found before anything of it is loaded.
 
 LeRobot calls whatever importable object a processor step names, ``subprocess.Popen`` included, before it asks whether
-that is a processor step. ``docs/trust.md`` says what else is refused here, and why.
+that is a processor step. ``docs/notes/trust.md`` says what else is refused here, and why.
 """
 
 from __future__ import annotations

@@ -7,14 +7,17 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from docs.extensions.markdown import FENCE, LINK, is_local
-from docs.extensions.repository_files import written_pages
-
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *written_pages()]
+GENERATED = ("_build", "jupyter_execute")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+PAGES += [path for path in sorted((ROOT / "docs").rglob("*.md")) if path.parts[-2] not in GENERATED]
 
-NEED = re.compile(r"\*((?:Downloads|Needs|Opens|Runs|Takes) [^*]+)\.\*\n\n\Z")
-"""A line before a block of code that says what it needs."""
+FENCE = re.compile(r"^```(\w*|\{[\w-]+\}.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+"""A block of code, or a directive of MyST: language, or name and argument, and body."""
+LINK = re.compile(r"\[([^\[\]]*)\]\(([^()\s]+)\)")
+"""A link or an image: text and target."""
+NEED = re.compile(r"<!-- not run: ([^>]+) -->\n\Z")
+"""A comment before a block of code that says why no test runs it."""
 SAVED = re.compile(r"[Ss]ave as `([^`]+)`:\n\n\Z")
 """The end of a sentence before a block of code that is a file."""
 SPAN = re.compile(r"`([^`]+)`")
@@ -36,7 +39,7 @@ class Block:
     Attributes:
         language: what its fence names, "" if nothing.
         body: the code.
-        need: what the line before it says that it needs, "" if nothing.
+        need: why no test runs it, "" if one does.
         file: the file that it shall be saved as, "" if none.
     """
 
@@ -96,7 +99,7 @@ class Page:
     def links(self) -> list[tuple[str, str]]:
         """The (text, target) of every link and picture to a file or heading of the project."""
         found = [(" ".join(text.split()), target) for text, target in LINK.findall(self.prose)]
-        return [(text, target) for text, target in found if is_local(target) or target.startswith("#")]
+        return [(text, target) for text, target in found if "://" not in target and not target.startswith("mailto:")]
 
     @property
     def anchors(self) -> set[str]:

@@ -1,4 +1,4 @@
-"""CONTRIBUTING is true: what its table says a new file must provide, and its worked example."""
+"""What the table of CONTRIBUTING says a new file must provide, and the worked example of docs/extend.md."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.documents import CREATED, ROOT, Page
+from tests.docs.documents import ROOT, Page
 
 PAGE = Page.read(ROOT / "CONTRIBUTING.md")
+EXAMPLE = Page.read(ROOT / "docs" / "extend.md")
 ROWS = re.findall(r"^\| ([\w' -]+) \| `([\w/]+)` \| (decorator )?`(\w+)` \| (.+?) \|", PAGE.text, re.MULTILINE)
 CLASSES = [(folder, name, must) for _, folder, decorator, name, must in ROWS if not decorator]
 DECORATORS = [(folder, name) for _, folder, decorator, name, _ in ROWS if decorator]
@@ -44,13 +45,14 @@ def test_the_table_names_decorators_that_exist(folder: str, name: str):
 
 @pytest.mark.slow
 def test_the_worked_example_works_as_written(tmp_path: Path):
-    (source,) = PAGE.blocks("python")
+    (source,) = (block.body for block in EXAMPLE.all_blocks if block.file == "spiral.py")
     for part in ("dynahoi_lerobot", "tests"):
         shutil.copytree(ROOT / part, tmp_path / part, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    (path,) = CREATED.findall(PAGE.text)
+    path = "dynahoi_lerobot/motions/spiral.py"
+    assert f"`{path}`" in EXAMPLE.text
     (tmp_path / path).write_text(source)
-    commands = [words for words in PAGE.commands if Path(path).stem in " ".join(words)]
+    commands = [words for words in EXAMPLE.commands if Path(path).stem in " ".join(words)]
     assert [words[:2] for words in commands] == [
         ["dynahoi", "view"],
         ["pytest", "-n"],

@@ -13,7 +13,7 @@ from dynahoi_lerobot.doctor.parts.base import Fact, part
 
 WRITTEN_MB, BLOCK_MB = 64, 4
 FRAME_BYTES, EPISODE_FRAMES = 1200, 66
-"""Of a dataset at 128 px (docs/scale.md)."""
+"""Of a dataset at 128 px (docs/notes/scale.md)."""
 LEAST_GB = 0.5
 """What the quickstart and the compiled kernels need."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from dynahoi_lerobot.doctor.parts.base import Fact, part
 
 WORKER_GB = 0.9
-"""Memory of a process of ``dynahoi generate`` at 128 px (docs/scale.md)."""
+"""Memory of a process of ``dynahoi generate`` at 128 px (docs/notes/scale.md)."""
 
 
 @part("processor")

@@ -1,0 +1,89 @@
+"""Render the moving images of the documentation: ``python docs/gallery.py``, a minute on two cores.
+
+``images/catch.gif`` shows two episodes of ``test`` played by the tracker, one caught and one missed by 3 cm;
+``images/<category>.gif`` shows the expert catching a target of every kind of motion. All are seen by the hand's camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.evaluate.actors import make_actor
+from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
+from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
+from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.replay import ActionLog, replay
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+
+IMAGES = Path(__file__).parent / "images"
+CAUGHT, MISSED = 90, 74  # seeds of `test`
+PLAYED_PX, SHOWN_PX, KIND_PX = 96, 288, 128
+SKIP = 2  # every second frame is shown, at half the rate
+AFTER_CATCH, AFTER_MISS = 12, 3  # frames that are shown beyond the catch or the closest approach
+BORDER_PX = 4
+
+
+def catch() -> None:
+    """Draw what the tracker catches and misses, side by side."""
+    recipe = Recipe(split="test", image_size=PLAYED_PX)
+    specs = sample_specs(recipe, [CAUGHT, MISSED])
+    tracker = make_actor("checkpoints/tracker_standard")
+    played = evaluate(make_batch(recipe, len(specs)), tracker, specs)
+    logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed) for episode in played}
+    episodes = replay(replace(recipe, image_size=SHOWN_PX), [logs[CAUGHT], logs[MISSED]])
+    for episode in episodes:
+        print(f"{episode.meta.motion}: {episode.stage}, nearest {100 * _nearest(episode)[1]:.1f} cm")
+    write_gif(IMAGES / "catch.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
+
+
+def motions() -> None:
+    """Draw the expert on one target of every kind that `test` plays, a GIF for each category."""
+    for category in CATEGORIES:
+        kinds = [kind for kind in BENCHMARK.splits["test"].motions if MOTIONS[kind].category == category]
+        recipe = Recipe(split="test", image_size=KIND_PX)
+        specs = [sample_specs(replace(recipe, motions=(kind,)), [seed])[0] for seed, kind in enumerate(kinds)]
+        played = evaluate(make_batch(recipe, len(specs)), EXPERTS[recipe.expert](), specs, images=True)
+        episodes = sorted(played, key=lambda episode: kinds.index(episode.meta.motion))
+        write_gif(IMAGES / f"{category}.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
+
+
+def side_by_side(episodes: Sequence[Episode]) -> np.ndarray:
+    """Return (T, H, n W, 3), the episodes until shortly after the catch; the shorter ones then stand still."""
+    clips = [_bordered(episode)[: _last(episode) : SKIP] for episode in episodes]
+    longest = max(map(len, clips))
+    return np.concatenate([clip[np.minimum(np.arange(longest), len(clip) - 1)] for clip in clips], axis=2)
+
+
+def _last(episode: Episode) -> int:
+    return _nearest(episode)[0] + (AFTER_MISS if episode.first_localized is None else AFTER_CATCH)
+
+
+def _nearest(episode: Episode) -> tuple[int, float]:
+    """Return the frame of the first localisation, else of the closest approach, and the distance [m] there."""
+    start = episode.meta.window_frames
+    frame = episode.first_localized or start + int(np.argmin(episode.palm_distance[start:]))
+    return frame, float(episode.palm_distance[frame])
+
+
+def _bordered(episode: Episode) -> np.ndarray:
+    """Return (T, H, W, 3), the hand camera's images with a border in the colour of each frame's phase."""
+    images = episode.images[EGO_VIEW]
+    colours = np.array([BORDERS[phase] for phase in phases_of(episode)], dtype=np.uint8)  # (T, 3)
+    frames = np.broadcast_to(colours[:, None, None], images.shape).copy()
+    inner = slice(BORDER_PX, -BORDER_PX)
+    frames[:, inner, inner] = images[:, inner, inner]
+    return frames
+
+
+if __name__ == "__main__":
+    catch()
+    motions()
