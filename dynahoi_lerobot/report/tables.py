@@ -91,17 +91,25 @@ def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) ->
 
 
 def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str], **others: Sequence[Cell]) -> Table:
-    """Return a row for each evaluation; further columns, ``others`` by their headings, stand before the metrics."""
+    """Return a row for each evaluation; further columns, ``others`` by their headings, stand before the metrics.
+
+    Conditions that all evaluations share are in the caption, so that the metrics fit the page.
+    """
     best = _best(entries, names)
+    conditions = [(*labels(entry.results)[1:], str(len(entry.results.rows))) for entry in entries]
+    titles = (*LABELS[1:], "n")
+    differing = [i for i, values in enumerate(zip(*conditions, strict=True)) if len(set(values)) > 1]
+    shared = [f"{title} {conditions[0][i]}" for i, title in enumerate(titles) if i not in differing]
     rows = tuple(
         (
-            Cell(entry.label), *map(Cell, labels(entry.results)[1:]), _count(len(entry.results.rows)),
+            Cell(entry.label), *(_condition(titles[i], conditions[place][i]) for i in differing),
             *(cells[place] for cells in others.values()),
             *(_cell(entry.summary[name], "best" if (place, name) in best else "") for name in names),
         )
         for place, entry in enumerate(entries)
     )  # fmt: skip
-    return Table(caption, (*LABELS, "n", *others, *map(heading, names)), rows)
+    caption = f"{caption} All of them: {', '.join(shared)}." if shared else caption
+    return Table(caption, (LABELS[0], *(titles[i] for i in differing), *others, *map(heading, names)), rows)
 
 
 def _certified(entry: Entry) -> Cell:
@@ -175,6 +183,10 @@ def _cells(summary: Summary, names: Sequence[str]) -> list[Cell]:
 
 def _cell(estimate: Estimate, mark: str = "") -> Cell:
     return Cell(*printed_parts(estimate), estimate.value, mark)
+
+
+def _condition(title: str, value: str) -> Cell:
+    return _count(int(value)) if title == "n" else Cell(value)
 
 
 def _count(number: int) -> Cell:

@@ -43,6 +43,7 @@ def play(block: Block) -> None:
     if block.file:
         Path(block.file).write_text(block.body)
     elif block.language == "python":
+        sys.path.insert(0, "")  # as `python FILE` in this folder would
         exec(compile(block.body, "block of code", "exec"), {"__name__": "__main__"})
     else:
         for words in block.commands:

@@ -13,7 +13,6 @@ from dynahoi_lerobot.evaluate.gif import write_gif
 from dynahoi_lerobot.evaluate.results import ResultsError
 from dynahoi_lerobot.report import clips, page, render_report
 from dynahoi_lerobot.report.figures.base import FIGURES
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.report.example_runs import example_run
 
 HOSTILE = "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ 7*7 }}"
@@ -88,21 +87,9 @@ def parsed(html: str) -> Page:
 def test_every_evaluation_is_a_row_with_its_values(parsed: Page):
     head = next(row for row in parsed.rows if row[0] == "policy")
     metrics = "S_loc % ↑,E_loc u ↓,S_gra % ↑,E_gra u ↓,Q_smooth ↑,Q_line ↑,R_time ↑,S_joint % ↑"
-    assert head == [
-        "policy",
-        "split",
-        "protocol",
-        "capture",
-        "control",
-        "inference",
-        "benchmark",
-        "n",
-        "certified",
-        *metrics.split(","),
-    ]
+    assert head == ["policy", "certified", *metrics.split(",")]
     expert = next(row for row in parsed.rows if row[0] == "expert")
-    played = ["test_small", "observe_before_act", "attach", "standard", "sync", BENCHMARK.version, "22", "no"]
-    assert expert[1:10] == [*played, "100.0 [85.1, 100.0]"]
+    assert expert[1:3] == ["no", "100.0 [85.1, 100.0]"]
     assert len(expert) == len(head)
 
 

@@ -33,7 +33,14 @@ def test_the_leaderboard_holds_every_estimate(entries: list[Entry]):
             cell = column(table, name)[entry.label]
             assert (cell.text, cell.detail) == printed_parts(entry.summary[name])
             assert cell.key == entry.summary[name].value
-    assert column(table, "n")["weak"].text == "24"
+    assert " n 24" in table.caption
+
+
+def test_conditions_are_columns_where_evaluations_differ_and_in_the_caption_where_they_agree(entries: list[Entry]):
+    table = leaderboard(entries)
+    assert sorted(cell.text for cell in column(table, "capture").values()) == ["attach", "attach", "contact"]
+    assert "split" not in table.head
+    assert f"split {entries[0].results.info.split}" in table.caption
 
 
 def test_the_best_is_marked_within_its_split_and_rule_only(entries: list[Entry]):
