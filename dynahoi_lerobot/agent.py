@@ -96,6 +96,7 @@ class Actor(ABC):
         sees_images: turns rendering on.
         sees_environment_state: it is an `Agent` that needs ``Observation.environment_state``.
         image_size: side of the images it was trained on [px], None if it does not say.
+        trained_for: the ``control_class``, ``protocol`` and ``image_size`` it was trained for, those that it tells.
         views: the views it needs besides ``ego``.
         weights: sha256 of its files of weights, by name; empty if it has none.
         retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
@@ -107,6 +108,7 @@ class Actor(ABC):
     sees_images: bool = False
     sees_environment_state: bool = False
     image_size: int | None = None
+    trained_for: Mapping[str, Any] = MappingProxyType({})
     views: tuple[str, ...] = ()
     weights: Mapping[str, str] = MappingProxyType({})
     retries: int = 0

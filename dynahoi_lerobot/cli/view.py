@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.actors import add_trust_argument, image_size_for, make_actor
+from dynahoi_lerobot.evaluate.actors import add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
 from dynahoi_lerobot.phase import is_acting
-from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS
+from dynahoi_lerobot.protocol import PROTOCOLS
 from dynahoi_lerobot.renderers.camera_views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.rollout.replay import replay
@@ -49,12 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--capture", default="attach", help="with --motion: capture rule, attach, attach_lenient or contact"
     )
     parser.add_argument(
-        "--control-class", default=DEFAULT_CONTROL_CLASS, help="with --motion: unlimited, standard or late"
+        "--control-class", help="with --motion: unlimited, standard or late; the policy's own by default"
     )
     parser.add_argument(
         "--protocol",
-        default=DEFAULT_PROTOCOL,
-        help=f"with --motion: {', '.join(PROTOCOLS)}; see dynahoi evaluate --help",
+        help=f"with --motion: {', '.join(PROTOCOLS)}; the policy's own by default",
     )
     add_trust_argument(parser)
     parser.add_argument("--image-size", type=int, help="side of newly rendered images [px]")
@@ -84,15 +82,12 @@ def run(args: argparse.Namespace) -> int:
 def _played(args: argparse.Namespace) -> Clip:
     """Play a new episode with the policy or expert."""
     actor = make_actor(args.policy, args.capture, trust=args.trust)
-    size = image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE)
     views = {*actor.views, args.view} - {"ego"}
     recipe = Recipe(
         split=seed_stream(args.split),
-        image_size=size,
         views=tuple(sorted(views)),
         capture=args.capture,
-        protocol=args.protocol,
-        control_class=args.control_class,
+        **playing_rules(args, actor, DEFAULT_IMAGE_SIZE),
     )
     if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it
         recipe = replace(recipe, motions=(args.motion,))

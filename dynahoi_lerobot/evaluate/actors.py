@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from typing import Any
 
 from dynahoi_lerobot.agent import Actor
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 
 VLM = "vlm"
 """Name of the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
@@ -49,10 +52,19 @@ def add_trust_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trust",
         action="store_true",
-        help="load the checkpoint even if that runs its own code (docs/notes/trust.md)",
+        help="load the checkpoint even if that runs its own code, and print what (docs/notes/trust.md)",
     )
 
 
-def image_size_for(actor: Actor, wanted: int | None, default: int) -> int:
-    """Return the side of the images [px]: the ``wanted`` one, else the policy's own, else ``default``."""
-    return next(size for size in (wanted, actor.image_size, default) if size is not None)
+def playing_rules(args: argparse.Namespace, actor: Actor, image_size: int) -> dict[str, Any]:
+    """Return ``control_class``, ``protocol`` and ``image_size`` [px] to play under; print those of the policy.
+
+    What the command line leaves open is what the policy was trained for, or else the default.
+    """
+    defaults = {"control_class": DEFAULT_CONTROL_CLASS, "protocol": DEFAULT_PROTOCOL, "image_size": image_size}
+    given = {name: getattr(args, name) for name in defaults if getattr(args, name) is not None}
+    trained = {name: value for name, value in actor.trained_for.items() if name not in given}
+    if trained:
+        told = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in trained.items())
+        print(f"{actor.name} plays as it was trained: {told}")
+    return defaults | trained | given

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.evaluate.actors import add_trust_argument
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.arguments import names, number, path, whole
@@ -31,14 +30,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--capture", default="attach", help="capture rule: attach, attach_lenient or contact")
     parser.add_argument(
         "--control-class",
-        default=DEFAULT_CONTROL_CLASS,
-        help="hand limits: unlimited, standard or late",
+        help="hand limits: unlimited, standard or late; by default those the policy was trained for, or standard",
     )
     parser.add_argument("--hand", default="", help="hand model; the capture rule's own by default")
     parser.add_argument(
         "--protocol",
-        default=DEFAULT_PROTOCOL,
-        help="; ".join(f"{protocol.name}: {protocol.meaning}" for protocol in PROTOCOLS.values()),
+        help="; ".join(f"{protocol.name}: {protocol.meaning}" for protocol in PROTOCOLS.values())
+        + f"; by default the one the policy was trained for, or {DEFAULT_PROTOCOL}",
     )
     parser.add_argument(
         "--objects", type=names, default=(), help="comma-separated objects; all of the split by default"

@@ -13,10 +13,10 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Actor, Agent, ChunkAgent
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import control_class_of
+from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.evaluate.actors import VLM, image_size_for, make_actor
+from dynahoi_lerobot.evaluate.actors import VLM, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.arguments import add_arguments
 from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
@@ -127,9 +127,10 @@ def _vlm(args: argparse.Namespace) -> Agent:
 
     if not args.model:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
-    if protocol_of(args.protocol).blind_control:
+    if args.protocol and protocol_of(args.protocol).blind_control:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
-    prompt = Prompt(args.prompt, CAPTURES[args.capture].palm_speed_m_s(control_class_of(args.control_class)))
+    control = control_class_of(args.control_class or DEFAULT_CONTROL_CLASS)
+    prompt = Prompt(args.prompt, CAPTURES[args.capture].palm_speed_m_s(control))
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
     audit = args.out / "vlm.jsonl" if args.out else None
@@ -151,12 +152,10 @@ def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
         objects=args.objects,
         capture=args.capture,
         hand=args.hand,
-        protocol=args.protocol,
-        control_class=args.control_class,
-        image_size=image_size_for(actor, args.image_size, DEFAULT_IMAGE_SIZE),
         views=actor.views,
         appearance=args.appearance,
         salt=args.salt,
+        **playing_rules(args, actor, DEFAULT_IMAGE_SIZE),
     )
 
 

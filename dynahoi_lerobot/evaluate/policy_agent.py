@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.env.spaces import as_gym
-from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, REMEDY, PolicyError, trusted_checkpoint
-from dynahoi_lerobot.evaluate.checkpoint_weights import folder_weights
+from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, folder_weights, load_policy, trained_for
 from dynahoi_lerobot.evaluate.frame_history import note_frame, queued_frame
 from dynahoi_lerobot.feature import IMAGE_PREFIX
 from dynahoi_lerobot.features import CAMERA_KEY, ENVIRONMENT_STATE
@@ -46,9 +43,10 @@ class PolicyAgent(ChunkAgent):
             UntrustedCheckpointError: if loading it could run code of its own, unless ``trust`` allows that.
         """
         self.name = path
-        source = _source(path, trust=trust)
-        self._policy, self._before, self._after = _load(source, path, device, settings)
-        self.weights = folder_weights(Path(source))
+        folder = checked_folder(path, trust=trust)
+        _register_plugins()
+        self._policy, self._before, self._after = load_policy(folder, device, settings)
+        self.weights, self.trained_for = folder_weights(folder), trained_for(folder)
         self._chunk: Any = None
         inputs = self._policy.config.input_features
         self.sees_environment_state = self.privileged = ENVIRONMENT_STATE in inputs
@@ -155,57 +153,9 @@ class PolicyAgent(ChunkAgent):
         return self._before(batch)
 
 
-def _source(path: str, *, trust: bool) -> str:
-    """Return the folder to load from, or the repository if it is trusted; LeRobot's plugins are there then."""
+def _register_plugins() -> None:
     try:
         from lerobot.utils.import_utils import register_third_party_plugins
     except ImportError as error:
         raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
     register_third_party_plugins()
-    _check_exists(path)
-    return path if trust else trusted_checkpoint(path)
-
-
-def _load(source: str, path: str, device: str | None, settings: Sequence[str]) -> tuple[Any, Any, Any]:
-    """Policy, preprocessor and postprocessor."""
-    from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-
-    config = _config(source, path, settings)
-    if device is not None:
-        config.device = device
-    policy = get_policy_class(config.type).from_pretrained(source, config=config).eval()
-    overrides = {"device_processor": {"device": str(config.device)}}
-    before, after = make_pre_post_processors(config, pretrained_path=source, preprocessor_overrides=overrides)
-    return policy, before, after
-
-
-def _check_exists(path: str) -> None:
-    if not Path(path).is_dir() and path.count("/") != 1:
-        raise PolicyError(f"there is no policy {path!r}; {REMEDY}")
-    if Path(path).is_dir() and not (Path(path) / CONFIG).is_file():
-        nested = sorted(str(p.parent) for p in Path(path).glob("**/pretrained_model/config.json"))
-        hint = f"; did you mean {nested[-1]}?" if nested else ""
-        raise PolicyError(f"{path} holds no policy (no {CONFIG}){hint}")
-
-
-def _config(source: str, path: str, settings: Sequence[str]) -> Any:
-    from lerobot.configs import PreTrainedConfig
-
-    try:
-        config = PreTrainedConfig.from_pretrained(source)
-    except Exception as error:
-        raise PolicyError(f"there is no policy {path!r} ({type(error).__name__}); {REMEDY}") from error
-    return _changed(config, source, settings) if settings else config
-
-
-def _changed(config: Any, path: str, settings: Sequence[str]) -> Any:
-    """Open the config again with ``settings``, through LeRobot's own parser."""
-    known = [field.name for field in fields(config)]
-    for setting in settings:
-        key, equals, _ = setting.partition("=")
-        if not equals or key not in known:
-            raise PolicyError(f"cannot set {setting!r}: must be KEY=VALUE, KEY one of {', '.join(known)}")
-    try:
-        return config.from_pretrained(path, cli_overrides=[f"--{setting}" for setting in settings])
-    except Exception as error:
-        raise PolicyError(f"cannot set {', '.join(settings)}: {error.__cause__ or error}") from error

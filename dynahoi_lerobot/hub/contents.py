@@ -10,8 +10,7 @@ from pathlib import Path
 
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
-from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, PICKLES
-from dynahoi_lerobot.evaluate.checkpoint_weights import folder_weights
+from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights
 from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.hub.checkpoint_card import checkpoint_card

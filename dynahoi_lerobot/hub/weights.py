@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dynahoi_lerobot.evaluate.checkpoint_weights import folder_weights
+from dynahoi_lerobot.evaluate.checkpoint import folder_weights
 from dynahoi_lerobot.evaluate.run_info import WEIGHTS, RunInfo
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy as np
 
 import dynahoi_lerobot
 from dynahoi_lerobot.agent import Agent, Observation
-from dynahoi_lerobot.evaluate.checkpoint_trust import CONFIG, PolicyError, trusted_checkpoint
+from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_folder
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
@@ -125,4 +125,4 @@ def runtime(policy: PolicyAgent) -> str:
 
 
 def _folder(path: str) -> Path:
-    return Path(path) if Path(path).is_dir() else Path(trusted_checkpoint(path))
+    return Path(path) if Path(path).is_dir() else checked_folder(path)

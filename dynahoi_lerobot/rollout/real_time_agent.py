@@ -37,7 +37,7 @@ class RealTimeAgent(Agent):
         self.name, self.sees_images = agent.name, agent.sees_images
         self.image_size, self.views = agent.image_size, agent.views
         self.sees_environment_state, self.privileged = agent.sees_environment_state, agent.privileged
-        self.weights = agent.weights
+        self.weights, self.trained_for = agent.weights, agent.trained_for
         self._told = inference.mode == RTC or agent.accepts_prefix
         if inference.mode == RTC:
             agent.enable_guidance()

@@ -18,7 +18,7 @@ from lerobot.processor import PolicyProcessorPipeline
 from lerobot.scripts.lerobot_eval import eval_policy_all
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_env_dynahoi.command_line import new_results_folder, policy_name, policy_weights
-from lerobot_env_dynahoi.configuration_dynahoi import kinds_of
+from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig, kinds_of
 
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.motions import CATEGORIES
@@ -214,3 +214,15 @@ def test_lerobot_records_what_the_policy_saw(config_class: type[EnvConfig], tmp_
     assert sample["observation.images.ego"].shape == (3, 32, 32)
     assert {"agent_pos", "fingertips", "phase", "action", "next.reward", "next.done"} <= set(sample)
     assert 0.2 < sample["observation.images.ego"].mean() < 0.9, "a picture, not black"
+
+
+def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    checkpoint = Path(__file__).parents[2] / "checkpoints" / "tracker_late"
+    monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--policy.path={checkpoint}"])
+    own = DynahoiEnvConfig(protocol="direct_act")
+    assert (own.control_class, own.image_size, own.protocol) == ("late", 96, "direct_act")
+    assert "control_class late" in capsys.readouterr().out
+    monkeypatch.setattr("sys.argv", ["lerobot-eval"])
+    assert DynahoiEnvConfig().control_class == "standard"

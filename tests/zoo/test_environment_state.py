@@ -18,7 +18,7 @@ from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.env import register_envs
-from dynahoi_lerobot.evaluate.checkpoint_trust import PolicyError
+from dynahoi_lerobot.evaluate.checkpoint import PolicyError
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table

@@ -6,8 +6,9 @@ import json
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
-from dynahoi_lerobot.evaluate.checkpoint_weights import folder_weights
+from dynahoi_lerobot.evaluate.checkpoint import PolicyError, described_folder, folder_weights, trained_for
 
 
 def given(argv: Sequence[str]) -> dict[str, str]:
@@ -39,6 +40,16 @@ def policy_weights(argv: Sequence[str]) -> dict[str, str]:
     path = options.get("policy.path") or options.get("policy.pretrained_path")
     plays = Path(argv[0]).stem.replace("_", "-") == "lerobot-eval"
     return folder_weights(Path(path)) if plays and path else {}
+
+
+def policy_rules(argv: Sequence[str]) -> dict[str, Any]:
+    """Return the rules that the checkpoint of the command line was trained for, see ``trained_for``."""
+    options = given(argv)
+    path = options.get("policy.path") or options.get("policy.pretrained_path")
+    try:
+        return trained_for(described_folder(path)) if path else {}
+    except PolicyError:
+        return {}  # LeRobot says what is wrong with it
 
 
 def new_results_folder(argv: Sequence[str]) -> Path:

@@ -20,15 +20,17 @@ from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.stepwise_inference import StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seed_stream
-from lerobot_env_dynahoi.command_line import new_results_folder
+from lerobot_env_dynahoi.command_line import new_results_folder, policy_rules
 from lerobot_env_dynahoi.played_policy import queued_policy
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
+DEFAULT_RULES = {"control_class": DEFAULT_CONTROL_CLASS, "protocol": DEFAULT_PROTOCOL, "image_size": 128}
 RECIPE_FIELDS = {field.name for field in fields(Recipe)}
 """Fields of the config of these names go to the env."""
 
@@ -42,11 +44,13 @@ class DynahoiEnvConfig(EnvConfig):
         task: one kind of motion, one category, several of either separated by commas, or None for all 22 kinds.
         split: ``test``, ``test_small``, ``val``, ``ood_speed``, ``ood_object``, ``ood_motion`` or ``train``. A seed is
             the number of an episode within split and kind of motion; fixed splits wrap around.
-        image_size: side of the square images [px]; use the dataset's.
+        image_size: side of the square images [px]; by default what the policy of the command line was trained on, or
+            128.
         views: views besides ``ego``, the hand's camera, such as ``side`` or ``ego_depth``.
         appearance: what is randomised more strongly, such as ``lights`` or ``distractors``.
-        protocol: see `protocol.py`.
-        control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``.
+        protocol: see `protocol.py`; by default that policy's own, or ``observe_before_act``.
+        control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``; by
+            default that policy's own, or ``standard``.
         capture: capture rule, one of ``dynahoi list captures``.
         hand: embodiment, one of ``dynahoi list hands``; the capture rule's own if empty.
         renderer: one of ``dynahoi list renderers``.
@@ -64,11 +68,11 @@ class DynahoiEnvConfig(EnvConfig):
     task: str | None = None
     fps: int = CONTROL_HZ
     split: str = "test"
-    image_size: int = 128
+    image_size: int = 0
     views: tuple[str, ...] = ()
     appearance: tuple[str, ...] = ()
-    protocol: str = "observe_before_act"
-    control_class: str = DEFAULT_CONTROL_CLASS
+    protocol: str = ""
+    control_class: str = ""
     capture: str = "attach"
     hand: str = ""
     renderer: str = DEFAULT_RENDERER
@@ -90,6 +94,7 @@ class DynahoiEnvConfig(EnvConfig):
         Raises:
             ValueError: for an unknown name, naming the ones there are.
         """
+        self._adopt_rules()
         recipe = self._recipe()
         kinds_of(self.task, recipe.motion_names)
         _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
@@ -133,6 +138,15 @@ class DynahoiEnvConfig(EnvConfig):
             options |= self.gym_kwargs
             tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **options)
         return suites
+
+    def _adopt_rules(self) -> None:
+        """Fill in what the config leaves open: what the policy was trained for, or else the defaults."""
+        trained = policy_rules(sys.argv)
+        adopted = [name for name in trained if not getattr(self, name)]
+        for name, value in (DEFAULT_RULES | trained).items():
+            setattr(self, name, getattr(self, name) or value)
+        if adopted:
+            print("playing as the policy was trained: " + ", ".join(f"{name} {trained[name]}" for name in adopted))
 
     def _recipe(self) -> Recipe:
         return Recipe(**{**self.gym_kwargs, "split": seed_stream(self.split)})

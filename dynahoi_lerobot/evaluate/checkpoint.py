@@ -1,0 +1,371 @@
+"""Opening a checkpoint: what it could run is found before anything of it is loaded, and its weights must fit.
+
+LeRobot calls whatever importable object a processor step names, ``subprocess.Popen`` included, and silently keeps
+random weights where a checkpoint has none. ``docs/notes/trust.md`` says what is refused here, and why.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.features import CAMERA_KEY
+from dynahoi_lerobot.foundation.digest import sha256
+
+CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
+PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
+
+POLICY_TYPES = frozenset(
+    {"act", "actiontokens", "diffusion", "multi_task_dit", "obact", "pi0", "pi05", "smolvla", "tdmpc", "tracker"}
+    | {"upvla", "vqbet", "xvla"}
+)
+"""Policies whose own code runs no Python files of the repositories that their configs name."""
+
+_NORMALIZER = frozenset({"features", "norm_map", "eps", "normalize_observation_keys"})
+STEPS: dict[str, frozenset[str]] = {
+    "absolute_actions_processor": frozenset({"enabled"}),
+    "device_processor": frozenset({"device", "float_dtype"}),
+    "normalizer_processor": _NORMALIZER,
+    "observation_processor": frozenset(),
+    "pi05_prepare_state_tokenizer_processor_step": frozenset({"max_state_dim", "task_key"}),
+    "pi0_new_line_processor": frozenset(),
+    "relative_actions_processor": frozenset({"enabled", "exclude_joints", "action_names"}),
+    "rename_observations_processor": frozenset({"rename_map"}),
+    "smolvla_new_line_processor": frozenset(),
+    "to_batch_processor": frozenset(),
+    "tokenizer_processor": frozenset(
+        {"tokenizer_name", "max_length", "task_key", "padding_side", "padding", "truncation"}
+    ),
+    "unnormalizer_processor": _NORMALIZER,
+    "xvla_add_domain_id": frozenset({"domain_id"}),
+    "xvla_image_scale": frozenset({"image_keys"}),
+    "xvla_image_to_float": frozenset({"image_keys", "validate_range"}),
+    "xvla_imagenet_normalize": frozenset({"image_keys"}),
+    "xvla_rotation_6d_to_axis_angle": frozenset({"expected_action_dim"}),
+}
+"""Processor steps that a checkpoint may name without ``--trust``, with the keys that their configs may have."""
+
+PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
+"""Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints have none."""
+LARGEST_JSON = 2**25
+LARGEST_NUMBER = 10**7
+"""In ``config.json``, besides seeds and the settings of optimizers and schedulers."""
+UNBOUNDED_KEYS = ("optimizer_", "scheduler_", "noise_seed", "seed")
+SPARE = 4
+"""How many times the weights of its file a policy may make while it is built: some drop layers or tie weights."""
+REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
+
+
+class PolicyError(ValueError):
+    """A policy that cannot be loaded; the message says what was asked for and what would do."""
+
+
+class UntrustedCheckpointError(PolicyError):
+    """A checkpoint that could run code while it is loaded; the message names the file and what in it."""
+
+
+def checked_folder(path: str, *, trust: bool = False) -> Path:
+    """Return the folder of a checkpoint, downloaded from the Hub if need be, once nothing in it could run code.
+
+    The JSON files of a Hub repository are downloaded and checked first; its weights then come from the same commit.
+
+    Args:
+        path: a ``pretrained_model`` folder, or a Hub repository id.
+        trust: print what could run instead of refusing it.
+
+    Raises:
+        PolicyError: if there is no such policy, or a file of it cannot be read.
+        UntrustedCheckpointError: if loading it could run code, unless ``trust`` allows that.
+    """
+    described = described_folder(path)
+    _check_files(described, trust)
+    if os.path.isdir(path):
+        return described
+    return _download(path, ["*"] if trust else ["*.safetensors"], revision=described.name)
+
+
+def described_folder(path: str) -> Path:
+    """Return a folder with the JSON files of a checkpoint, of which nothing has been checked.
+
+    Raises:
+        PolicyError: if there is no such folder or repository.
+    """
+    if os.path.isdir(path):
+        return Path(path)
+    if path.count("/") != 1:
+        raise PolicyError(f"there is no policy {path!r}; {REMEDY}")
+    return _download(path, ["*.json"])
+
+
+def load_policy(folder: Path, device: str | None = None, settings: Sequence[str] = ()) -> tuple[Any, Any, Any]:
+    """Return the policy, preprocessor and postprocessor of a checked folder, loaded by LeRobot.
+
+    Args:
+        folder: of ``checked_folder``.
+        device: torch device, the policy's own if None.
+        settings: overrides of its config, ``KEY=VALUE`` each.
+
+    Raises:
+        PolicyError: if LeRobot cannot load it, or its weights are not exactly those of its policy.
+    """
+    from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+
+    config = _config(folder, settings)
+    config.device = device or config.device
+    shapes = _stored_shapes(folder / WEIGHTS)
+    overrides = {"device_processor": {"device": str(config.device)}}
+    try:
+        with _bounded(shapes, folder):
+            policy = get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
+        before, after = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
+    except PolicyError:
+        raise
+    except Exception as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
+        raise PolicyError(f"{folder} cannot be loaded: {_reason(error)}") from error
+    _check_fit(policy.state_dict(), shapes, folder)
+    return policy, before, after
+
+
+def folder_weights(folder: Path) -> dict[str, str]:
+    """Return the sha256 of every file of weights in a ``pretrained_model`` folder, by name."""
+    return {path.name: sha256(path) for path in sorted(folder.glob("*.safetensors")) if path.is_file()}
+
+
+def trained_for(folder: Path) -> dict[str, Any]:
+    """Return ``control_class``, ``protocol`` and ``image_size`` [px], as far as a checkpoint tells what it trained for.
+
+    The image size is that of the config's camera. The others come from the ``env`` of ``train_config.json``, or else
+    from the recipe of the dataset that it names, if that is on this machine.
+    """
+    config, training = (_optional_json(folder / name) for name in (CONFIG, TRAINING))
+    env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
+    rules = env if env.get("type") == "dynahoi" else _recipe_of(root)
+    told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
+    camera = (config.get("input_features") or {}).get(CAMERA_KEY)
+    return told | ({"image_size": int(camera["shape"][-1])} if camera else {})
+
+
+def _recipe_of(root: str | None) -> dict[str, Any]:
+    try:
+        return Manifest.read(Path(root)).provenance["recipe"] if root else {}
+    except (OSError, ValueError, KeyError):
+        return {}
+
+
+def _optional_json(file: Path) -> dict[str, Any]:
+    return _read_object(file) if file.is_file() else {}
+
+
+def _download(repository: str, patterns: list[str], revision: str | None = None) -> Path:
+    import huggingface_hub
+
+    try:
+        folder = huggingface_hub.snapshot_download(
+            repository, revision=revision, allow_patterns=patterns, ignore_patterns=["*training_state*"]
+        )
+    except Exception as error:
+        raise PolicyError(f"there is no policy {repository!r} ({type(error).__name__}); {REMEDY}") from error
+    return Path(folder)
+
+
+# -- what could run ---------------------------------------------------------------------------------------------------
+
+
+def _check_files(folder: Path, trust: bool) -> None:
+    """Refuse, or print if it is trusted, whatever in the folder could run code."""
+    if not (folder / CONFIG).is_file():
+        nested = sorted(str(path.parent) for path in folder.glob("**/pretrained_model/config.json"))
+        raise PolicyError(
+            f"{folder} holds no policy (no {CONFIG})" + (f"; did you mean {nested[-1]}?" if nested else "")
+        )
+    for finding in _findings(folder):
+        if not trust:
+            raise UntrustedCheckpointError(
+                f"{finding}; give --trust only if you would run a program from the same source"
+            )
+        print(f"--trust: {finding}", file=sys.stderr)
+
+
+def _findings(folder: Path) -> Iterator[str]:
+    """Yield what could run code, or read files outside the folder, while the checkpoint is loaded."""
+    boundary = _boundary(folder)
+    for file in sorted(folder.rglob("*")):
+        if not _resolved(file).is_relative_to(boundary):
+            yield f"{file} is a link that leads out of the checkpoint"
+        elif file.is_dir():
+            continue
+        elif not file.is_file():
+            raise PolicyError(f"{file} is neither a file nor a folder")
+        elif file.suffix.lower() in PICKLES:
+            yield f"{file} is a pickle, which runs code when it is opened"
+        elif file.suffix == ".json":
+            yield from (f"{file} {problem}" for problem in _remote_code(_read_json(file)))
+    config = _read_object(folder / CONFIG)
+    _check_numbers(folder / CONFIG, config)
+    if (kind := str(config.get("type"))) not in POLICY_TYPES:
+        yield f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies known to be safe"
+    for file in (folder / name for name in PIPELINES):
+        if file.is_file():
+            yield from (f"{file} {problem}" for problem in _pipeline_findings(file))
+
+
+def _resolved(file: Path) -> Path:
+    try:
+        return file.resolve(strict=True)
+    except (OSError, RuntimeError) as error:
+        raise PolicyError(f"{file} is a link that leads nowhere") from error
+
+
+def _boundary(folder: Path) -> Path:
+    """The folder itself; of a snapshot in the Hub's cache, whose files are links, that repository's cache."""
+    whole = folder.resolve()
+    cached = whole.parent.name == "snapshots" and whole.parents[1].name.startswith("models--")
+    return whole.parents[1] if cached else whole
+
+
+def _remote_code(content: Any) -> Iterator[str]:
+    """Yield the keys by which transformers is told to run Python files of a repository, at any depth."""
+    if isinstance(content, dict):
+        if "auto_map" in content:
+            yield "has an auto_map, which names Python files to run"
+        if content.get("trust_remote_code"):
+            yield "sets trust_remote_code, which runs Python files of a repository"
+    if isinstance(content, dict | list):
+        for value in content.values() if isinstance(content, dict) else content:
+            yield from _remote_code(value)
+
+
+def _pipeline_findings(file: Path) -> Iterator[str]:
+    steps = _read_object(file).get("steps")
+    if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
+        raise PolicyError(f"{file} holds no list of processor steps")
+    for step in steps:
+        name, config, state = (
+            step.get("registry_name", step.get("class")),
+            step.get("config", {}),
+            step.get("state_file"),
+        )
+        if not isinstance(config, dict):
+            raise PolicyError(f"{file} gives the step {name!r} the config {config!r}, which is no mapping")
+        known = STEPS.get(step["registry_name"]) if isinstance(step.get("registry_name"), str) else None
+        if known is None:
+            yield f"names the processor step {name!r}, which is not on the list of steps known to be safe"
+        elif surplus := sorted(config.keys() - known):
+            yield f"gives the step {name!r} the key {surplus[0]!r}, which is not on the list of its keys"
+        if state is not None and (not isinstance(state, str) or Path(state).name != state):
+            yield f"names the state file {state!r}, which is not inside the checkpoint"
+
+
+def _check_numbers(file: Path, content: Any, key: str = "") -> None:
+    """Refuse sizes for which no machine has the memory, or the time to make so many layers."""
+    if key.startswith(UNBOUNDED_KEYS):
+        return
+    if isinstance(content, dict):
+        for inner, value in content.items():
+            _check_numbers(file, value, inner)
+    elif isinstance(content, list):
+        for value in content:
+            _check_numbers(file, value, key)
+    elif isinstance(content, int | float) and not abs(content) <= LARGEST_NUMBER:
+        raise PolicyError(f"{file} sets {key} to {content}; allowed are numbers up to {LARGEST_NUMBER}")
+
+
+def _read_object(file: Path) -> dict[str, Any]:
+    if not isinstance(content := _read_json(file), dict):
+        raise PolicyError(f"{file} must hold a JSON object, not a {type(content).__name__}")
+    return content
+
+
+def _read_json(file: Path) -> Any:
+    try:
+        if (size := file.stat().st_size) > LARGEST_JSON:
+            raise PolicyError(f"{file} has {size} bytes; a JSON file may have {LARGEST_JSON}")
+        return json.loads(file.read_text(encoding="utf-8"))
+    except PolicyError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        raise PolicyError(f"{file} cannot be read as JSON ({type(error).__name__})") from error
+
+
+# -- what does not fit ------------------------------------------------------------------------------------------------
+
+
+def _config(folder: Path, settings: Sequence[str]) -> Any:
+    """Open the config, with ``settings`` through LeRobot's own parser."""
+    from lerobot.configs import PreTrainedConfig
+
+    try:
+        config = PreTrainedConfig.from_pretrained(str(folder))
+    except Exception as error:
+        raise PolicyError(f"{folder / CONFIG} is no config of a policy: {_reason(error)}") from error
+    known = [field.name for field in fields(config)]
+    for setting in settings:
+        key, equals, _ = setting.partition("=")
+        if not equals or key not in known:
+            raise PolicyError(f"cannot set {setting!r}: must be KEY=VALUE, KEY one of {', '.join(known)}")
+    try:
+        return config.from_pretrained(str(folder), cli_overrides=[f"--{setting}" for setting in settings])
+    except Exception as error:
+        raise PolicyError(f"cannot set {', '.join(settings)}: {error.__cause__ or error}") from error
+
+
+def _stored_shapes(file: Path) -> dict[str, tuple[int, ...]]:
+    """Return the shape of every tensor by name, from the file's header."""
+    from safetensors import safe_open
+
+    try:
+        with safe_open(str(file), "numpy") as tensors:
+            return {name: tuple(tensors.get_slice(name).get_shape()) for name in tensors.keys()}  # noqa: SIM118
+    except Exception as error:  # the reader's own kinds of error differ from version to version
+        raise PolicyError(f"{file} holds no weights ({error})") from error
+
+
+@contextmanager
+def _bounded(shapes: Mapping[str, tuple[int, ...]], folder: Path) -> Iterator[None]:
+    """Stop a policy whose config asks for far more weights than the checkpoint holds while it is built."""
+    from torch.nn.modules.module import (
+        register_module_buffer_registration_hook,
+        register_module_parameter_registration_hook,
+    )
+
+    left = {"tensors": 1000 + SPARE * len(shapes), "numbers": 10**7 + SPARE * sum(map(math.prod, shapes.values()))}
+
+    def count(_: Any, __: str, value: Any) -> None:
+        left["tensors"] -= 1
+        left["numbers"] -= 0 if value is None else value.numel()
+        if min(left.values()) < 0:
+            raise PolicyError(f"the config in {folder} asks for many times the weights that {WEIGHTS} holds")
+
+    hooks = register_module_parameter_registration_hook(count), register_module_buffer_registration_hook(count)
+    try:
+        yield
+    finally:
+        for hook in hooks:
+            hook.remove()
+
+
+def _check_fit(state: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], folder: Path) -> None:
+    """Refuse weights that are missing, surplus or misshapen; of tied weights a file holds one."""
+    wanted = {name.removeprefix("model."): tensor for name, tensor in state.items()}  # as LeRobot's Pi policies do
+    stored = {name.removeprefix("model."): shape for name, shape in shapes.items()}
+    tied = {tensor.data_ptr() for name, tensor in wanted.items() if name in stored}
+    missing = [name for name, tensor in wanted.items() if name not in stored and tensor.data_ptr() not in tied]
+    surplus = [name for name in stored if name not in wanted]
+    misshapen = [name for name, shape in stored.items() if name in wanted and tuple(wanted[name].shape) != shape]
+    for what, names in (("lacks", missing), ("has surplus", surplus), ("has misshapen", misshapen)):
+        if names:
+            raise PolicyError(f"{folder / WEIGHTS} {what} weights for its config: {len(names)}, such as {names[0]}")
+
+
+def _reason(error: BaseException) -> str:
+    """Return the error's root cause in one line."""
+    text = " ".join(f"{type(error).__name__}: {error.__cause__ or error}".split())
+    return text if len(text) <= 300 else f"{text[:300]} ..."

@@ -1,0 +1,341 @@
+"""A checkpoint that would run code is refused before it can: the marker that its code would leave never appears."""
+
+from __future__ import annotations
+
+import fnmatch
+import inspect
+import itertools
+import json
+import os
+import pickle
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import huggingface_hub
+import pytest
+import torch
+from lerobot.policies.factory import get_policy_class
+from lerobot.processor import IdentityProcessorStep, ProcessorStepRegistry
+from lerobot.utils.import_utils import register_third_party_plugins
+from safetensors.torch import load_file, save_file
+
+from dynahoi_lerobot.cli import main as cli
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.evaluate.checkpoint import (
+    STEPS,
+    WEIGHTS,
+    PolicyError,
+    UntrustedCheckpointError,
+    checked_folder,
+    trained_for,
+)
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.evaluate.results import read_results
+
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "tracker_standard"
+PREPROCESSOR = "policy_preprocessor.json"
+
+
+def program(marker: Path) -> dict[str, Any]:
+    """Return a processor step that LeRobot would load by calling ``os.mkdir(MARKER)``."""
+    return {"class": "os.mkdir", "config": {"path": str(marker)}}
+
+
+def change(file: Path, edit: Callable[[Any], object]) -> None:
+    """Edit a JSON file in place."""
+    content = json.loads(file.read_text())
+    edit(content)
+    file.write_text(json.dumps(content))
+
+
+def add_step(folder: Path, step: object, pipeline: str = PREPROCESSOR) -> None:
+    change(folder / pipeline, lambda content: content["steps"].append(step))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def plugins() -> None:
+    register_third_party_plugins()
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(CHECKPOINT, tmp_path / "checkpoint"))
+
+
+@pytest.fixture
+def marker(tmp_path: Path) -> Path:
+    return tmp_path / "it_ran"
+
+
+@pytest.mark.parametrize("pipeline", [PREPROCESSOR, "policy_postprocessor.json"])
+@pytest.mark.parametrize("command", ["evaluate --episodes 1", "view --motion lob"])
+def test_a_step_that_is_a_program_is_refused_by_every_command(
+    command: str, pipeline: str, checkpoint: Path, marker: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add_step(checkpoint, program(marker), pipeline)
+    assert cli.main([*command.split(), "--policy", str(checkpoint), "--out", str(checkpoint.parent / "x.gif")]) == 2
+    message = capsys.readouterr().err
+    assert "'os.mkdir'" in message
+    assert "--trust" in message
+    assert not marker.exists()
+
+
+def test_trust_says_what_it_lets_lerobot_run(
+    checkpoint: Path, marker: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    add_step(checkpoint, program(marker))
+    with pytest.raises(PolicyError, match="ProcessorStep"):
+        PolicyAgent(str(checkpoint), trust=True)
+    assert marker.exists(), "LeRobot asks what a step is only after calling it"
+    assert f"{PREPROCESSOR} names the processor step 'os.mkdir'" in capsys.readouterr().err
+
+
+def test_a_third_partys_step_plays_with_trust(checkpoint: Path) -> None:
+    @ProcessorStepRegistry.register("a_third_partys_step")
+    class Step(IdentityProcessorStep):
+        pass
+
+    try:
+        add_step(checkpoint, {"registry_name": "a_third_partys_step", "config": {}})
+        with pytest.raises(UntrustedCheckpointError, match=r"a_third_partys_step.*--trust"):
+            PolicyAgent(str(checkpoint))
+        assert PolicyAgent(str(checkpoint), trust=True).image_size == 96
+    finally:
+        ProcessorStepRegistry.unregister("a_third_partys_step")
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        {"class": "subprocess.Popen", "config": {"args": ["true"]}},
+        {"class": "dynahoi_lerobot.evaluate.policy_agent.PolicyAgent", "config": {"path": "x"}},
+        {"class": "lerobot.processor.hil_processor.RewardClassifierProcessorStep", "config": {"pretrained_path": "x"}},
+        {"class": ["subprocess.Popen"]},
+        {"registry_name": ["device_processor"]},
+        {"registry_name": "no_such_step", "class": "lerobot.processor.DeviceProcessorStep"},
+        {"registry_name": "reward_classifier_processor", "config": {"pretrained_path": "you/classifier"}},
+        {"registry_name": "reward_classifier_processor", "config": {"pretrained_path": "."}},
+        {"registry_name": "action_tokenizer_processor", "config": {"action_tokenizer_name": "a/b"}},
+        {"registry_name": "device_processor", "config": {"trust_remote_code": True}},
+        {"registry_name": "device_processor", "config": {"pretrained_path": "x"}},
+        {"registry_name": "device_processor", "state_file": "../../secret.safetensors"},
+        {"registry_name": "device_processor", "state_file": "/etc/passwd"},
+        {"registry_name": "device_processor", "state_file": ["x"]},
+        {},
+    ],
+)
+def test_steps_keys_and_states_that_are_not_listed_are_refused(step: dict[str, Any], checkpoint: Path) -> None:
+    add_step(checkpoint, step)
+    with pytest.raises(UntrustedCheckpointError):
+        checked_folder(str(checkpoint))
+
+
+@pytest.mark.parametrize("name", sorted(STEPS))
+def test_listed_steps_exist_and_take_the_keys_of_their_own_configs(name: str, checkpoint: Path) -> None:
+    for policy in ("pi0", "pi05", "smolvla", "xvla"):
+        get_policy_class(policy)
+    assert STEPS[name] <= inspect.signature(ProcessorStepRegistry.get(name)).parameters.keys()
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("config.json", {"auto_map": {"AutoModel": "evil.Model"}}),
+        ("backbone/config.json", {"text": [{"auto_map": {}}]}),
+        ("tokenizer_config.json", {"trust_remote_code": True}),
+        ("config.json", {"type": "pi0_fast"}),
+        ("config.json", {"type": "a_third_partys"}),
+        ("config.json", {"type": ["tracker"]}),
+    ],
+)
+def test_configs_that_ask_for_code_are_refused(name: str, content: dict[str, Any], checkpoint: Path) -> None:
+    (checkpoint / name).parent.mkdir(exist_ok=True)
+    (checkpoint / name).write_text(json.dumps(content))
+    with pytest.raises(UntrustedCheckpointError):
+        checked_folder(str(checkpoint))
+
+
+@pytest.mark.parametrize("name", ["pytorch_model.bin", "a/weights.pt", "w.PTH", "w.pkl", "w.ckpt"])
+def test_planted_pickles_are_refused(name: str, checkpoint: Path) -> None:
+    (checkpoint / name).parent.mkdir(exist_ok=True)
+    (checkpoint / name).write_bytes(pickle.dumps({}))
+    with pytest.raises(UntrustedCheckpointError, match="is a pickle"):
+        PolicyAgent(str(checkpoint))
+
+
+@pytest.mark.parametrize("name", ["model.safetensors", "policy_preprocessor.json", "more"])
+def test_links_that_lead_out_are_refused(name: str, checkpoint: Path, tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    shutil.copytree(CHECKPOINT, outside)
+    (checkpoint / name).unlink(missing_ok=True)
+    (checkpoint / name).symlink_to(outside / name if (outside / name).exists() else outside)
+    with pytest.raises(UntrustedCheckpointError, match="is a link that leads out"):
+        PolicyAgent(str(checkpoint))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (PREPROCESSOR, "{"),
+        (PREPROCESSOR, "[" * 10**5),
+        (PREPROCESSOR, "[1]"),
+        (PREPROCESSOR, '{"steps": [1]}'),
+        (PREPROCESSOR, '{"steps": [{"registry_name": "device_processor", "config": 5}]}'),
+        ("config.json", "[]"),
+        ("model.safetensors", "no tensors"),
+    ],
+)
+def test_damaged_files_are_one_sentence(name: str, text: str, checkpoint: Path) -> None:
+    (checkpoint / name).write_text(text)
+    with pytest.raises(PolicyError, match=name):
+        PolicyAgent(str(checkpoint))
+
+
+def without_one(weights: dict[str, Any]) -> None:
+    weights.popitem()
+
+
+def with_one_more(weights: dict[str, Any]) -> None:
+    weights["surplus"] = torch.zeros(3)
+
+
+def none_of_its_own(weights: dict[str, Any]) -> None:
+    weights.clear()
+    with_one_more(weights)
+
+
+def misshapen(weights: dict[str, Any]) -> None:
+    name = next(name for name, tensor in weights.items() if tensor.dim() == 2)
+    weights[name] = weights[name][:, :-1].contiguous()
+
+
+@pytest.mark.parametrize("damage", [without_one, with_one_more, none_of_its_own, misshapen])
+def test_weights_that_do_not_fit_are_refused(damage: Callable[[dict[str, Any]], None], checkpoint: Path) -> None:
+    weights = load_file(checkpoint / WEIGHTS)
+    damage(weights)
+    save_file(weights, checkpoint / WEIGHTS)
+    with pytest.raises(PolicyError, match=r"weights|size mismatch"):
+        PolicyAgent(str(checkpoint))
+
+
+def sparse(file: Path) -> None:
+    with file.open("r+b") as opened:
+        opened.truncate(30 * 2**30)
+
+
+def fifo(file: Path) -> None:
+    file.unlink()
+    os.mkfifo(file)
+
+
+def loop(file: Path) -> None:
+    file.unlink()
+    file.symlink_to(file.name)
+
+
+@pytest.mark.parametrize("damage", [sparse, fifo, loop])
+@pytest.mark.parametrize("name", ["config.json", PREPROCESSOR, "more.json"])
+def test_files_that_never_end_are_refused_at_once(damage: Callable[[Path], None], name: str, checkpoint: Path) -> None:
+    (checkpoint / name).touch()
+    damage(checkpoint / name)
+    start = time.monotonic()
+    with pytest.raises(PolicyError):
+        checked_folder(str(checkpoint))
+    assert time.monotonic() - start < 1
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *itertools.product(["n_attention_layers", "width", "n_obs_frames", "horizon"], [1e9, 10**9]),
+        *itertools.product(["n_attention_layers", "width"], [10**5, 10**7]),
+    ],
+)
+def test_sizes_that_no_machine_has_are_refused(key: str, value: float, checkpoint: Path) -> None:
+    change(checkpoint / "config.json", lambda config: config.update({key: value}))
+    start = time.monotonic()
+    with pytest.raises(PolicyError):
+        PolicyAgent(str(checkpoint))
+    assert time.monotonic() - start < 1
+
+
+@pytest.mark.parametrize("name", ["a" * 5000, "a/" + "b" * 5000, "nowhere"])
+def test_a_path_that_cannot_be_is_one_sentence(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["evaluate", "--policy", name, "--episodes", "1"]) == 2
+    assert len(capsys.readouterr().err) < 1000
+
+
+def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["evaluate", "--policy", str(CHECKPOINT.with_name("tracker_late")), "--episodes", "1"]
+    assert cli.main([*words, "--out", str(tmp_path / "own")]) == 0
+    assert "--control-class late" in capsys.readouterr().out
+    recipe = read_results(tmp_path / "own").recipe()
+    assert (recipe.control_class, recipe.image_size) == ("late", 96)
+    assert cli.main([*words, "--out", str(tmp_path / "told"), "--control-class", "unlimited"]) == 0
+    assert read_results(tmp_path / "told").recipe().control_class == "unlimited"
+
+
+def test_the_dataset_tells_what_a_checkpoint_was_trained_for(checkpoint: Path, tmp_path: Path) -> None:
+    (tmp_path / "data" / "meta").mkdir(parents=True)
+    recipe = {"control_class": "late", "protocol": "direct_act"}
+    Manifest(0, 0, {}, provenance={"recipe": recipe}).write(tmp_path / "data")
+    (checkpoint / "train_config.json").write_text(
+        json.dumps({"env": None, "dataset": {"root": str(tmp_path / "data")}})
+    )
+    assert trained_for(checkpoint) == recipe | {"image_size": 96}
+
+
+@pytest.fixture
+def hub(checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Serve the checkpoint as the Hub's repository you/tracker, laid out as its cache is; collect what is fetched."""
+    cache, fetched = tmp_path / "models--you--tracker", []
+
+    def snapshot_download(repo_id: str, *, revision: str | None, allow_patterns: list[str], **_: object) -> str:
+        assert repo_id == "you/tracker"
+        folder = cache / "snapshots" / "c0ffee"
+        assert revision in (None, folder.name)
+        for file in (file for file in checkpoint.rglob("*") if file.is_file()):
+            if any(fnmatch.fnmatch(file.name, pattern) for pattern in allow_patterns):
+                fetched.append(file.name)
+                shutil.copy(file, cache / "blobs" / file.name)
+                (folder / file.name).symlink_to(cache / "blobs" / file.name)
+        return str(folder)
+
+    (cache / "snapshots" / "c0ffee").mkdir(parents=True)
+    (cache / "blobs").mkdir()
+    monkeypatch.setattr(huggingface_hub, "snapshot_download", snapshot_download)
+    return fetched
+
+
+def test_a_hub_repository_is_checked_before_its_weights_are_fetched(
+    checkpoint: Path, marker: Path, hub: list[str]
+) -> None:
+    add_step(checkpoint, program(marker))
+    with pytest.raises(UntrustedCheckpointError, match=r"os\.mkdir"):
+        PolicyAgent("you/tracker")
+    assert not marker.exists()
+    assert hub
+    assert all(name.endswith(".json") for name in hub)
+
+
+def test_a_harmless_hub_repository_plays_without_its_other_files(checkpoint: Path, hub: list[str]) -> None:
+    (checkpoint / "optimizer.pt").write_bytes(b"never fetched")
+    agent = PolicyAgent("you/tracker")
+    assert agent.name == "you/tracker"
+    assert agent.image_size == 96
+    assert "model.safetensors" in hub
+    assert "optimizer.pt" not in hub
+
+
+def test_an_unknown_repository_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def offline(*_: object, **__: object) -> str:
+        raise ConnectionError
+
+    monkeypatch.setattr(huggingface_hub, "snapshot_download", offline)
+    with pytest.raises(PolicyError, match=r"there is no policy 'you/nothing' \(ConnectionError\)"):
+        PolicyAgent("you/nothing")
