@@ -1,4 +1,4 @@
-"""One registry for everything that is one file per kind: motions, objects, metrics, renderers."""
+"""One registry for every family that a user may add to: motions, objects, metrics, renderers."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from dynahoi_lerobot.foundation.plugins import load_plugins
 
 
 class UnknownNameError(ValueError):
-    """A name that no file registers; the message lists the registered ones."""
+    """A name that nothing registers; the message lists the registered ones."""
 
 
 class Registry[T]:
-    """Names to things, filled by decorators in the sibling modules of one package.
+    """Names to things, filled by decorators in one module, or in the modules of one package.
 
-    The package is imported on first look-up, so a new kind is one new file and no other line. Code outside the
+    They are imported on first look-up, so a new kind is one class or function and no other line. Code outside the
     package may register too: importing the module that holds the decorator is enough, and the modules that other
     distributions name as ``plugins`` are imported on first look-up as well.
     """
 
     def __init__(self, noun: str, package: str) -> None:
-        """Name what is registered (for error messages) and the package whose modules register it."""
+        """Name what is registered (for error messages) and the module or package that registers it."""
         self.noun = noun
         self._package = package
         self._entries: dict[str, T] = {}
@@ -79,7 +79,7 @@ class Registry[T]:
             return
         self._discovered = True
         package = importlib.import_module(self._package)
-        for module in pkgutil.iter_modules(package.__path__):
+        for module in pkgutil.iter_modules(getattr(package, "__path__", ())):
             if module.name != "base":
                 importlib.import_module(f"{self._package}.{module.name}")
         load_plugins()

@@ -1,6 +1,6 @@
-"""Objects to catch, one file each; a new file with ``@OBJECTS.register`` can be played by its name."""
+"""Objects to catch; a function with ``@object_type`` can be played by its name."""
 
-from dynahoi_lerobot.objects.base import OBJECTS, ObjectGeometry, ObjectType, TargetObject
+from dynahoi_lerobot.objects.base import OBJECTS, ObjectGeometry, ObjectType, TargetObject, object_type
 from dynahoi_lerobot.objects.primitives import Primitive
 
-__all__ = ["OBJECTS", "ObjectGeometry", "ObjectType", "Primitive", "TargetObject"]
+__all__ = ["OBJECTS", "ObjectGeometry", "ObjectType", "Primitive", "TargetObject", "object_type"]

@@ -1,17 +1,15 @@
-"""The base class of objects: a few solids of sampled size, with a mass, a friction and the ways they may move."""
+"""What an object is: a few solids of sampled size, with a mass, a friction and the ways they may move."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.objects.primitives import Primitive, solid_inertia
-
-OBJECTS: Registry[type[ObjectType]] = Registry("object", "dynahoi_lerobot.objects")
 
 MASS_RANGE_KG = (0.04, 0.18)
 FRICTION_RANGE = (0.6, 1.1)
@@ -44,44 +42,6 @@ class TargetObject:
     roll_radius_m: float
 
 
-class ObjectType(ABC):
-    """How objects of one name are sampled.
-
-    Class attributes:
-        rolls: they roll on their side without wobbling, so they can go down a ramp.
-        slides: they stay flat when pushed along a surface.
-    """
-
-    rolls: ClassVar[bool] = False
-    slides: ClassVar[bool] = False
-
-    @classmethod
-    @abstractmethod
-    def sample_geometry(cls, rng: np.random.Generator) -> ObjectGeometry:
-        """Draw sizes and positions of the solids [m]."""
-
-    @classmethod
-    def sample(cls, name: str, rng: np.random.Generator) -> TargetObject:
-        """Draw one object.
-
-        Args:
-            name: its registered name.
-            rng: source of geometry, mass (0.04 to 0.18 kg) and friction (0.6 to 1.1), in this order.
-        """
-        geometry = cls.sample_geometry(rng)
-        mass = rng.uniform(*MASS_RANGE_KG)
-        return TargetObject(
-            name=name,
-            primitives=geometry.primitives,
-            mass_kg=mass,
-            inertia=solid_inertia(geometry.primitives, mass),
-            friction=rng.uniform(*FRICTION_RANGE),
-            grasp_radius_m=geometry.grasp_radius_m,
-            rest_height_m=geometry.rest_height_m,
-            roll_radius_m=geometry.roll_radius_m if cls.rolls else 0.0,
-        )
-
-
 @dataclass(frozen=True)
 class ObjectGeometry:
     """The solids of one sampled object and the lengths that follow from them; ``TargetObject`` describes the fields."""
@@ -90,3 +50,54 @@ class ObjectGeometry:
     grasp_radius_m: float
     rest_height_m: float
     roll_radius_m: float = 0.0
+
+
+SampleGeometry = Callable[[np.random.Generator], ObjectGeometry]
+"""Draws the sizes and positions of an object's solids [m]."""
+
+
+class ObjectType:
+    """How objects of one name are sampled; ``object_type`` makes one from a function, whose docstring it has.
+
+    Attributes:
+        name: the registered name.
+        rolls: they roll on their side without wobbling, so they can go down a ramp.
+        slides: they stay flat when pushed along a surface.
+    """
+
+    def __init__(self, name: str, sample_geometry: SampleGeometry, *, rolls: bool, slides: bool) -> None:
+        """Wrap the function that draws the solids, and keep its name, module and docstring."""
+        functools.update_wrapper(self, sample_geometry)  # type: ignore[arg-type]
+        self.name, self.rolls, self.slides = name, rolls, slides
+        self._sample_geometry = sample_geometry
+
+    def sample(self, rng: np.random.Generator) -> TargetObject:
+        """Draw one object: geometry, mass (0.04 to 0.18 kg) and friction (0.6 to 1.1), in this order."""
+        geometry = self._sample_geometry(rng)
+        mass = rng.uniform(*MASS_RANGE_KG)
+        return TargetObject(
+            name=self.name,
+            primitives=geometry.primitives,
+            mass_kg=mass,
+            inertia=solid_inertia(geometry.primitives, mass),
+            friction=rng.uniform(*FRICTION_RANGE),
+            grasp_radius_m=geometry.grasp_radius_m,
+            rest_height_m=geometry.rest_height_m,
+            roll_radius_m=geometry.roll_radius_m if self.rolls else 0.0,
+        )
+
+
+OBJECTS: Registry[ObjectType] = Registry("object", "dynahoi_lerobot.objects")
+
+
+def object_type(name: str, *, rolls: bool = False, slides: bool = False) -> Callable[[SampleGeometry], ObjectType]:
+    """Return a decorator that registers a function of a random generator as the object ``name``.
+
+    Args:
+        name, rolls, slides: as ``ObjectType`` has them.
+    """
+
+    def decorate(sample_geometry: SampleGeometry) -> ObjectType:
+        return OBJECTS.register(name)(ObjectType(name, sample_geometry, rolls=rolls, slides=slides))
+
+    return decorate

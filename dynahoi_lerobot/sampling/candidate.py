@@ -103,7 +103,7 @@ class Candidate:
                 f"motion {self.kind.name!r} takes none of the objects {', '.join(self.recipe.object_names)}"
             )
         name = str(self.rng.choice(allowed))
-        return OBJECTS[name].sample(name, self.rng)
+        return OBJECTS[name].sample(self.rng)
 
     def accept(self, path_w: np.ndarray, home_pos_w: np.ndarray) -> EpisodeSpec | None:
         """Draw the rest and return the episode, or None if the protocol asks for a screen and none can be placed.

@@ -55,9 +55,9 @@ def surroundings() -> dict[str, str]:
     return {"processor": platform.machine(), **{library: _version(library) for library in LIBRARIES}}
 
 
-def extension_fingerprint(classes: Iterable[type]) -> str:
-    """Return hashes of the files outside this package that define some of ``classes``; empty if there are none."""
-    modules = {entry.__module__ for entry in classes}
+def extension_fingerprint(entries: Iterable[object]) -> str:
+    """Return hashes of the files outside this package that define some of ``entries``; empty if there are none."""
+    modules = {entry.__module__ for entry in entries}
     return "".join(_module_hash(module) for module in sorted(modules) if not module.startswith("dynahoi_lerobot."))
 
 

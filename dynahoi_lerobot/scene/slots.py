@@ -33,11 +33,11 @@ def extra_slots() -> Counter[str]:
     An object is drawn once to count its primitives, from seed 0.
     """
     most: Counter[str] = Counter()
-    for name, object_type in OBJECTS.items():
-        most |= _primitive_counts(name, object_type)
+    for _, object_type in OBJECTS.items():
+        most |= _primitive_counts(object_type)
     return most - Counter(TARGET_SLOTS)
 
 
 @functools.cache
-def _primitive_counts(name: str, object_type: type[ObjectType]) -> Counter[str]:
-    return Counter(primitive.shape for primitive in object_type.sample(name, np.random.default_rng(0)).primitives)
+def _primitive_counts(object_type: ObjectType) -> Counter[str]:
+    return Counter(primitive.shape for primitive in object_type.sample(np.random.default_rng(0)).primitives)

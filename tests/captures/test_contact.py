@@ -37,7 +37,7 @@ def flying(
     """The episode with an object that comes straight at the waiting palm and would be at its centre after 0.5 s."""
     motion = Constant(tuple(HOME_W), (-1.0, 0.0, 0.0), 0.5, speed_m_s, 0.0)
     path = motion.position(np.arange(spec.horizon_frames) * CONTROL_DT)
-    target = replace(OBJECTS[kind].sample(kind, np.random.default_rng(seed)), friction=friction)
+    target = replace(OBJECTS[kind].sample(np.random.default_rng(seed)), friction=friction)
     return replace(spec, motion=motion, target=target, home_pos_w=HOME_W, oracle_path=path, window_frames=2)
 
 

@@ -30,12 +30,13 @@ class Borrowed(MOTIONS["constant"]):
 '''
 
 OBJECT = '''
-from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.objects import ObjectGeometry, Primitive, object_type
 
 
-@OBJECTS.register("marble")
-class Marble(OBJECTS["ball"]):
-    """A ball under another name."""
+@object_type("marble", rolls=True)
+def marble(rng):
+    """A ball of 2 cm."""
+    return ObjectGeometry((Primitive("sphere", (0.02,)),), 0.02, 0.02, 0.02)
 '''
 
 

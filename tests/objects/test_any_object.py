@@ -29,7 +29,7 @@ ADDITIVE = 1.22074408460575947536 ** -np.arange(1.0, 4.0)
 
 def draws(name: str, count: int = DRAWS) -> list[TargetObject]:
     rng = np.random.default_rng(11)
-    return [OBJECTS[name].sample(name, rng) for _ in range(count)]
+    return [OBJECTS[name].sample(rng) for _ in range(count)]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import dynahoi_lerobot
-from dynahoi_lerobot.objects.ball import Ball
+from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.sampling.fingerprint import deciding_sources, extension_fingerprint, hash_sources
 from tests.rooms import ROOMS
 
@@ -84,5 +84,5 @@ def test_code_of_others_counts_and_ours_is_not_counted_twice():
     class Theirs:
         pass
 
-    assert extension_fingerprint([Ball]) == ""
-    assert len(extension_fingerprint([Ball, Theirs])) == 16
+    assert extension_fingerprint([OBJECTS["ball"]]) == ""
+    assert len(extension_fingerprint([OBJECTS["ball"], Theirs])) == 16

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.objects import OBJECTS, ObjectGeometry, ObjectType, Primitive
+from dynahoi_lerobot.objects import ObjectGeometry, Primitive, object_type
 
 SPIKES = 10
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 """How many half-sizes each shape has."""
 
 
-@OBJECTS.register("caltrop")
-class Caltrop(ObjectType):
+@object_type("caltrop")
+def caltrop(rng: np.random.Generator) -> ObjectGeometry:
     """Ten spikes of every shape there is, 1 to 1.2 cm long, all around the centre."""
-
-    @classmethod
-    def sample_geometry(cls, rng: np.random.Generator) -> ObjectGeometry:
-        """Draw sizes and positions [m]."""
-        size = rng.uniform(0.005, 0.006)
-        spikes = [_spike(shape, number, size) for shape in SIZES for number in range(SPIKES)]
-        return ObjectGeometry(tuple(spikes), 0.025, 0.02 + 2 * size)
+    size = rng.uniform(0.005, 0.006)
+    spikes = [_spike(shape, number, size) for shape in SIZES for number in range(SPIKES)]
+    return ObjectGeometry(tuple(spikes), 0.025, 0.02 + 2 * size)
 
 
 def _spike(shape: str, number: int, size: float) -> Primitive:

@@ -59,7 +59,7 @@ def _out_of_range(row: EpisodeRow) -> Iterator[str]:
 
 
 def _example(name: str) -> tuple[Primitive, ...]:
-    return OBJECTS[name].sample(name, np.random.default_rng(EXAMPLE_SEED)).primitives
+    return OBJECTS[name].sample(np.random.default_rng(EXAMPLE_SEED)).primitives
 
 
 def _listed(values: np.ndarray) -> str:
