@@ -22,7 +22,7 @@ import numpy as np
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.dataset import open_dataset, read_episodes, write_episodes
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.rollout.loop import record

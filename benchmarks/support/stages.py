@@ -16,7 +16,7 @@ from unittest import mock
 
 import numpy as np
 
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.video import VideoWriter
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.features import frame_features

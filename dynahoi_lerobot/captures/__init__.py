@@ -1,4 +1,4 @@
-"""Capture rules: what happens when the hand reaches the target, and what counts as a catch. One file each."""
+"""Capture rules: what happens when the hand reaches the target, and what counts as a catch."""
 
 from dynahoi_lerobot.captures.base import CAPTURES, CaptureRule, Release, Track, Weld
 

@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.lerobot_process import run_lerobot
-from dynahoi_lerobot.doctor.parts.processor import cores
+from dynahoi_lerobot.doctor.parts import cores
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.foundation.arguments import path, whole

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.language import ARROW, HUGGING_FACE, INFO, LANGUAGE
 from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ

@@ -14,7 +14,7 @@ import numpy as np
 from av.video.frame import PictureType
 from av.video.stream import VideoStream
 
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 
 
 class VideoWriter:

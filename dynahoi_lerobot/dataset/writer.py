@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.dataset.card.readme import finish_with_card
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, frame_table, image_keys, info_features
 from dynahoi_lerobot.dataset.episode_arrays import check_fits, content_arrays, image_arrays
 from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, EpisodeRow, own_columns, stats_columns, video_columns

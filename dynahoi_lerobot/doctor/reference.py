@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from dynahoi_lerobot.doctor.parts.base import Fact
+from dynahoi_lerobot.doctor.parts import Fact
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import EGO_VIEW, HAND_DOF

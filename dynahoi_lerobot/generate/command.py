@@ -12,13 +12,13 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.features import FRAMES
 from dynahoi_lerobot.foundation.arguments import names, number, path
 from dynahoi_lerobot.foundation.output import check_output
-from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources, Executor
+from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
 from dynahoi_lerobot.sampling.salt import add_salt_argument

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.feature import Feature

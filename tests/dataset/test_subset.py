@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.dataset import read_episodes
-from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.histograms import SHOWN, histograms
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
-from dynahoi_lerobot.dataset.codecs.base import CODECS, Encoding
+from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store

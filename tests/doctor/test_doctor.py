@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import shutil
 import subprocess
@@ -15,15 +14,10 @@ import pytest
 from packaging.requirements import Requirement
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.doctor import command
-from dynahoi_lerobot.doctor.parts import base
-from dynahoi_lerobot.doctor.parts.base import PARTS, Fact
+from dynahoi_lerobot.doctor import command, parts
+from dynahoi_lerobot.doctor.parts import PARTS, Fact
 
 Usage = namedtuple("Usage", "free")
-
-
-def module(name: str):
-    return importlib.import_module(f"dynahoi_lerobot.doctor.parts.{name}")
 
 
 def facts(name: str, folder: Path = Path()) -> dict[str, Fact]:
@@ -56,8 +50,8 @@ def test_a_part_that_breaks_is_a_problem_and_the_others_are_looked_at(tmp_path: 
     def broken(folder: Path):
         raise OSError("no such device")
 
-    monkeypatch.setattr(base.PARTS, "_entries", {"gpu": broken, "processor": PARTS["processor"]})
-    first, *others = base.examine(tmp_path)
+    monkeypatch.setattr(parts, "PARTS", {"gpu": broken, "processor": PARTS["processor"]})
+    first, *others = parts.examine(tmp_path)
     assert first == Fact("gpu", "cannot be looked at: OSError: no such device", problem=True)
     assert [fact.name for fact in others] == ["cores", "memory"]
 
@@ -69,7 +63,7 @@ def test_a_full_disk_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_too_little_memory_is_a_problem(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(module("processor").os, "sysconf", lambda name: 10_000)
+    monkeypatch.setattr(parts.os, "sysconf", lambda name: 10_000)
     assert facts("processor")["memory"] == Fact("memory", "0.1 GB", "a worker needs 0.9 GB", problem=True)
 
 
@@ -89,7 +83,7 @@ def test_versions_out_of_bounds_and_absent_libraries_are_problems(monkeypatch: p
         "tqdm": [Requirement("tqdm>=4")],
         "nowhere": [Requirement("nowhere")],
     }
-    monkeypatch.setattr(module("versions"), "_requirements", lambda: wanted)
+    monkeypatch.setattr(parts, "requirements", lambda: wanted)
     found = facts("versions")
     assert found["numpy"].follows == "needs >=99: pip install 'numpy>=99'"
     assert found["nowhere"].found == "none"
@@ -98,10 +92,9 @@ def test_versions_out_of_bounds_and_absent_libraries_are_problems(monkeypatch: p
 
 
 def test_the_core_alone_is_no_problem(monkeypatch: pytest.MonkeyPatch):
-    versions = module("versions")
-    known = versions._version
-    absent = {"lerobot", "torch", *versions.PLUGINS}
-    monkeypatch.setattr(versions, "_version", lambda name: None if name in absent else known(name))
+    known = parts.installed_version
+    absent = {"lerobot", "torch", *parts.PLUGINS}
+    monkeypatch.setattr(parts, "installed_version", lambda name: None if name in absent else known(name))
     found = facts("versions")
     assert found["lerobot"].found == "none"
     assert "pip install" in found["lerobot"].follows
@@ -109,9 +102,8 @@ def test_the_core_alone_is_no_problem(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_plugin_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.MonkeyPatch):
-    plugins = module("plugins")
-    entry = EntryPoint("spiral", "no_such_package.spiral", plugins.GROUP)
-    monkeypatch.setattr(plugins, "entry_points", lambda group: [entry])
+    entry = EntryPoint("spiral", "no_such_package.spiral", parts.GROUP)
+    monkeypatch.setattr(parts, "entry_points", lambda group: [entry])
     fact = facts("plugins")["plugin spiral"]
     assert fact.problem
     assert "No module named 'no_such_package'" in fact.follows
@@ -122,20 +114,18 @@ def test_a_machine_without_opengl_has_all_other_renderers(monkeypatch: pytest.Mo
         assert words[0] == sys.executable
         return subprocess.CompletedProcess(words, 1)
 
-    monkeypatch.setattr(module("opengl").subprocess, "run", fails)
+    monkeypatch.setattr(parts.subprocess, "run", fails)
     assert facts("opengl")["OpenGL"] == Fact("OpenGL", "none", "all renderers but `opengl` work")
 
 
 def test_the_quickstart_takes_as_long_as_where_it_was_timed_and_twice_that_at_half_the_pace():
-    pace = module("pace")
-    for cores, known_s in ((1, pace.KNOWN_PROCESSOR_S), (2, pace.KNOWN_ELAPSED_S), (16, pace.KNOWN_ELAPSED_S)):
-        assert pace.quickstart_s(pace.KNOWN_FRAMES_S, cores) == known_s
-        assert pace.quickstart_s(pace.KNOWN_FRAMES_S / 2, cores) == 2 * known_s
+    for cores, known_s in ((1, parts.KNOWN_PROCESSOR_S), (2, parts.KNOWN_ELAPSED_S), (16, parts.KNOWN_ELAPSED_S)):
+        assert parts.quickstart_s(parts.KNOWN_FRAMES_S, cores) == known_s
+        assert parts.quickstart_s(parts.KNOWN_FRAMES_S / 2, cores) == 2 * known_s
 
 
 def test_the_pace_says_how_long_the_quickstart_takes_here(monkeypatch: pytest.MonkeyPatch):
-    pace = module("pace")
-    monkeypatch.setattr(pace, "frames_per_s", lambda: pace.KNOWN_FRAMES_S)
+    monkeypatch.setattr(parts, "frames_per_s", lambda: parts.KNOWN_FRAMES_S)
     for cores, minutes in ((1, 7), (2, 5)):
-        monkeypatch.setattr(pace, "cores", lambda cores=cores: cores)
+        monkeypatch.setattr(parts, "cores", lambda cores=cores: cores)
         assert facts("pace")["pace"].follows == f"the quickstart takes about {minutes} min"

@@ -9,7 +9,7 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.doctor import command, reference
-from dynahoi_lerobot.doctor.parts.base import Fact
+from dynahoi_lerobot.doctor.parts import Fact
 from dynahoi_lerobot.doctor.reference import EPISODES, REFERENCE, TOLERANCE, Reference, compare, play
 
 

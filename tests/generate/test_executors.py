@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
-from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources
+from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
@@ -82,7 +82,7 @@ BELOW_UV = "import subprocess, sys; sys.exit(subprocess.call(sys.argv[1:]))"
 RAY = """
 import sys
 from pathlib import Path
-from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources
+from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from tests.generate import recorder
 
@@ -126,13 +126,13 @@ BROKEN_RAY = """
 import sys
 from pathlib import Path
 import ray
-from dynahoi_lerobot.generate.executors import ray as executor
-from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources
+from dynahoi_lerobot.generate import executors
+from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from tests.generate import recorder
 
 def refused(start_s, **resources):
-    executor.START_S = start_s
+    executors.START_S = start_s
     plan = GenerationPlan(recorder.FakeRecipe(), 7, shard_episodes=2)
     try:
         EXECUTORS["ray"](plan, Path(sys.argv[1]), recorder.record, ClusterResources(tasks=2, **resources)).run()

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from dynahoi_lerobot.generate.executors.base import EXECUTORS, ClusterResources
+from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from dynahoi_lerobot.generate.shard import ShardMaker

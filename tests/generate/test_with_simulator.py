@@ -10,7 +10,7 @@ import pytest
 from lerobot.datasets import LeRobotDataset
 
 from dynahoi_lerobot.dataset import open_dataset, read_episodes
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.features import FEATURES
 from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.generate import command

@@ -15,12 +15,9 @@ from dynahoi_lerobot.evaluate.episode_row import episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.report.entries import Entry, read_entries
-from dynahoi_lerobot.report.figures.base import FIGURES, in_order
-from dynahoi_lerobot.report.figures.curves import condition, grouped
-from dynahoi_lerobot.report.figures.grasp_magnitude import by_object
-from dynahoi_lerobot.report.figures.histograms import command_deltas, overlay
-from dynahoi_lerobot.report.figures.latency import declared_ms, policy_and_rules
-from dynahoi_lerobot.report.figures.panels import scaled
+from dynahoi_lerobot.report.figures.base import FIGURES, in_order, scaled
+from dynahoi_lerobot.report.figures.curves import condition, declared_ms, grouped, policy_and_rules
+from dynahoi_lerobot.report.figures.episodes import by_object, command_deltas, overlay
 from dynahoi_lerobot.report.style import new_figure
 from tests.report.example_runs import example_run
 

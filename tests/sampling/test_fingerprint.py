@@ -42,10 +42,11 @@ def test_an_edit_of_a_deciding_module_changes_the_fingerprint(copy, module):
     assert hash_sources(copy) != before
 
 
-@pytest.mark.parametrize("room", [*READING, "generate/executors"])
+@pytest.mark.parametrize("room", [*READING, "generate/executors.py"])
 def test_an_edit_elsewhere_leaves_the_fingerprint(copy, room):
     before = hash_sources(copy)
-    for path in (copy / room).rglob("*.py"):
+    place = copy / room
+    for path in place.rglob("*.py") if place.is_dir() else [place]:
         edit(path)
     assert hash_sources(copy) == before
 

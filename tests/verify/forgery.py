@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.columns import column_array, content_keys
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, stats_columns, video_columns
 from dynahoi_lerobot.dataset.files import link

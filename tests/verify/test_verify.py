@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.store import Store

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.report.entries import COLOURS, Entry, clip
-from dynahoi_lerobot.report.figures.panels import columns_of, draw_points, metric_panels
+from dynahoi_lerobot.report.entries import COLOURS, Entry, clip, short_name
+from dynahoi_lerobot.report.figures.base import columns_of, draw_points, figure, metric_panels
+from dynahoi_lerobot.rollout.inference import SYNC, Inference
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 LARGEST_ON_AXIS = 1e12
 
@@ -93,3 +95,52 @@ def _float(value: object) -> float:
 def _is_number(value: object) -> bool:
     """Tell whether ``value`` is a number that an axis can show; JSON knows greater ones."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST_ON_AXIS
+
+
+@figure("obs-frames", "Observed frames", place=80)
+def obs_frames(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics over the number of observed frames s (Figure "Obs-frames ablation").
+
+    Drawn from evaluations that say ``n_obs_frames``, a line for each ``condition`` of a study.
+    """
+    return curves(entries, stored("n_obs_frames"), "observed frames s")
+
+
+@figure("latency", "Inference latency", place=85)
+def latency(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics over the time that an inference takes, a line for each policy and way of bridging it.
+
+    Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where the world waits.
+    """
+    return curves(entries, declared_ms, "latency of an inference [ms]", policy_and_rules)
+
+
+def declared_ms(entry: Entry) -> float | None:
+    """Return the declared latency of an evaluation [ms]; None if it was measured."""
+    timing = _timing(entry)
+    return None if timing is None else timing.latency_ms
+
+
+def policy_and_rules(entry: Entry) -> tuple[str, ...]:
+    """Return the policy of an evaluation, how it bridged the latency, split, capture rule and control class."""
+    results, timing = entry.results, _timing(entry) or Inference()
+    bridged = "corrected" if timing.corrected else ""
+    return short_name(results.info.policy), bridged, results.info.split, results.capture, results.control_class
+
+
+def _timing(entry: Entry) -> Inference | None:
+    """Return how long the inferences of an evaluation took; None if its label does not say it."""
+    label = entry.results.inference
+    try:
+        return Inference.from_label("" if label == SYNC else label)
+    except ValueError:
+        return None
+
+
+@figure("data-scaling", "Training data", place=90)
+def data_scaling(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics over the share of the training data (Figure "Training-data scaling").
+
+    Drawn from evaluations that say ``data_fraction``.
+    """
+    return curves(entries, stored("data_fraction"), "share of the training data")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.features import CAMERA_KEY

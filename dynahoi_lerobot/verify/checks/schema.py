@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.dataset.codecs.base import Encoding
+from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.columns import Features, arrow_schema, info_features
 from dynahoi_lerobot.dataset.episode_table import row_schema
 from dynahoi_lerobot.dataset.language import LANGUAGE

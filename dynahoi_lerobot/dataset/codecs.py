@@ -1,7 +1,8 @@
-"""The codec contract and the settings a user may choose."""
+"""How a dataset stores its images: video through an encoder, or PNG files in the tables."""
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -116,3 +117,90 @@ class Codec(ABC):
             "video.extra_options": {},
             "is_depth_map": False,
         }
+
+
+@CODECS.register("h264")
+class H264(Codec):
+    """x264 on one thread, without B-frames: packets are frames in order, so episodes can be cut out."""
+
+    encoder = "libx264"
+    canonical = "h264"
+    crf = 20
+    max_crf = 51
+    preset = "superfast"
+    presets = X26X_PRESETS
+
+    def options(self) -> dict[str, str]:
+        """Return the options; ``forced-idr`` makes each episode's first frame a place to seek to."""
+        options = {
+            "crf": str(self.chosen_crf),
+            "preset": str(self.chosen_preset),
+            "g": str(self.encoding.gop),
+            "bf": "0",
+            "forced-idr": "1",
+            "x264-params": "scenecut=0:log-level=none",
+        }
+        return options | ({"tune": "fastdecode"} if self.encoding.fast_decode else {})
+
+
+@CODECS.register("hevc")
+class Hevc(Codec):
+    """x265 on one thread, without B-frames."""
+
+    encoder = "libx265"
+    canonical = "hevc"
+    crf = 24
+    max_crf = 51
+    preset = "superfast"
+    presets = X26X_PRESETS
+
+    def options(self) -> dict[str, str]:
+        """Return the options; ``pools=none:frame-threads=1`` keeps x265 on one thread."""
+        options = {
+            "crf": str(self.chosen_crf),
+            "preset": str(self.chosen_preset),
+            "g": str(self.encoding.gop),
+            "bf": "0",
+            "forced-idr": "1",
+            "x265-params": "pools=none:frame-threads=1:scenecut=0:log-level=none",
+        }
+        return options | ({"tune": "fastdecode"} if self.encoding.fast_decode else {})
+
+
+# The library reports its settings on stderr unless told otherwise before its first use; 1 leaves errors.
+os.environ.setdefault("SVT_LOG", "1")
+
+
+@CODECS.register("libsvtav1")
+class SvtAv1(Codec):
+    """SVT-AV1 on one logical processor, in the low-delay structure whose packets are frames in order."""
+
+    encoder = "libsvtav1"
+    canonical = "av1"
+    crf = 30
+    max_crf = 63
+    preset = "12"
+    presets = tuple(str(number) for number in range(14))
+
+    def options(self) -> dict[str, str]:
+        """Return the options."""
+        fast = int(self.encoding.fast_decode)
+        return {
+            "crf": str(self.chosen_crf),
+            "preset": str(self.chosen_preset),
+            "g": str(self.encoding.gop),
+            "svtav1-params": f"lp=1:scd=0:pred-struct=1:fast-decode={fast}",
+        }
+
+
+@CODECS.register("images")
+class Images(Codec):
+    """No video: each frame is its own PNG file, embedded in its row."""
+
+    is_video = False
+    encoder = ""
+    canonical = "png"
+
+    def options(self) -> dict[str, str]:
+        """Return nothing: there is no encoder to set."""
+        return {}

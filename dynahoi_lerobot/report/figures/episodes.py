@@ -1,4 +1,4 @@
-"""Statistics of the evaluated episodes: hierarchy of motions, durations and travels."""
+"""What was played: kinds, durations, travels and grasps of the episodes, and how the commands change."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dynahoi_lerobot.evaluate.episode_row import Row
+from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.strata import STRATA
+from dynahoi_lerobot.foundation.conventions import HAND_DOF, JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes
 from dynahoi_lerobot.report.figures.base import figure
-from dynahoi_lerobot.report.style import INK, new_figure
+from dynahoi_lerobot.report.style import INK, legend, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.patches import Wedge
+
 
 PAPER_DURATION = {"20-40": 20.2, "40-60": 36.1, "60-80": 19.5, "80-120": 13.9, ">120": 10.1}
 PAPER_TRAVEL = {"0-0.5": 20.1, "0.5-2": 47.7, "2-4": 16.4, ">4": 5.8}
@@ -97,3 +100,92 @@ def _shares(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str, flo
     panel.plot(list(paper), list(paper.values()), "D", color="#d55e00", ms=5, label="paper")
     panel.grid(visible=False, axis="x")
     panel.legend()
+
+
+COLOURS = "tab20"
+
+
+@figure("grasp-magnitude", "Grasp and travel", place=105)
+def grasp_magnitude(entries: Sequence[Entry]) -> Figure:
+    """How far the reference grasp closes the hand [rad, mean of 15 joints] and how far the hand travels, per episode.
+
+    Figure "Data statistics" b: small objects need large grasps, and each object is caught from near and far. Objects
+    are listed from the largest grasp to the smallest.
+    """
+    import matplotlib as mpl
+
+    objects = by_object(distinct_episodes(entries))
+    drawing, (panel,) = new_figure(1, 1, 4.2)
+    for place, (name, points) in enumerate(objects.items()):
+        panel.scatter(*points.T, s=14, color=mpl.colormaps[COLOURS](place % 20), label=name, edgecolors="none")
+    panel.set(xlabel="straight distance to the intercept [u]", ylabel="grasp [rad]")
+    drawing.legend(loc="outside right upper")
+    return drawing
+
+
+def by_object(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Return (K, 2) travel [u] and grasp [rad] of each object's episodes, the largest mean grasp first."""
+    points = {
+        name: np.array([[row["travel_u"], row["grasp_rad"]] for row in rows if row["object"] == name])
+        for name in sorted({row["object"] for row in rows})
+    }
+    return dict(sorted(points.items(), key=lambda item: -item[1][:, 1].mean()))
+
+
+BINS = 41
+
+
+def command_deltas(results: Results) -> np.ndarray:
+    """Return (K, 18) changes between successive commands of the control phase: palm [m], joints [rad]."""
+    changes = [
+        np.diff(actions[row["window_frames"] :], axis=0)
+        for row, actions in zip(results.rows, results.actions, strict=True)
+    ]
+    return np.concatenate([np.zeros((0, HAND_DOF), np.float32), *changes])
+
+
+def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]) -> None:
+    """Draw the (K,) samples of every entry over common bins that hold all of them, as shares of its frames [%]."""
+    reach = max((float(np.abs(sample).max()) for sample in samples if sample.size), default=0.0) or 1.0
+    edges = np.linspace(-reach, reach, BINS + 1)
+    for sample, entry in zip(samples, entries, strict=True):
+        counts, _ = np.histogram(sample, edges)
+        share = 100 * counts / max(1, sample.size)
+        panel.stairs(share, edges, color=entry.colour, lw=1.2)
+    panel.set_yscale("log")
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.minorticks_off()
+
+
+@figure("joint-deltas", "Joint rotations", place=110)
+def joint_deltas(entries: Sequence[Entry]) -> Figure:
+    """Frame-to-frame change of the 15 commanded joint angles [deg], control phase, share of frames [%].
+
+    Figure "Distribution of 15-DoF joint rotation deltas".
+    """
+    drawing, axes = new_figure(3, 5, 5.4, sharex=True, sharey=True)
+    deltas = [np.rad2deg(command_deltas(entry.results)[:, PALM_DOF:]) for entry in entries]  # (K, 15) [deg]
+    for joint, name in enumerate(JOINT_NAMES):
+        finger, part = divmod(joint, 3)
+        panel = axes[5 * part + finger]
+        overlay(panel, [values[:, joint] for values in deltas], entries)
+        panel.set_title(name.replace("_", " "))
+    for panel in axes[10:]:
+        panel.set_xlabel("change [deg]")
+    legend(drawing, entries)
+    return drawing
+
+
+@figure("palm-displacements", "Palm displacements", place=120)
+def palm_displacements(entries: Sequence[Entry]) -> Figure:
+    """Frame-to-frame change of the commanded palm position [mm] along x, y and z, control phase, share of frames [%].
+
+    Figure "Distribution of 3D Cartesian displacements".
+    """
+    drawing, axes = new_figure(1, 3, 2.6, sharey=True)
+    deltas = [1000 * command_deltas(entry.results)[:, :PALM_DOF] for entry in entries]  # (K, 3) [mm]
+    for axis, panel in enumerate(axes):
+        overlay(panel, [values[:, axis] for values in deltas], entries)
+        panel.set_xlabel(f"change along {'xyz'[axis]} [mm]")
+    legend(drawing, entries)
+    return drawing

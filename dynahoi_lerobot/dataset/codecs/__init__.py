@@ -1,1 +1,0 @@
-"""How pictures are stored: one file per codec, found by its decorator."""
