@@ -15,7 +15,7 @@ from dynahoi_lerobot.evaluate.gif import encode_gif
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 MIN_WIDTH_PX = 384
-"""Smaller frames are enlarged to at least this width in a GIF."""
+"""Least width of a GIF; smaller frames are enlarged."""
 
 PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{caption}</title>
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
@@ -25,7 +25,7 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{caption}<
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Frames of one episode, to be shown.
+    """Frames of one episode.
 
     Attributes:
         frames: (T, H, W, 3) uint8 RGB.
@@ -41,7 +41,7 @@ class Clip:
 
 
 def write_clip(path: Path, clip: Clip) -> None:
-    """Write ``clip`` in the format that the suffix of ``path`` names, whole or not at all; folders are made.
+    """Write ``clip`` atomically, in the format of the suffix of ``path``; create folders.
 
     Raises:
         ValueError: as ``check_suffix``, or if the frames cannot be encoded.
@@ -51,7 +51,7 @@ def write_clip(path: Path, clip: Clip) -> None:
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse a file whose format is not known.
+    """Refuse an unknown file format.
 
     Raises:
         ValueError: naming the suffix received and those allowed.
@@ -74,7 +74,7 @@ def _write_html(path: Path, clip: Clip) -> None:
 
 
 def _write_mp4(path: Path, clip: Clip) -> None:
-    """Write the frames alone: a video has no place for the caption and the phases."""
+    """Write the frames without caption and phases."""
     import av
 
     odd = [(0, side % 2) for side in clip.frames.shape[1:3]]  # yuv420p halves both sides

@@ -1,4 +1,4 @@
-"""One of LeRobot's commands, unchanged, in a process of its own: its output goes to a file, its progress to a bar."""
+"""Run a LeRobot command in a subprocess, with its output in a log file and its progress in a bar."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1"}
-"""One compute thread beside those that decode: more fight over two cores and take several times as long."""
+"""One compute thread beside those that decode; more of them contend for two cores and slow each other down."""
 
 
 def run_lerobot(script: str, words: list[str], log: Path, step: str, bar: tqdm) -> int:
@@ -20,8 +20,8 @@ def run_lerobot(script: str, words: list[str], log: Path, step: str, bar: tqdm) 
         script: module of ``lerobot.scripts``.
         words: its arguments.
         log: file that receives everything it prints.
-        step: what a line of it begins with whenever a step is done.
-        bar: advances by one at every such line.
+        step: prefix of the line that it prints after every step.
+        bar: advances by one at each such line.
     """
     command = [sys.executable, "-m", f"lerobot.scripts.{script}", *words]
     process = subprocess.Popen(

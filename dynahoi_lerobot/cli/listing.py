@@ -46,7 +46,7 @@ def _objects() -> list[Row]:
 
 
 def _splits(noun: str, name: str) -> str:
-    """Which splits of the benchmark a ``motion`` or an ``object`` is in, in a word or by name."""
+    """Return the splits that contain a ``motion`` or an ``object``."""
     splits = BENCHMARK.splits_with(noun, name)
     return "in distribution" if "train" in splits else ", ".join(splits) or "by name only"
 
@@ -114,11 +114,11 @@ def markdown_table(rows: list[Row]) -> str:
 
 
 def _summary(entry: Any) -> str:
-    """First paragraph of the documentation, on one line."""
+    """Return the first paragraph of the docstring on one line."""
     return " ".join((inspect.getdoc(entry) or "").split("\n\n")[0].split())
 
 
 def _shared(kind: type) -> str:
-    """What the class behind a kind says, where several kinds share one."""
+    """Return the summary of the class that several kinds share."""
     parent = kind.__mro__[1]
     return _summary(parent) if parent.__module__ != "dynahoi_lerobot.motions.base" else ""

@@ -15,33 +15,33 @@ from dynahoi_lerobot.foundation.output import check_output
 COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report, on a CPU in minutes"),
     "generate": ("dynahoi_lerobot.onpolicy.generate_command", "write a LeRobotDataset of expert or on-policy episodes"),
-    "verify": ("dynahoi_lerobot.verify.command", "check every promise about a dataset on disk"),
-    "filter": ("dynahoi_lerobot.verify.filter_command", "copy a dataset without the paper's outliers"),
-    "pretrain": ("dynahoi_lerobot.onpolicy.pretrain_command", "train a policy's eye on pictures of random poses"),
-    "dagger": ("dynahoi_lerobot.onpolicy.command", "train a policy on its own episodes, with a teacher, in memory"),
-    "evaluate": ("dynahoi_lerobot.evaluate.command", "run a policy or an expert on a split and compute every metric"),
+    "verify": ("dynahoi_lerobot.verify.command", "check a dataset on disk, optionally by decoding and replaying it"),
+    "filter": ("dynahoi_lerobot.verify.filter_command", "copy a dataset without what the paper calls outliers"),
+    "pretrain": ("dynahoi_lerobot.onpolicy.pretrain_command", "train a policy's eye on images of random poses"),
+    "dagger": ("dynahoi_lerobot.onpolicy.command", "train a policy on its own episodes, labelled by a teacher"),
+    "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
     "certify": ("dynahoi_lerobot.evaluate.certify_command", "replay an evaluation and compare every metric"),
-    "report": ("dynahoi_lerobot.report.command", "tables and plots of result folders as one HTML page"),
-    "push": ("dynahoi_lerobot.hub.command", "upload a dataset, checkpoint, results or environment to the Hub"),
-    "view": ("dynahoi_lerobot.cli.view", "write an episode as GIF, MP4 or web page"),
-    "doctor": ("dynahoi_lerobot.doctor.command", "say what this machine has, what is wrong, and what follows"),
-    "list": ("dynahoi_lerobot.cli.listing", "list motions, objects, metrics and other registered names"),
+    "report": ("dynahoi_lerobot.report.command", "write one HTML page with the tables and figures of result folders"),
+    "push": ("dynahoi_lerobot.hub.command", "upload a dataset, a checkpoint, results or the environment to the Hub"),
+    "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or web page"),
+    "doctor": ("dynahoi_lerobot.doctor.command", "check this machine and installation"),
+    "list": ("dynahoi_lerobot.cli.listing", "list registered motions, objects, metrics, ..."),
 }
-"""Command: module with ``add_arguments`` and ``run``, and one line of help. A module is imported when it is used."""
+"""Command: module with ``add_arguments`` and ``run``, and one line of help. Modules are imported on use."""
 
 BAD_INPUT = 2
 STOPPED = 130
 VERBOSE_LOGGERS = ("lerobot.utils.import_utils",)
-"""Loggers whose warnings are no news here: that torchcodec cannot be used, in 90 lines; `dynahoi doctor` says it."""
+"""Loggers that warn in 90 lines that torchcodec is unusable, which `dynahoi doctor` reports in one."""
 LONGEST = 800
-"""Characters of a message; the longest that names no value of the user's lists 24 motions."""
+"""Longest message [characters]; the longest without user input lists 24 motions."""
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong with an argument in one sentence, without the whole usage before it."""
+    """Reports a bad argument in one sentence, without the usage text."""
 
     def __init__(self, **options: Any) -> None:
-        """Take no abbreviated options: results store the command line, with only the whole ``--salt`` hidden."""
+        """Disallow abbreviated options: results store the command line, in which only the full ``--salt`` is hidden."""
         super().__init__(**options, allow_abbrev=False)
 
     def error(self, message: str) -> NoReturn:
@@ -50,7 +50,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code: 0 done, 1 failed, 2 bad input, 130 stopped."""
+    """Run a command and return its exit code: 0 success, 1 failure, 2 bad input, 130 interrupted."""
     for name in VERBOSE_LOGGERS:
         logging.getLogger(name).setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
@@ -69,17 +69,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{spoken}: {_shortened(str(error))}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        print(f"{spoken}: stopped", file=sys.stderr)
+        print(f"{spoken}: interrupted", file=sys.stderr)
         return STOPPED
 
 
 def _shortened(sentence: str) -> str:
-    """Leave out the middle of a sentence that names a value of thousands of characters."""
+    """Return the message without its middle if a value makes it very long."""
     return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
-    """Refuse, before any work, an ``--out PLACE`` or a ``--json FILE`` that could not be written after it."""
+    """Refuse an unwritable ``--out`` or ``--json`` before any work starts."""
     path, out = getattr(args, "json", None), getattr(args, "out", None)
     if isinstance(path, Path) and (path.is_dir() or not path.parent.is_dir()):
         raise ValueError(f"--json must name a file in an existing folder, got {path}")

@@ -1,7 +1,7 @@
 """``dynahoi quickstart``: dataset, training, evaluation and report, in minutes on two CPU cores.
 
-generate -> dagger (tracker) -> lerobot-eval -> privileged baselines -> report. Each stage is skipped if what it leaves
-when it is done is there, so a stopped quickstart can be resumed.
+generate -> dagger (tracker) -> lerobot-eval -> privileged baselines -> report. A stage is skipped if its
+product exists, so an interrupted quickstart resumes.
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ KINDS = BENCHMARK.splits[SMALL_TEST].motions
 GIFS = 6
 BASELINES = ("intercept", "constant_velocity", "hold")
 NEEDS = ("torch", "lerobot", "lerobot_env_dynahoi", "lerobot_policy_tracker")
-"""Packages that the core install leaves out."""
+"""Packages that the core does not install."""
 TABLE = "table.txt"
 TASK_DONE = "metrics so far:"
-"""How the environment's line begins when ``lerobot-eval`` has played a kind of motion."""
+"""Prefix of the line that the environment prints after each kind of motion."""
 
 
 class StageError(RuntimeError):
-    """A stage that failed; the message says which and where its output is."""
+    """A stage failed; the message names it and its log."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done.
+    """Size of a quickstart.
 
     Attributes:
         episodes: of the dataset.
         rounds: of training.
-        per_kind: episodes to evaluate on, of each kind of motion.
+        per_kind: evaluation episodes per kind of motion of motion.
         kinds: how many kinds of motion, from the first.
         training: changes of ``quickstart.yaml``.
     """
@@ -72,24 +72,24 @@ TINY = Size(2, 1, 1, 2, {"worlds": 2, "n_episodes": 2, "updates": 1, "batch_epis
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi quickstart``."""
-    parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="folder for everything")
+    parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="output folder")
     parser.add_argument("--episodes", type=whole(1, 10**6), default=FULL.episodes, help="episodes of the dataset")
     parser.add_argument("--rounds", type=whole(1, 10**6), default=FULL.rounds, help="rounds of training")
     parser.add_argument(
         "--evaluation-episodes",
         type=whole(1, 1000),
         default=FULL.per_kind,
-        help="episodes to evaluate on, of each kind",
+        help="evaluation episodes per kind of motion",
     )
-    parser.add_argument("--tiny", action="store_true", help="only see that it runs; numbers mean nothing")
-    parser.add_argument("--open", action="store_true", help="open the report in the browser at the end")
+    parser.add_argument("--tiny", action="store_true", help="smoke test with meaningless scores")
+    parser.add_argument("--open", action="store_true", help="open the report in the browser when done")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the stages that are not done yet; return the exit code.
+    """Run the remaining stages; return the exit code.
 
     Raises:
-        ValueError: if what training needs is not installed.
+        ValueError: if packages for training are missing.
     """
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
@@ -126,7 +126,7 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
 def _generate(out: Path, size: Size) -> None:
     words = ["--root", str(out / "dataset"), "--episodes", str(size.episodes), "--image-size", str(IMAGE_SIZE)]
     if cli.main(["generate", *words, "--workers", str(cores())]):
-        raise StageError("the dataset could not be generated; the sentence above says why")
+        raise StageError("generation failed; see the message above")
 
 
 def _checkpoint(out: Path) -> Path:
@@ -134,18 +134,18 @@ def _checkpoint(out: Path) -> Path:
 
 
 def _train(out: Path, size: Size) -> None:
-    """Train in memory, with an eye that has seen pictures before; a checkpoint is written when all rounds are done."""
+    """Train in memory, starting from the pretrained eye; write a checkpoint after the last round."""
     recipe = out / "training.yaml"
     rounds = dict.fromkeys(("rounds", "save_every", "validate_every"), size.rounds)
     values = read_yaml(TRAINING)
     policy = {"policy": values["policy"] | {"device": _device()}}
     recipe.write_text(yaml.safe_dump(values | policy | rounds | size.training, sort_keys=False))
     if cli.main(["dagger", "--recipe", str(recipe), "--out", str(out / "training")]):
-        raise StageError("training failed; the sentence above says why")
+        raise StageError("training failed; see the message above")
 
 
 def _evaluate(out: Path, size: Size) -> None:
-    """Evaluate in a folder of its own, which becomes the results' when all kinds are played."""
+    """Evaluate into a temporary folder and rename it after all kinds have been played."""
     kinds, results, partial = KINDS[: size.kinds], out / "results" / "tracker", out / "results" / "tracker.partial"
     shutil.rmtree(partial, ignore_errors=True)
     words = [
@@ -165,36 +165,38 @@ def _evaluate(out: Path, size: Size) -> None:
     print(f"lerobot-eval {' '.join(words)}\noutput: {log}", flush=True)
     with tqdm(total=len(kinds), desc="evaluating", unit="kind", disable=None) as bar:
         if code := run_lerobot("lerobot_eval", words, log, TASK_DONE, bar):
-            raise StageError(f"lerobot-eval ended with code {code}; see {log}")
+            raise StageError(f"lerobot-eval exited with code {code}; see {log}")
     partial.rename(results)
 
 
 def _device() -> str:
-    """Return torch's name of the device on which the policy learns and plays: the GPU if there is one."""
+    """Return torch's name of the device: the GPU if there is one."""
     import torch
 
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
 def _baselines(out: Path, size: Size) -> None:
-    """Evaluate the privileged baselines on the same episodes, and record some captures as GIFs."""
+    """Evaluate the privileged baselines on the same episodes, and record some episodes as GIFs."""
     count = str(len(read_results(out / "results" / "tracker").rows))
     for name in BASELINES:
         gifs = GIFS if name == "intercept" else 0
         folder = str(out / "results" / name)
         words = ["--policy", name, "--out", folder, "--episodes", count, "--gifs", str(gifs), "--image-size", "128"]
         if cli.main(["evaluate", *words]):
-            raise StageError(f"the baseline {name!r} could not be played")
+            raise StageError(f"the baseline {name!r} failed")
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:
-    """Write the report, print its table and, in the last line, the command that opens it."""
+    """Write the report; print its table and the command that opens it."""
     folders = [out / "results" / name for name in ("tracker", *BASELINES)]
     page = render_report(folders, out / "report.html")
     table = results_table([read_results(folder) for folder in folders])
     (out / TABLE).write_text(table + "\n")
-    print(f"\n{table}\n\nThis is a few minutes of training; docs/results.md says what more training brings.")
-    print(f"everything is in {out}, after {time.monotonic() - start:.0f} s; this opens the report:")
+    print(
+        f"\n{table}\n\nThese scores follow minutes of training; docs/results.md lists those of hours."
+    )
+    print(f"done in {time.monotonic() - start:.0f} s; everything is in {out}. Open the report:")
     print(f"python -m webbrowser {page.resolve().as_uri()}")
     if show:
         webbrowser.open(page.resolve().as_uri())

@@ -32,18 +32,18 @@ DEFAULT_IMAGE_SIZE = 256
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi view``."""
-    parser.add_argument("--motion", help="play a new episode of this motion")
-    parser.add_argument("--dataset", type=path, help="show an episode of this LeRobot dataset")
+    parser.add_argument("--motion", help="play an episode of this motion")
+    parser.add_argument("--dataset", type=path, help="show an episode of this dataset")
     parser.add_argument("--results", type=path, help="replay an evaluated episode of this result folder")
     parser.add_argument("--episode", type=int, default=0, help="with --dataset: index of the episode")
     parser.add_argument(
         "--seed",
         type=whole(0, SEED_LIMIT - 1),
         default=0,
-        help="with --motion: number within split and motion; with --results: its seed",
+        help="with --motion: episode number within split and motion; with --results: seed of the episode",
     )
     parser.add_argument("--split", default="test", help="with --motion: train, val, test or one of the ood_ splits")
-    parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint, or the name of an expert")
+    parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint or a baseline")
     parser.add_argument(
         "--capture", default="attach", help="with --motion: capture rule, attach, attach_lenient or contact"
     )
@@ -55,24 +55,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"with --motion: {', '.join(PROTOCOLS)}; the policy's own by default",
     )
     add_trust_argument(parser)
-    parser.add_argument("--image-size", type=int, help="side of newly rendered images [px]")
-    parser.add_argument("--view", default="ego", choices=VIEWS, help="camera, and what is shown of its image")
-    parser.add_argument("--out", type=path, default=Path("episode.gif"), help="a .gif, .mp4 or .html file")
+    parser.add_argument("--image-size", type=int, help="image size [px]")
+    parser.add_argument("--view", default="ego", choices=VIEWS, help="camera and modality")
+    parser.add_argument("--out", type=path, default=Path("episode.gif"), help="output: .gif, .mp4 or .html")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the clip; return the exit code.
 
     Raises:
-        ValueError: for an unknown suffix, source, motion, view or episode, or a damaged dataset or result folder.
+        ValueError: for an unknown suffix, source, motion, view or episode, or an unreadable dataset or result folder.
     """
     check_suffix(args.out)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
     chosen = [make_clip for name, make_clip in sources.items() if getattr(args, name) is not None]
     if len(chosen) != 1:
-        raise ValueError(
-            "say what to watch, one of: --motion MOTION, --dataset DIR --episode I, --results DIR --seed S"
-        )
+        raise ValueError("choose one of --motion MOTION, --dataset DIR --episode I, --results DIR --seed S")
     clip = chosen[0](args)
     write_clip(args.out, clip)
     print(f"{clip.caption}: {args.out}")
@@ -103,14 +101,14 @@ def _played(args: argparse.Namespace) -> Clip:
 
 
 def _replayed(args: argparse.Namespace) -> Clip:
-    """Replay the actions of an evaluated episode in the world of its seed, rendered at any image size."""
+    """Replay an evaluated episode's actions, rendered at any image size."""
     results = read_results(args.results)
     seeds = [row["seed"] for row in results.rows]
     if args.seed not in seeds:
         raise ValueError(f"{args.results} has no episode with seed {args.seed}; it has {min(seeds)} to {max(seeds)}")
     recipe = results.recipe()
     if recipe.fingerprint() != results.info.fingerprint:
-        print("these results are of other code: the replay may differ from what was graded")
+        print("other code produced these results: the replay may differ from the evaluated episode")
     index = seeds.index(args.seed)
     size = DEFAULT_IMAGE_SIZE if args.image_size is None else args.image_size
     shown = replace(recipe, image_size=size, views=() if args.view == "ego" else (args.view,))
@@ -131,7 +129,7 @@ def _from_dataset(args: argparse.Namespace) -> Clip:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
     if (key := IMAGE_PREFIX + args.view) not in dataset.meta.camera_keys:
         cameras = ", ".join(dataset.meta.camera_keys) or "none at all"
-        raise ValueError(f"{args.dataset} has no view {args.view!r}; it has {cameras}")
+        raise ValueError(f"{args.dataset} has no view {args.view!r}, only {cameras}")
     row: dict[str, Any] = dataset.meta.episodes[args.episode]
     items = [dataset[i] for i in range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))]
     frames = np.stack([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
@@ -139,7 +137,7 @@ def _from_dataset(args: argparse.Namespace) -> Clip:
 
 
 def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:
-    """Return the phase of each of an episode's frames, None if the dataset does not hold it in either table."""
+    """Return the phase of each frame, None if the dataset lacks it."""
     from dynahoi_lerobot.dataset.episode_table import moved_columns
     from dynahoi_lerobot.dataset.store import Store
     from dynahoi_lerobot.features import FEATURES
@@ -158,8 +156,8 @@ def _open_dataset(root: Path) -> Any:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     if not (root / "meta" / "info.json").is_file():  # LeRobot would look for it on the Hub
-        raise ValueError(f"there is no LeRobot dataset in {root} (no meta/info.json)")
+        raise ValueError(f"{root} is no LeRobot dataset (it lacks meta/info.json)")
     try:
         return LeRobotDataset(root.resolve().name, root=root)
     except Exception as error:  # whatever a damaged file makes its reader raise
-        raise ValueError(f"the dataset {root} cannot be read ({type(error).__name__}); try `dynahoi verify`") from error
+        raise ValueError(f"cannot read the dataset {root} ({type(error).__name__}); run `dynahoi verify`") from error

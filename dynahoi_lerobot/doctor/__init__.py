@@ -1,1 +1,1 @@
-"""``dynahoi doctor``: what this machine has, what follows from it, and whether it reproduces published episodes."""
+"""``dynahoi doctor``: check a machine, and whether it reproduces published episodes."""

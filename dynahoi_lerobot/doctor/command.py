@@ -1,4 +1,4 @@
-"""``dynahoi doctor``: look at every part of this machine and say what follows."""
+"""``dynahoi doctor``: check every part of this machine."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ SOUND, PROBLEMS = 0, 1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi doctor``."""
-    parser.add_argument("--folder", type=path, default=Path(), help="where output would go; its disk is looked at")
+    parser.add_argument("--folder", type=path, default=Path(), help="output folder, whose disk is checked")
     parser.add_argument(
-        "--reference", action="store_true", help="also play 44 episodes and compare them with ours, bit for bit"
+        "--reference", action="store_true", help="also play 44 episodes and compare them bit by bit with ours"
     )
-    parser.add_argument("--json", type=path, help="write the facts there as well")
+    parser.add_argument("--json", type=path, help="also write the facts to this file")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what is there and what follows; return the exit code: 0 no problems, 1 problems.
+    """Print the findings; return the exit code: 0 without problems, 1 with problems.
 
     Raises:
-        ValueError: if the folder or the file could not be made.
+        ValueError: if the folder or the file is not writable.
     """
     check_output(args.folder)
     if args.json:

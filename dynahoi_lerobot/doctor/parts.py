@@ -28,13 +28,13 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 
 @dataclass(frozen=True)
 class Fact:
-    """One thing that this machine has, or lacks.
+    """One finding about this machine.
 
     Attributes:
-        name: what was looked at.
+        name: what was examined.
         found: what is there, with units.
-        follows: what that means for the commands; empty if nothing.
-        problem: whether something that the installed commands need is not there or not as it should be.
+        follows: the consequence for the commands; empty if none.
+        problem: whether the installed commands need something that is missing or wrong.
     """
 
     name: str
@@ -44,27 +44,27 @@ class Fact:
 
 
 Look = Callable[[Path], Iterator[Fact]]
-"""Takes the folder in which output would go."""
+"""Takes the output folder."""
 
 PARTS: Registry[Look] = Registry("part", "dynahoi_lerobot.doctor.parts")
 
 
 def part(name: str) -> Callable[[Look], Look]:
-    """Return a decorator that makes ``dynahoi doctor`` look at the part ``name``."""
+    """Return a decorator that registers the part ``name``."""
     return PARTS.register(name)
 
 
 def examine(folder: Path) -> Iterator[Fact]:
-    """Yield the facts of every part, by name of the part; a part that cannot be looked at is a problem.
+    """Yield the facts of every part; a part that raises is a problem.
 
     Args:
-        folder: where output would go.
+        folder: output folder.
     """
     for name, look in PARTS.items():
         try:
             yield from look(folder)
         except Exception as error:  # whatever a broken installation raises is what the user wants to know
-            yield Fact(name, f"cannot be looked at: {type(error).__name__}: {error}", problem=True)
+            yield Fact(name, f"check failed: {type(error).__name__}: {error}", problem=True)
 
 
 WORKER_GB = 0.9
@@ -73,7 +73,7 @@ WORKER_GB = 0.9
 
 @part("processor")
 def processor(folder: Path) -> Iterator[Fact]:
-    """Yield the cores that this process may use, and the machine's memory."""
+    """Yield the available cores and the memory."""
     del folder
     count = cores()
     memory_gb = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
@@ -84,7 +84,7 @@ def processor(folder: Path) -> Iterator[Fact]:
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -97,7 +97,7 @@ LEAST_GB = 0.5
 
 @part("disk")
 def disk(folder: Path) -> Iterator[Fact]:
-    """Yield free space and sequential write speed, data brought to the disk, of the nearest folder that exists."""
+    """Yield free space and sequential write speed (with fsync) of the nearest existing folder."""
     place = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir())
     free_gb = shutil.disk_usage(place).free / 1e9
     episodes = int(free_gb * 1e9 / (FRAME_BYTES * EPISODE_FRAMES))
@@ -109,10 +109,10 @@ def disk(folder: Path) -> Iterator[Fact]:
 
 
 def write_speed_mb_s(folder: Path) -> float:
-    """Return how fast a file of 64 MB is written to the disk [MB/s].
+    """Return the write speed of a 64 MB file [MB/s].
 
     Raises:
-        OSError: if no file can be written there.
+        OSError: if the folder is not writable.
     """
     block = os.urandom(BLOCK_MB * 10**6)
     with tempfile.TemporaryFile(dir=folder) as file:
@@ -138,18 +138,18 @@ def gpu(folder: Path) -> Iterator[Fact]:
 
     found = [f"{device.name}, {device.total_memory / 1e9:.0f} GB" for device in wp.get_cuda_devices()]
     where = "CUDA" if found else "the CPU"
-    yield Fact("GPU", "; ".join(found) or "none", f"the renderer `tiles` draws on {where}; it needs no OpenGL")
+    yield Fact("GPU", "; ".join(found) or "none", f"the renderer `tiles` runs on {where}; it needs no OpenGL")
     if importlib.util.find_spec("torch") is not None:
         yield _torch(bool(found))
 
 
 def _torch(expected: bool) -> Fact:
-    """Return where policies run; a GPU that torch cannot use is worth a word."""
+    """Return where policies run; warn of a GPU that torch cannot use."""
     import torch
 
     if torch.cuda.is_available():
         return Fact("torch device", f"CUDA {torch.version.cuda}", "policies run on the GPU")
-    wanted = "; this torch has no CUDA for the GPU: install one that has" if expected else ""
+    wanted = "; install a torch with CUDA to use the GPU" if expected else ""
     return Fact("torch device", "CPU", f"policies run on the CPU{wanted}")
 
 
@@ -163,14 +163,14 @@ open_context(mujoco.MjModel.from_xml_string("<mujoco/>"), 16)
 
 @part("opengl")
 def opengl(folder: Path) -> Iterator[Fact]:
-    """Yield whether a context can be opened; another process tries, since a broken driver may end it."""
+    """Yield whether a context can be opened; a subprocess tries, because a broken driver may crash it."""
     del folder
     try:
         done = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=TIMEOUT_S, check=False)
         works = done.returncode == 0
     except subprocess.TimeoutExpired:
         works = False
-    follows = "the renderer `opengl` works, too" if works else "all renderers but `opengl` work"
+    follows = "the renderer `opengl` works" if works else "all renderers but `opengl` work"
     yield Fact("OpenGL", "works" if works else "none", follows)
 
 
@@ -195,7 +195,7 @@ def _pyav() -> Fact:
 
 
 def _torchcodec() -> Fact:
-    """Return whether torchcodec works, which it tells by being imported."""
+    """Return whether torchcodec can be imported."""
     if importlib.util.find_spec("torchcodec") is None:
         return Fact("torchcodec", "none", "LeRobot decodes with PyAV")
     try:
@@ -220,13 +220,13 @@ OPTIONAL = {
     "lerobot": "training and LeRobot's commands need it: pip install '.[lerobot]', in a checkout",
     "torch": "comes with lerobot",
 }
-"""Libraries without which the core works, and what they are for."""
+"""Optional libraries and their purpose."""
 SHOWN = ("mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL)
 
 
 @part("versions")
 def versions(folder: Path) -> Iterator[Fact]:
-    """Yield the versions of Python, of the distributions and of what they need, and what is out of bounds."""
+    """Yield the versions of Python, the distributions and their requirements; report those out of bounds."""
     del folder
     yield Fact("Python", platform.python_version())
     wanted = requirements()
@@ -237,7 +237,7 @@ def versions(folder: Path) -> Iterator[Fact]:
 
 
 def requirements() -> dict[str, list[Requirement]]:
-    """Return what the installed distributions require, without extras, by name."""
+    """Return the requirements of the installed distributions, without extras, by name."""
     found: dict[str, list[Requirement]] = {}
     for distribution in (CORE, *PLUGINS):
         if installed_version(distribution) is None:
@@ -249,7 +249,7 @@ def requirements() -> dict[str, list[Requirement]]:
 
 
 def _library(name: str, wanted: list[Requirement]) -> Fact | None:
-    """Return the fact about a library; None for one that is as it should be and that nobody asks about."""
+    """Return the fact about a library; None if it is fine and not in ``SHOWN``."""
     found = installed_version(name)
     bounds = ", ".join(str(requirement.specifier) for requirement in wanted if requirement.specifier)
     if found is None:
@@ -270,12 +270,12 @@ def installed_version(name: str) -> str | None:
 
 
 LEROBOT_PREFIXES = ("lerobot_env_", "lerobot_policy_", "lerobot_robot_", "lerobot_teleoperator_", "lerobot_camera_")
-"""How LeRobot finds distributions that extend it."""
+"""Names by which LeRobot finds its plugins."""
 
 
 @part("plugins")
 def plugins(folder: Path) -> Iterator[Fact]:
-    """Yield the distributions that LeRobot imports as plugins, and the modules that the core imports as such."""
+    """Yield the distributions that LeRobot imports as plugins, and the modules that the core imports."""
     del folder
     found = {(dist.name, dist.version) for dist in distributions() if dist.name.startswith(LEROBOT_PREFIXES)}
     for name, installed in sorted(found):
@@ -292,22 +292,22 @@ def plugins(folder: Path) -> Iterator[Fact]:
 RECIPE = Recipe(image_size=64)
 EPISODES = 16
 KNOWN_FRAMES_S = 593.0
-"""Pace of a core of the machine on which the quickstart was timed."""
+"""Speed of a core of the machine on which the quickstart was timed."""
 KNOWN_PROCESSOR_S, KNOWN_ELAPSED_S = 400.0, 276.0
-"""Time of the whole quickstart there: of all processors together, and by the clock on two idle cores."""
+"""Duration of the quickstart there: processor time, and wall time on two idle cores."""
 
 
 @part("pace")
 def pace(folder: Path) -> Iterator[Fact]:
-    """Yield the pace over some episodes of ``train``, sampling included, and an estimate from it."""
+    """Yield the speed over some episodes of ``train``, sampling included, and an estimate from it."""
     del folder
     frames_s = frames_per_s()
-    found = f"{frames_s:.0f} frames/s of a core at {RECIPE.image_size} px"
+    found = f"{frames_s:.0f} frames/s per core at {RECIPE.image_size} px"
     yield Fact("pace", found, f"the quickstart takes about {max(1.0, quickstart_s(frames_s, cores()) / 60):.0f} min")
 
 
 def quickstart_s(frames_s: float, idle_cores: int) -> float:
-    """Return how long the quickstart takes [s]; more than two cores count as two, for which it was timed.
+    """Return the estimated duration of the quickstart [s]; more than two cores count as two.
 
     Args:
         frames_s: pace of a core [frames/s], as ``frames_per_s`` measures it.
@@ -318,7 +318,7 @@ def quickstart_s(frames_s: float, idle_cores: int) -> float:
 
 
 def frames_per_s() -> float:
-    """Return how many frames of the expert's episodes a thread plays and draws in a second of processor time."""
+    """Return the frames that one thread simulates and renders per second of processor time."""
     for _ in record(RECIPE, [0], threads=1):  # compiles the scene and, once on a machine, the renderer
         pass
     start = time.process_time()

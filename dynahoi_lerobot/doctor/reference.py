@@ -1,6 +1,6 @@
-"""Whether this machine reproduces our episodes: digests of 44, and enough of them to say by how much it does not.
+"""Whether this machine reproduces our episodes: digests of 44 of them, and samples to measure differences.
 
-``python -m dynahoi_lerobot.doctor.reference`` writes the file anew, on the machine that is to be the reference.
+``python -m dynahoi_lerobot.doctor.reference`` rewrites the file on the reference machine.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ RECIPE = Recipe(split="test", image_size=32)
 EPISODES = 44
 """Every kind of motion twice."""
 STRIDE = 10
-"""Every so many frames the file holds poses, by which differences are measured."""
+"""Frames between the stored poses, from which differences are measured."""
 TOLERANCE = 1e-5
 """Greatest difference [m, rad] with which `dynahoi certify` confirms results of another machine."""
 
@@ -81,11 +81,11 @@ def play(count: int = EPISODES) -> Reference:
 
 
 def compare(found: Reference | None = None, wanted: Reference | None = None) -> Iterator[Fact]:
-    """Yield how this machine's episodes agree with the reference.
+    """Compare this machine's episodes with the reference.
 
     Args:
-        found: of this machine; played now if None.
-        wanted: the reference; that of the package if None.
+        found: this machine's episodes; played now if None.
+        wanted: the reference; the packaged one if None.
     """
     wanted = wanted or Reference.read()
     found = found or play(len(wanted.motions))
@@ -97,9 +97,9 @@ def compare(found: Reference | None = None, wanted: Reference | None = None) -> 
 def _motions(found: Reference, wanted: Reference) -> Fact:
     told = _counted(found.motions == wanted.motions)
     if (found.motions == wanted.motions).all():
-        return Fact("motion", told, "results of this machine and of ours can be compared to the last digit")
+        return Fact("motion", told, "results agree with ours to the last digit")
     if found.poses.shape != wanted.poses.shape:
-        return Fact("motion", f"{told}; others have other lengths", "results differ from ours", problem=True)
+        return Fact("motion", f"{told}; some lengths differ", "results differ from ours", problem=True)
     off = np.abs(found.poses - wanted.poses).max(axis=0)
     told += f"; palm off by at most {off[:3].max():.2g} m, target by {off[HAND_DOF:][:3].max():.2g} m"
     close = bool(off.max() <= TOLERANCE)
@@ -114,13 +114,13 @@ def _motions(found: Reference, wanted: Reference) -> Fact:
 def _pictures(found: Reference, wanted: Reference) -> Fact:
     told = _counted(found.pictures == wanted.pictures)
     if (found.pictures == wanted.pictures).all():
-        return Fact("pictures", told, "policies see the same here and there")
+        return Fact("images", told, "policies see identical images")
     off = np.abs(found.images.astype(int) - wanted.images)
-    return Fact("pictures", f"{told}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average")
+    return Fact("images", f"{told}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average")
 
 
 def _counted(same: np.ndarray) -> str:
-    return f"{int(same.sum())} of {len(same)} episodes bit for bit as ours"
+    return f"{int(same.sum())} of {len(same)} episodes are bit-identical to ours"
 
 
 def _poses(episode: Episode) -> np.ndarray:

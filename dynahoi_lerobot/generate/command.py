@@ -30,59 +30,54 @@ LONGEST_VIDEO_S = 1e9
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi generate``."""
-    parser.add_argument("--root", type=path, required=True, help="the dataset's folder; must not exist")
+    parser.add_argument("--root", type=path, required=True, help="folder of the dataset; an incomplete one is resumed")
     parser.add_argument("--recipe", type=path, help="YAML file; the options below override it")
-    parser.add_argument("--episodes", type=int, required=True, help="number of episodes, all successful by default")
+    parser.add_argument("--episodes", type=int, required=True, help="number of episodes")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
-    parser.add_argument("--image-size", type=int, help="side of the square frames [pixels]; 0 for no camera")
+    parser.add_argument("--image-size", type=int, help="image size [px]; 0 for no camera")
+    parser.add_argument("--views", type=names, help="comma-separated further views, such as side,ego_depth")
     parser.add_argument(
-        "--views", type=names, help="comma-separated further pictures: side, ego_depth, side_segmentation"
+        "--appearance", type=names, help="what to randomise: materials, lights, specular, transparency, distractors"
     )
-    parser.add_argument(
-        "--appearance", type=names, help="comma-separated: materials, lights, specular, transparency, distractors"
-    )
-    parser.add_argument("--motions", type=names, help="comma-separated kinds of motion")
+    parser.add_argument("--motions", type=names, help="comma-separated motions")
     parser.add_argument("--objects", type=names, help="comma-separated objects")
-    parser.add_argument("--capture", help="capture rule, with its own hand and expert")
-    parser.add_argument("--control-class", help="hand limits: unlimited, standard or late")
+    parser.add_argument("--capture", help="capture rule: attach, attach_lenient or contact")
+    parser.add_argument("--control-class", help="limits of the hand: standard, late or unlimited")
     add_salt_argument(parser)
-    parser.add_argument(
-        "--keep-failures", action="store_true", help="store episodes that the expert fails, with success false"
-    )
+    parser.add_argument("--keep-failures", action="store_true", help="also store episodes that the expert fails")
     parser.add_argument(
         "--environment-state",
         action="store_true",
-        help="store the truth, pose and velocity of the target, as observation.environment_state",
+        help="store the target's true pose and velocity as observation.environment_state",
     )
     parser.add_argument(
         "--privileged-columns",
         default=FRAMES,
-        help="where target.* and other columns of the truth are: frames, or episodes, where loading costs no time",
+        help="table of the privileged columns: frames, or episodes (faster to load)",
     )
     parser.add_argument(
-        "--subtasks", action="store_true", help="store what is to be done in every frame in LeRobot's language column"
+        "--subtasks", action="store_true", help="store the current subtask in LeRobot's language column"
     )
-    parser.add_argument("--workers", type=int, default=1, help="processes; any number gives the same bytes")
-    parser.add_argument("--shard-episodes", type=int, help="episodes per unit of work; at most 256, and an eighth")
+    parser.add_argument("--workers", type=int, default=1, help="number of processes")
+    parser.add_argument("--shard-episodes", type=int, help="episodes per shard; by default an eighth, at most 256")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
-    parser.add_argument("--crf", type=int, help="rate factor; lower is better and larger")
-    parser.add_argument("--preset", help="the encoder's speed setting")
+    parser.add_argument("--crf", type=int, help="rate factor; lower means better quality and larger files")
+    parser.add_argument("--preset", help="speed preset of the encoder")
     parser.add_argument("--gop", type=int, default=Encoding.gop, help="frames between key frames")
     parser.add_argument(
         "--video-seconds",
         type=number(1.0, LONGEST_VIDEO_S),
         default=FileLimits.video_s,
-        help="longest video file [s], at most 200 MB in any case: LeRobot streams one file per view rightly, and reads "
-        "samples from short files faster",
+        help="longest video file [s], at most 200 MB; LeRobot can only stream one file per view",
     )
-    parser.add_argument("--executor", help="local, slurm or ray: spread the shards as datatrove tasks")
+    parser.add_argument("--executor", help="run the shards as datatrove tasks: local, slurm or ray")
     parser.add_argument("--tasks", type=int, help="number of tasks; one per shard by default")
-    parser.add_argument("--dry-run", action="store_true", help="show what --executor would do, the Slurm scripts say")
+    parser.add_argument("--dry-run", action="store_true", help="print what --executor would do")
     parser.add_argument("--partition", default=ClusterResources.partition, help="Slurm partition")
     parser.add_argument("--time", default=ClusterResources.time, help="Slurm time limit per task")
     parser.add_argument("--cpus-per-task", type=int, default=ClusterResources.cpus_per_task)
     parser.add_argument("--gpus-per-task", type=int, default=ClusterResources.gpus_per_task)
-    parser.add_argument("--json", type=path, help="write the summary there as well")
+    parser.add_argument("--json", type=path, help="also write the summary to this file")
 
 
 def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None, runtime: str = "") -> int:
@@ -95,7 +90,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
         runtime: see `GenerationPlan`.
 
     Returns:
-        The exit code: 0 done, 1 failed (run it again to go on), 2 bad input, 130 stopped by the user.
+        The exit code: 0 success, 1 failure (run it again to resume), 2 bad input, 130 interrupted.
     """
     try:
         check_output(args.root)
@@ -109,15 +104,15 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
         recorder = record or _record(plan, 0 if args.workers == 1 else 1)
         manifest = _generate(plan, args, recorder)
         if complete:
-            _say(f"{args.root} was already complete; its files agree with its manifest", 0)
+            _say(f"{args.root} was already complete and agrees with its manifest", 0)
     except ModuleNotFoundError as error:
-        return _say(f"--executor needs {error.name}; install dynahoi_lerobot[scale]", BAD_INPUT)
+        return _say(f"--executor needs {error.name}, which the extra `scale` installs", BAD_INPUT)
     except (ValueError, FileExistsError, FileNotFoundError) as error:
         return _say(error, BAD_INPUT)
     except (OSError, GenerationError) as error:
         return _say(error, FAILED)
     except KeyboardInterrupt:
-        return _say("stopped; the same command goes on from here", STOPPED)
+        return _say("interrupted; run the same command to resume", STOPPED)
     summary = _summary(args.root, manifest)
     print(json.dumps(summary, indent=2))
     if args.json:
@@ -155,7 +150,7 @@ def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan
 
 
 def load_recipe(path: Path | None) -> Any:
-    """Return the recipe of a file, the default recipe if there is none.
+    """Return the recipe in a file, or the default recipe.
 
     Raises:
         ValueError: as ``sampling.recipe.load_recipe`` does.

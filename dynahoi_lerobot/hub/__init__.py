@@ -1,1 +1,1 @@
-"""The Hugging Face Hub: datasets, checkpoints and results are pushed to repositories that others load by name."""
+"""The Hugging Face Hub: push datasets, checkpoints and results."""

@@ -1,4 +1,4 @@
-"""The model card of a checkpoint that has none."""
+"""The model card of a checkpoint without one."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 import yaml
 
 PLUGINS = {"tracker": "lerobot_policy_tracker", "actiontokens": "lerobot_policy_actiontokens"}
-"""Distribution of a type of policy that LeRobot does not have."""
+"""Distribution that provides a policy type."""
 EXTRAS = {"pi0": "pi", "pi0_fast": "pi", "pi05": "pi", "multi_task_dit": "multi-task-dit", "vla_jepa": "vla-jepa"}
-"""Extra of LeRobot for a type of policy, where it has another name."""
+"""Extra of LeRobot that a policy type needs, where the names differ."""
 BODY = """
 # {name}
 

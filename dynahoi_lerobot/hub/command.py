@@ -32,36 +32,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=path,
         help="a dataset, a pretrained_model folder, results of evaluate, envs/hub, or the benchmark's dataset",
     )
-    parser.add_argument("repo", help="USER/NAME on the Hub; of the checkpoint, if results are pushed")
-    parser.add_argument("--private", action="store_true", help="make a private repository")
+    parser.add_argument("repo", help="USER/NAME on the Hub; results go to their checkpoint's repository")
+    parser.add_argument("--private", action="store_true", help="create a private repository")
     parser.add_argument(
-        "--replace", action="store_true", help="of a checkpoint: put it in the place of other weights and their results"
+        "--replace", action="store_true", help="checkpoints only: replace other weights and remove their results"
     )
-    parser.add_argument("--leaderboard", help=f"of results: dataset USER/NAME that lists them; {CARD_REPO} by default")
-    parser.add_argument("--policy", help="of results: what they are of, if the repository holds it under another name")
+    parser.add_argument("--leaderboard", help=f"results only: leaderboard dataset, USER/NAME; {CARD_REPO} by default")
+    parser.add_argument("--policy", help="results only: the policy that was evaluated, if it had another name")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check what is pushed, push it and print its address.
+    """Check the folder, push it and print its address.
 
     Args:
         args: the parsed arguments of ``add_arguments``.
 
     Returns:
-        The exit code: 0 done, 1 refused or failed, 2 bad input, 130 stopped by the user.
+        The exit code: 0 success, 1 refused or failed, 2 bad input, 130 interrupted.
     """
     try:
         kind = kind_of(args.folder)
         _check_options(kind, args)
         repository = Repository.open(args.repo)
         if kind == "dataset" and not _is_sound(args.folder):
-            return _say(f"{args.folder} is not pushed, because `dynahoi verify` has findings", FAILED)
+            return _say(f"{args.folder} was not pushed: `dynahoi verify` has findings", FAILED)
         with TemporaryDirectory() as stage:
             layout = Path(stage) / args.folder.resolve().name
             contents = _contents(kind, args, layout, repository.api.endpoint)
             address = repository.push(contents, args.private, replace=args.replace, policy=args.policy or "")
     except ModuleNotFoundError as error:
-        return _say(f"it needs {error.name}; install dynahoi_lerobot[lerobot]", BAD_INPUT)
+        return _say(f"it needs {error.name}, which the extra `lerobot` installs", BAD_INPUT)
     except HubError as error:
         return _say(error, FAILED)
     except KeyboardInterrupt:
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _is_sound(root: Path) -> bool:
-    """Run the checks of ``dynahoi verify`` and print what they find."""
+    """Run the checks of ``dynahoi verify`` and print the findings."""
     findings = verify(root)
     for finding in findings:
         print(finding, file=sys.stderr)
@@ -81,7 +81,7 @@ def _is_sound(root: Path) -> bool:
 
 
 def _check_options(kind: str, args: argparse.Namespace) -> None:
-    """Refuse options that would do nothing.
+    """Refuse options that do not apply.
 
     Raises:
         ValueError: naming one, and what is pushed.

@@ -1,4 +1,4 @@
-"""What is pushed: the folder, the type of its repository, and the tags that readers look for."""
+"""What is pushed: the folder, the type of its repository, and its tags."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ KIND_FILES = {
     "environment": ENV_FILE,
     "benchmark": EVAL_FILE,
 }
-"""What may be pushed, and the file by which it is known."""
+"""What can be pushed, and the file that identifies it."""
 HUB_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
 """Files that every repository may have, whoever wrote them."""
 

@@ -1,4 +1,4 @@
-"""What goes wrong with the Hub, as one sentence that says what to do; the token is in none of them."""
+"""Errors of the Hub as one sentence that says what to do and never contains the token."""
 
 from __future__ import annotations
 
@@ -7,24 +7,26 @@ from contextlib import contextmanager
 
 from dynahoi_lerobot.vlm.redaction import Redactor
 
-RESUME = "nothing is lost, and the same command goes on from here"
-LOG_IN = "make one that may write at https://huggingface.co/settings/tokens, then run `hf auth login` or set HF_TOKEN"
+RESUME = "nothing is lost; run the same command to resume"
+LOG_IN = (
+    "create one that can write at https://huggingface.co/settings/tokens, then run `hf auth login` or set HF_TOKEN"
+)
 ANSWERS = {
-    401: f"the Hub refuses the token; {LOG_IN}",
-    403: f"the token may not write there; {LOG_IN}",
-    413: "the Hub says that it is too large",
-    429: f"the Hub asks for a pause; wait a few minutes: {RESUME}",
+    401: f"the Hub rejected the token; {LOG_IN}",
+    403: f"the token has no write access there; {LOG_IN}",
+    413: "the Hub rejected it as too large",
+    429: f"the Hub limits the rate of requests; wait a few minutes: {RESUME}",
 }
 """By HTTP status."""
 
 
 class HubError(RuntimeError):
-    """The Hub could not be used; the message is one sentence."""
+    """A request to the Hub failed; the message is one sentence."""
 
 
 @contextmanager
 def explained(repo: str, endpoint: str, token: str) -> Iterator[None]:
-    """Turn whatever the Hub's client raises into one sentence without the token.
+    """Turn the exceptions of the Hub's client into one sentence without the token.
 
     Raises:
         HubError: instead of it.
@@ -49,7 +51,7 @@ def _sentence(error: Exception, endpoint: str) -> str:
         if isinstance(cause, httpx.TransportError | OfflineModeIsEnabled):
             return f"cannot reach {endpoint} ({type(cause).__name__}); {RESUME}"
     reason = " ".join(str(error).split())
-    return f"the upload stopped ({type(error).__name__}: {reason}); {RESUME}"
+    return f"the upload failed ({type(error).__name__}: {reason}); {RESUME}"
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -1,4 +1,4 @@
-"""A repository on the Hub: made if it does not exist, never mixed with other content."""
+"""A repository on the Hub: created if absent, never mixed with other content."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ class Repository:
         if name.count("/") != 1:
             raise ValueError(f"the repository is {name!r}; it must be USER/NAME")
         if not (token := get_token()):
-            raise HubError(f"there is no token of the Hub; {LOG_IN}")
+            raise HubError(f"no Hub token found; {LOG_IN}")
         repository = cls(HfApi(token=token), name, token)
         with explained(name, repository.api.endpoint, token):
             repository.api.whoami()
         return repository
 
     def push(self, contents: Contents, private: bool, *, replace: bool = False, policy: str = "") -> str:
-        """Upload everything that is not there yet, set the tags, and return the address.
+        """Upload what is missing, set the tags and return the address.
 
         Args:
             contents: what is pushed.
@@ -84,7 +84,7 @@ class Repository:
             kind = contents.repo_type
             self.api.create_repo(self.name, repo_type=kind, private=private or None, exist_ok=True)
         elif not self.api.repo_exists(self.name, repo_type=contents.repo_type):
-            raise HubError(f"{self.name}: there is no such checkpoint on the Hub; push it before its results")
+            raise HubError(f"{self.name}: the Hub has no such checkpoint; push it before its results")
         if private and not self.api.repo_info(self.name, repo_type=contents.repo_type).private:
             raise HubError(f"{self.name} exists and is public; make it private in its settings, or choose another name")
 

@@ -16,16 +16,16 @@ from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi report``."""
-    parser.add_argument("folders", type=path, nargs="+", help="result folders, as `dynahoi evaluate` writes them")
-    parser.add_argument(ALLOW_MISMATCH, action="store_true", help="take results of different versions of the benchmark")
+    parser.add_argument("folders", type=path, nargs="+", help="result folders of `dynahoi evaluate`")
+    parser.add_argument(ALLOW_MISMATCH, action="store_true", help="accept results of different benchmark versions")
     parser.add_argument(
         "--across",
         action="append",
         choices=CROSSABLE,
         default=[],
-        help="pair evaluations that differ in this condition, to compare exactly that; may be repeated",
+        help="compare evaluations that differ in this condition; may be repeated",
     )
-    parser.add_argument("--out", type=path, default=Path("report.html"), help="the page to write")
+    parser.add_argument("--out", type=path, default=Path("report.html"), help="output file")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -35,6 +35,6 @@ def run(args: argparse.Namespace) -> int:
     print(results_table(results))
     for name in CROSSABLE:
         if any(name in unequal_conditions(a, b, args.across) for a, b in combinations(results, 2)):
-            print(f"not paired: evaluations of different {name}; add --across {name} to compare exactly that")
+            print(f"evaluations with different {name} are not paired; --across {name} pairs them")
     print(f"report: {page}")
     return 0

@@ -67,7 +67,7 @@ def test_an_episode_whose_privileged_columns_are_in_the_episode_table_looks_the_
     [
         (["--episode", "6"], "--episode must be 0 to 5, got 6"),
         (["--episode", "-1"], "--episode must be 0 to 5, got -1"),
-        (["--view", "side"], "has no view 'side'; it has observation.images.ego"),
+        (["--view", "side"], "has no view 'side', only observation.images.ego"),
     ],
 )
 def test_what_a_dataset_does_not_hold(
@@ -117,8 +117,8 @@ def test_results_without_a_readable_recipe_are_refused(tmp_path: Path, capsys: p
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        ([], "say what to watch"),
-        (["--motion", "lob", "--results", "r"], "say what to watch, one of"),
+        ([], "--results DIR"),
+        (["--motion", "lob", "--results", "r"], "--motion MOTION"),
         (["--motion", "lop"], "unknown motion 'lop' (did you mean 'lob'?)"),
         (["--motion", "lob", "--image-size", "0"], "image_size must be 16 to 1024 pixels, got 0"),
         (["--results", "nowhere"], "there is no result folder nowhere"),

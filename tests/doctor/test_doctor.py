@@ -52,7 +52,7 @@ def test_a_part_that_breaks_is_a_problem_and_the_others_are_looked_at(tmp_path: 
 
     monkeypatch.setattr(parts, "PARTS", {"gpu": broken, "processor": PARTS["processor"]})
     first, *others = parts.examine(tmp_path)
-    assert first == Fact("gpu", "cannot be looked at: OSError: no such device", problem=True)
+    assert first == Fact("gpu", "check failed: OSError: no such device", problem=True)
     assert [fact.name for fact in others] == ["cores", "memory"]
 
 

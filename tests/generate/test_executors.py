@@ -219,4 +219,4 @@ def test_missing_library_is_named(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "datatrove", None)
     monkeypatch.delitem(sys.modules, "dynahoi_lerobot.generate.datatrove_steps", raising=False)
     assert run("--root", tmp_path / "d", "--executor", "local") == 2
-    assert "install dynahoi_lerobot[scale]" in capsys.readouterr().err
+    assert "`scale`" in capsys.readouterr().err

@@ -177,7 +177,7 @@ def test_a_finished_dataset_is_checked(tmp_path, capsys):
     assert run(*words) == 0
     assert "already complete" not in capsys.readouterr().err
     assert run(*words) == 0
-    assert "was already complete; its files agree with its manifest" in capsys.readouterr().err
+    assert "was already complete" in capsys.readouterr().err
     flip_byte(tmp_path / "d/data/chunk-000/file-000.parquet")
     assert run(*words) == 1
     assert "is complete but damaged: data/chunk-000/file-000.parquet has changed" in capsys.readouterr().err

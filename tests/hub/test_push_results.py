@@ -25,7 +25,7 @@ def results(tmp_path: Path) -> Path:
 def test_results_need_their_checkpoint(results: Path, hub: Hub, push: Push):
     code, _, err = push(results, "me/policy")
     assert (code, err.count("\n")) == (1, 1)
-    assert "me/policy: there is no such checkpoint on the Hub; push it before its results" in err
+    assert "me/policy: the Hub has no such checkpoint" in err
     assert hub.repos == {}
 
 
