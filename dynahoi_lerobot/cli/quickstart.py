@@ -193,9 +193,7 @@ def _conclude(out: Path, start: float, *, show: bool) -> None:
     page = render_report(folders, out / "report.html")
     table = results_table([read_results(folder) for folder in folders])
     (out / TABLE).write_text(table + "\n")
-    print(
-        f"\n{table}\n\nThese scores follow minutes of training; docs/results.md lists those of hours."
-    )
+    print(f"\n{table}\n\nThese scores follow minutes of training; docs/results.md lists those of hours.")
     print(f"done in {time.monotonic() - start:.0f} s; everything is in {out}. Open the report:")
     print(f"python -m webbrowser {page.resolve().as_uri()}")
     if show:

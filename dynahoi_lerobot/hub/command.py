@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     except HubError as error:
         return _say(error, FAILED)
     except KeyboardInterrupt:
-        return _say(f"stopped; {RESUME}", STOPPED)
+        return _say(f"interrupted; {RESUME}", STOPPED)
     print(f"{kind} pushed to {address}" + (f", tagged {', '.join(contents.tags)}" if contents.tags else ""))
     if contents.unranked:
         print(f"no leaderboard lists it: {contents.unranked}")

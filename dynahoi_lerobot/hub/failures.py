@@ -8,9 +8,7 @@ from contextlib import contextmanager
 from dynahoi_lerobot.vlm.redaction import Redactor
 
 RESUME = "nothing is lost; run the same command to resume"
-LOG_IN = (
-    "create one that can write at https://huggingface.co/settings/tokens, then run `hf auth login` or set HF_TOKEN"
-)
+LOG_IN = "create one that can write at https://huggingface.co/settings/tokens, then run `hf auth login` or set HF_TOKEN"
 ANSWERS = {
     401: f"the Hub rejected the token; {LOG_IN}",
     403: f"the token has no write access there; {LOG_IN}",
