@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from lerobot_policy_obact.encoders import CAMERAS
 from lerobot_policy_tracker.backbones.eye import EyeBackbone
-from lerobot_policy_tracker.backbones.pinhole import CAMERAS
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lerobot_policy_obact.encoders import CAMERAS
 from lerobot_policy_tracker.backbones.eye import EyeBackbone
-from lerobot_policy_tracker.backbones.pinhole import CAMERAS
 
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
 from dynahoi_lerobot.onpolicy.snapshots import PictureStream, snapshots

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 import draccus
 import torch
 from lerobot.configs import PreTrainedConfig
+from lerobot_policy_obact.encoders import sighting_loss
 from safetensors.torch import save_file
 
 from dynahoi_lerobot.evaluate.atomic import write_atomically
 from dynahoi_lerobot.onpolicy.run_folder import RunFolder
 
 from .backbones import backbones
-from .backbones.eye import EyeBackbone, sighting_loss
+from .backbones.eye import EyeBackbone
 from .updates import learning_rate, take_step
 
 if TYPE_CHECKING:

@@ -7,14 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import torch
+from lerobot_policy_obact.encoders import N_SCALES
 from torch import Tensor
 
 from .frames import EncodedFrames
 
-N_SCALES = 2
-"""Logarithmic scales of the errors of a sighting: across the line of sight [tangent], and of the logarithmic depth."""
-N_SIGHTING = 3 + 3 + N_SCALES
-"""Numbers of a sighting: offset from the palm [m], (u, v, log depth) in the camera frame, scales."""
 LEAST_ERROR_M = 0.003
 
 

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from typing import Self
 
 import torch
+from lerobot_policy_obact.encoders import N_SIGHTING
 from torch import Tensor, nn
 
 from .decisions import Decisions
 from .fitting import fit_lines_of_sight
 from .frames import EncodedFrames
 from .motion_models import MODELS, paths, velocities
-from .sightings import N_SIGHTING, Sightings
+from .sightings import Sightings
 
 LENGTH_M, TYPICAL_SPEED_M_S = 0.3, 0.5
 """By which positions and velocities are divided before a network sees them."""

@@ -18,7 +18,7 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets.factory import make_dataset
 from lerobot.policies.factory import get_policy_class, make_policy, make_pre_post_processors
 from lerobot.utils.import_utils import register_third_party_plugins
-from lerobot_policy_tracker.backbones.eye import SHIPPED
+from lerobot_policy_obact.encoders import SHIPPED
 from torch.utils.data import default_collate
 
 from dynahoi_lerobot.captures import CAPTURES

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from lerobot_policy_tracker.backbones.eye import EyeBackbone, sighting_loss
-from lerobot_policy_tracker.backbones.pinhole import CAMERAS
+from lerobot_policy_obact.encoders import CAMERAS, sighting_loss
+from lerobot_policy_tracker.backbones.eye import EyeBackbone
 from safetensors.torch import save_file
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
+from lerobot_policy_obact.encoders import StandardisedPatches, conv, saturation
 from torch import Tensor, nn
 
 from .base import Backbone, backbones
@@ -48,40 +49,6 @@ class ConvBackbone(Backbone):
         features = fine + F.interpolate(self.lateral(coarse), scale_factor=2.0)  # (F, C, H/4, W/4)
         pooled = F.adaptive_avg_pool2d(coarse, self.grid).flatten(2).transpose(1, 2)  # (F, grid^2, 2C)
         return torch.cat([self.keypoints(features), self.grid_token(pooled)], dim=1) + self.slot  # (F, N, D)
-
-
-class StandardisedPatches(nn.Conv2d):
-    """Patch embedding: a 4 x 4 convolution of stride 4, cheaper than two strided convolutions at full resolution.
-
-    The standardisation of the pixels is folded into its weights, which are far fewer.
-
-    Args:
-        n_in: input channels.
-        n_out: output channels.
-    """
-
-    def __init__(self, n_in: int, n_out: int) -> None:
-        super().__init__(n_in, n_out, kernel_size=4, stride=4)
-
-    def forward(self, images: Tensor, mean: Tensor, std: Tensor) -> Tensor:
-        """Convolve ``(images - mean) / std``, of shapes ``(F, C, H, W)`` and ``(C, 1, 1)``."""
-        weight = self.weight / std  # (C', C, 4, 4)
-        shift = (weight * mean).sum((1, 2, 3))  # (C',)
-        return F.conv2d(images, weight, -shift if self.bias is None else self.bias - shift, self.stride)
-
-
-def saturation(images: Tensor) -> Tensor:
-    """Return the largest minus the smallest channel of each pixel, ``(F, 3, H, W) -> (F, 1, H, W)`` in [0, 1]."""
-    return images.amax(1, keepdim=True) - images.amin(1, keepdim=True)
-
-
-def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
-    """Return a 3 x 3 convolution with normalisation by groups of eight channels, and its activation."""
-    return nn.Sequential(
-        nn.Conv2d(n_in, n_out, kernel_size=3, stride=stride, padding=1, bias=False),
-        nn.GroupNorm(n_out // 8, n_out),
-        nn.SiLU(inplace=True),
-    )
 
 
 def _pad_to_multiple(images: Tensor, multiple: int) -> Tensor:

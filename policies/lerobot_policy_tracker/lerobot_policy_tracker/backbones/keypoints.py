@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from lerobot_policy_obact.encoders import pixel_grid
 from torch import Tensor, nn
 
 from ..attention import sinusoidal_features
@@ -38,11 +39,3 @@ class KeypointTokens(nn.Module):
             -2
         )  # (F, K, 2*n)
         return self.token(torch.cat([pooled, position, sinusoids.to(pooled.dtype)], dim=-1))
-
-
-def pixel_grid(height: int, width: int, device: torch.device) -> Tensor:
-    """Return cell centres as (x, y) in [-1, 1], shape ``(height * width, 2)``."""
-    y = (torch.arange(height, device=device) + 0.5) / height * 2 - 1
-    x = (torch.arange(width, device=device) + 0.5) / width * 2 - 1
-    rows, columns = torch.meshgrid(y, x, indexing="ij")
-    return torch.stack([columns, rows], dim=-1).flatten(0, 1)

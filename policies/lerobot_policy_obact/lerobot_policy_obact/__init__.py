@@ -1,0 +1,1 @@
+"""ObAct as a LeRobot policy plugin: ``lerobot-train --policy.type=obact``."""
