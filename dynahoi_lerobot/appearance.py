@@ -1,4 +1,4 @@
-"""Appearance of an episode: patterns, colours, light, and what stands about only to be seen."""
+"""Appearance of an episode: patterns, colours, light and furniture."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LEAST_CONTRAST = 0.25
 
 @dataclass(frozen=True)
 class Solid:
-    """A solid that is shown and collides with nothing.
+    """A visible solid without collisions.
 
     Attributes:
         shape: one of ``scene.slots.SHAPES``.

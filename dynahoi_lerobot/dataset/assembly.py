@@ -1,4 +1,4 @@
-"""Assembly: build a dataset from stored episodes of others, without decoding or encoding a picture."""
+"""Build a dataset from stored episodes of others, without decoding or encoding images."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dynahoi_lerobot.dataset.tables import RollingParquet
 
 
 class Assembly:
-    """A new dataset to which stored episodes are added one by one."""
+    """A new dataset, built from stored episodes one by one."""
 
     def __init__(self, root: Path, like: Store, limits: FileLimits) -> None:
         """Make the folder ``root`` for episodes with the features of ``like``."""
@@ -46,7 +46,7 @@ class Assembly:
         return video_columns(self._pictures, {"chunk_index": chunk, "file_index": file})
 
     def set_known_hash(self, path: Path, digest: str) -> None:
-        """Set the sha256 of a file that was linked, so that it is not read again."""
+        """Set the sha256 of a linked file, so that it is not read again."""
         self._hashes[path.relative_to(self.root).as_posix()] = digest
 
     def add(self, row: EpisodeRow, table: pa.Table) -> None:

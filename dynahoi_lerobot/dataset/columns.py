@@ -34,7 +34,7 @@ def info_features(held: Sequence[Feature], encoding: Encoding, *, subtasks: bool
     Args:
         held: the columns, see ``features.frame_features``.
         encoding: how images are stored.
-        subtasks: whether there is LeRobot's column for language.
+        subtasks: whether to include LeRobot's language column.
     """
     features = {feature.key: _info(feature, encoding) for feature in held}
     features |= {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}

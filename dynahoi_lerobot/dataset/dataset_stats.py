@@ -1,4 +1,4 @@
-"""The statistics of a whole dataset, from its episode rows and one reading of its numeric columns."""
+"""The statistics of a dataset, from its episode rows and one pass over its numeric columns."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class DatasetStats:
         }
 
     def _bookkeeping_quantiles(self) -> dict[str, Stats]:
-        """Find the quantiles of LeRobot's own columns from lengths alone: they are known without reading them."""
+        """Compute the quantiles of LeRobot's own columns from the lengths alone."""
         lengths, tasks = np.array(self._lengths), sorted(self._task_frames)
         frame_index, total = np.arange(lengths.max()), int(lengths.sum())
         present = len(lengths) - np.cumsum(np.bincount(lengths))[:-1]  # episodes that reach each frame index

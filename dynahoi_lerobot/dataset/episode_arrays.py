@@ -1,4 +1,4 @@
-"""Between an Episode's attributes and the columns of a dataset: both directions follow the feature table."""
+"""Convert between an Episode's attributes and a dataset's columns, following the feature table."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def content_values(table: pa.Table, known: Container[str] = ()) -> dict[str, Any
 
 
 def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
-    """Refuse an episode that does not have exactly these columns.
+    """Refuse an episode with other columns.
 
     Raises:
         ValueError: naming the column, what the episode has and what the dataset needs.
@@ -68,7 +68,7 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
         if wanted.get(key) != found.get(key):
             raise ValueError(
                 f"the episode of seed {episode.meta.seed} has {_described(key, found)}, the dataset needs "
-                f"{_described(key, wanted)}; all episodes of a dataset have the same columns"
+                f"{_described(key, wanted)}; all episodes of a dataset must have the same columns"
             )
 
 
@@ -78,13 +78,13 @@ def _held(episode: Episode) -> list[Feature]:
 
 
 def _column(feature: Feature, episode: Episode) -> np.ndarray:
-    """One attribute as (T, D)."""
+    """Return one attribute as (T, D)."""
     frames, value = len(episode), np.asarray(getattr(episode, feature.name), feature.dtype)
     return np.tile(value.reshape(1, -1), (frames, 1)) if feature.constant else value.reshape(frames, -1)
 
 
 def _value(feature: Feature, column: np.ndarray) -> Any:
-    """The attribute from its column (T, D)."""
+    """Return the attribute from its column (T, D)."""
     values = column.reshape(len(column), *feature.shape)
     if not feature.constant:
         return values

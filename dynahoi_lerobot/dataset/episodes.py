@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
 
 def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding | None = None) -> Manifest:
-    """Write episodes, in their order, as a new dataset; ``root`` appears when it is whole.
+    """Write episodes, in their order, as a new dataset; ``root`` appears atomically.
 
-    The first episode decides which columns the dataset has: its views and their size, and whether it has ``touch``.
+    The first episode determines the columns: its views and their size, and whether it has ``touch``.
 
     Args:
         root: a path that does not exist yet.
@@ -40,7 +40,7 @@ def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding |
         raise FileExistsError(f"{root} exists; choose a new folder for the dataset")
     remaining = iter(episodes)
     if (first := next(remaining, None)) is None:
-        raise ValueError("there is no episode to write; a dataset holds one or more")
+        raise ValueError("got no episodes; a dataset needs at least one")
     with temporary_sibling(root) as folder:
         writer = DatasetWriter(folder, features_of(first), encoding)
         try:

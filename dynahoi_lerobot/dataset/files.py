@@ -1,4 +1,4 @@
-"""Atomic folders and files: they appear complete under their name, or not at all."""
+"""Atomic folders and files: complete under their name, or absent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from glob import escape
 from pathlib import Path
 
 _RUN = secrets.token_hex(4)
-"""Tells this process from an earlier one of the same number, as restarted containers have."""
+"""Distinguishes this process from an earlier one with the same id, as in restarted containers."""
 
 
 @contextmanager
@@ -41,7 +41,7 @@ def temporary_name(target: Path) -> Path:
 
 
 def remove_stale(folder: Path, name: str) -> None:
-    """Remove what processes of this host that have ended left in ``folder`` under temporary names.
+    """Remove temporary files in ``folder`` of processes of this host that have ended.
 
     Args:
         folder: where to look, not below it.
@@ -85,7 +85,7 @@ def sync(path: Path) -> None:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Name the file in whatever it makes its reader raise because it is damaged.
+    """Name the damaged file in whatever its reader raises.
 
     Raises:
         ValueError: in one sentence.
@@ -98,7 +98,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a small file atomically: readers see the old text or the new one."""
+    """Write a small file atomically."""
     temporary = temporary_name(path)
     temporary.write_text(text)
     sync(temporary)
@@ -106,7 +106,7 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def link(source: Path, target: Path) -> None:
-    """Hard-link a file; copy it where the file system has no links."""
+    """Hard-link a file, or copy it if the file system has no links."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         target.hardlink_to(source)

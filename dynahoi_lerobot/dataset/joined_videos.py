@@ -1,6 +1,6 @@
-"""The video files of a merged dataset: as few as the limits allow.
+"""The video files of a merged dataset, as few as the limits allow.
 
-LeRobot's streaming reader takes pictures from the wrong file where a dataset has several, so those of the sources are
+LeRobot's streaming reader reads images from the wrong file if a dataset has several, so those of the sources are
 joined; one that stays alone is hard-linked.
 """
 
@@ -32,7 +32,7 @@ class _Source:
 
 
 class JoinedVideos:
-    """Copies all videos of some datasets, and knows where each episode's frames have gone."""
+    """Copies the videos of several datasets and records where each episode's frames went."""
 
     def __init__(self, assembly: Assembly, stores: Sequence[Store], manifests: Sequence[Manifest]) -> None:
         """Copy or link them into ``assembly``."""

@@ -1,4 +1,4 @@
-"""Subtasks of an episode as texts, in LeRobot's column for language that stays true until something else does.
+"""Subtasks of an episode in LeRobot's persistent language column.
 
 LeRobot 0.6.1 (``lerobot.datasets.language``) repeats all rows of an episode in every frame; which of them is active at
 a time it finds by their timestamps (``lerobot.datasets.language_render.active_at``).
@@ -18,7 +18,7 @@ LANGUAGE = "language_persistent"
 WATCH, REACH, HOLD = "watch the target", "reach and intercept the target", "close the hand and hold the target"
 
 INFO = {"dtype": "language", "shape": [1], "names": None}
-"""What ``info.json`` says of it."""
+"""Its entry in ``info.json``."""
 ARROW = pa.list_(
     pa.struct(
         [

@@ -16,12 +16,12 @@ from dynahoi_lerobot.foundation.digest import sha256
 FORMAT = 1
 CARD_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
 CARD_FOLDERS = (".cache/", ".git/")
-"""What the Hub and git put beside a dataset; everything else in its folder is in the manifest."""
+"""Files of the Hub and git beside a dataset; the manifest lists everything else."""
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a dataset contains and where it comes from.
+    """Contents and provenance of a dataset.
 
     Attributes:
         episodes: number of episodes.

@@ -1,4 +1,4 @@
-"""Merge datasets that this project wrote: videos are joined, tables renumbered, no picture decoded."""
+"""Merge datasets that this project wrote: join videos and renumber tables without decoding images."""
 
 from __future__ import annotations
 

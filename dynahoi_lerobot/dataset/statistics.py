@@ -1,4 +1,4 @@
-"""Statistics of columns and pictures, in LeRobot's schema: min, max, mean, std, count and five quantiles."""
+"""Statistics of columns and images, in LeRobot's schema: min, max, mean, std, count and five quantiles."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def table_stats(arrays: dict[str, np.ndarray]) -> dict[str, Stats]:
 
 
 def sampled_frames(frames: int) -> np.ndarray:
-    """Return the frames whose pictures LeRobot counts: all up to 100, then about ``frames ** 0.75``."""
+    """Return the frames whose images LeRobot counts: all up to 100, then about ``frames ** 0.75``."""
     count = max(min(frames, 100), min(int(frames**0.75), 10_000))
     return np.round(np.linspace(0, frames - 1, count)).astype(int)
 
@@ -63,13 +63,13 @@ def picture_histogram(images: np.ndarray) -> np.ndarray:
     step = size // SMALL_IMAGE if size >= LARGE_IMAGE else 1
     images = np.ascontiguousarray(images[:, ::step, ::step])
     number, height, width, _ = images.shape
-    # One tall picture lets Pillow count at memory speed.
+    # One tall image lets Pillow count at memory speed.
     tall = Image.frombuffer("RGB", (width, number * height), images, "raw", "RGB", 0, 1)
     return np.array(tall.histogram(), np.int64).reshape(3, LEVELS)  # (3, 256)
 
 
 def picture_stats(histogram: np.ndarray, count: int) -> Stats:
-    """Return the exact statistics of ``count`` pictures from their (3, 256) counts, (3, 1, 1) in 0-1."""
+    """Return the exact statistics of ``count`` images from their (3, 256) counts, (3, 1, 1) in 0-1."""
     levels = np.arange(LEVELS) / (LEVELS - 1)
     total = histogram.sum(axis=1)
     mean = histogram @ levels / total

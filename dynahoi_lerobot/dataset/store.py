@@ -1,4 +1,4 @@
-"""Store: a dataset on disk, read without LeRobot."""
+"""A dataset on disk, read without LeRobot."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Store:
         """
         self.root = root
         if not (root / INFO_PATH).is_file():
-            raise FileNotFoundError(f"{root} holds no LeRobot dataset: {INFO_PATH} is missing")
+            raise FileNotFoundError(f"{root} is no LeRobot dataset: {INFO_PATH} is missing")
 
     @cached_property
     def info(self) -> dict[str, Any]:
@@ -50,7 +50,7 @@ class Store:
         with reading(path := self.root / INFO_PATH):
             info = json.loads(path.read_text())
             if not isinstance(info["features"], dict):
-                raise TypeError("its features are no table")
+                raise TypeError("its features are not a JSON object")
             return info
 
     @property

@@ -1,4 +1,4 @@
-"""Copy some episodes of a dataset: packets are copied, nothing is decoded or encoded.
+"""Copy some episodes of a dataset packet by packet, without decoding.
 
 LeRobot's own tools re-encode a video file that loses an episode, and drop the per-episode columns.
 """
@@ -39,7 +39,7 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
     with reading(root / MANIFEST_PATH):
         manifest = Manifest.read(root)
     if not kept:
-        raise ValueError("no episode is kept; a dataset holds one or more")
+        raise ValueError("got no episodes to keep; a dataset needs at least one")
     if unknown := sorted(kept - set(range(store.episodes))):
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
     with temporary_sibling(output) as folder:

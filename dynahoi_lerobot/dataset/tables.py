@@ -1,4 +1,4 @@
-"""Parquet files that roll over at a size limit, and the task table pandas wants."""
+"""Parquet files that roll over at a size limit, and LeRobot's task table."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class VideoWriter:
             raise OSError(errno.EIO, f"only {stored} of {self.frames} frames reached the disk", str(self.path))
 
     def abandon(self) -> None:
-        """Close the file without caring what is in it."""
+        """Close the file, whatever it contains."""
         self._container.close()
 
     def _mux(self, frame: av.VideoFrame | None) -> None:

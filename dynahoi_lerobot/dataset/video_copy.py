@@ -1,4 +1,4 @@
-"""An mp4 file that takes over frames of others, packet by packet: nothing is decoded or encoded."""
+"""An mp4 file made of other files' packets, without decoding."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DatasetWriter: episodes in, a LeRobotDataset v3.0 out. The same episodes give the same bytes."""
+"""Write episodes as a LeRobotDataset v3.0. The same episodes give the same bytes."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class DatasetWriter:
             ValueError: if no episode was added.
         """
         if not self._catalog.episodes:
-            raise ValueError("no episode was added; a dataset holds one or more")
+            raise ValueError("no episode was added; a dataset needs at least one")
         self._data.close()
         self._close_videos()
         self._catalog.finish()
@@ -121,7 +121,7 @@ class DatasetWriter:
         return finish_with_card(self.root, manifest)
 
     def abandon(self) -> None:
-        """Let go of all files; the folder stays as it is, unfinished."""
+        """Close all files and leave the folder unfinished."""
         for video in self._videos.values():
             video.abandon()
 

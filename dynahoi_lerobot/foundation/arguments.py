@@ -1,4 +1,4 @@
-"""What several commands read from their command line in the same way."""
+"""Argument types that several commands share."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def path(text: str) -> Path:
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """Return what reads a whole number from ``low`` to ``high`` and raises ArgumentTypeError for anything else."""
+    """Return a parser of a whole number from ``low`` to ``high`` and raises ArgumentTypeError for anything else."""
     return _reader(int, "a whole number", low, high)
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
-    """Return what reads a finite number from ``low`` to ``high`` and raises ArgumentTypeError for anything else."""
+    """Return a parser of a finite number from ``low`` to ``high`` and raises ArgumentTypeError for anything else."""
     return _reader(float, "a number", low, high)
 
 

@@ -1,4 +1,4 @@
-"""Refusing to put together what does not belong together: results or datasets of different versions."""
+"""Refuse to mix results or datasets of different versions."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 
 class MixedError(ValueError):
-    """Things that differ where they must agree; the message names two of them and what would help."""
+    """Things differ that must agree; the message names two of them and the remedy."""
 
 
 def refuse_to_mix(noun: str, found: Iterable[tuple[object, str]], remedy: str) -> None:

@@ -1,4 +1,4 @@
-"""Places for output, refused before the work if nothing can be written there after it."""
+"""Refuse unwritable output places before the work starts."""
 
 from __future__ import annotations
 

@@ -43,5 +43,7 @@ def import_plugin(entry: EntryPoint) -> None:
         source = f" of {entry.dist.name}" if entry.dist else ""
         problem = f"{type(error).__name__}: {error}"
         warnings.warn(
-            f"the plugin {entry.name!r}{source} ({entry.value}) is left out: {problem}", PluginWarning, stacklevel=2
+            f"the plugin {entry.name!r}{source} ({entry.value}) could not be imported: {problem}",
+            PluginWarning,
+            stacklevel=2,
         )

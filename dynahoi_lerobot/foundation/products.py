@@ -1,4 +1,4 @@
-"""Products by NumPy's own loops: those of BLAS round differently from one processor to the next."""
+"""Products by NumPy's own loops, because BLAS rounds differently from one processor to the next."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small YAML files written by anyone: what could take the machine, or say two things at once, is refused."""
+"""Small YAML files from anyone, read strictly: no aliases, no repeated keys, bounded size and depth."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MAX_DEPTH = 16
 
 
 class _RefusedError(ValueError):
-    """What YAML allows and these files may not have."""
+    """YAML features that these files may not use."""
 
 
 class _PlainLoader(yaml.SafeLoader):

@@ -10,7 +10,7 @@ from pathlib import Path
 from dynahoi_lerobot.report.entries import Entry
 
 MOST_CLIPS = 12
-"""Clips shown of one folder, the first by name; a page with more is too heavy to open."""
+"""Clips shown per folder, the first by name; more would make the page too large."""
 
 LARGEST_CLIP_BYTES = 20_000_000
 GIF_HEADERS = (b"GIF87a", b"GIF89a")
@@ -18,7 +18,7 @@ GIF_HEADERS = (b"GIF87a", b"GIF89a")
 
 @dataclass(frozen=True)
 class Clips:
-    """The clips of one entry: names with ``data:`` addresses, and how many were left out."""
+    """The clips of one entry: names with ``data:`` URLs, and the number left out."""
 
     label: str
     clips: tuple[tuple[str, str], ...]
@@ -38,7 +38,7 @@ def _clips_of(entry: Entry) -> Clips:
 
 
 def _is_gif(path: Path) -> bool:
-    """Tell whether this is a GIF of reasonable size that stands in the folder itself: a link may show any file."""
+    """Return whether this is a regular GIF of reasonable size; a link could embed any file."""
     if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_CLIP_BYTES:
         return False
     with path.open("rb") as file:

@@ -24,15 +24,15 @@ COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8
 LABEL_LENGTH = 32
 
 GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
-"""Folder names that training runs of LeRobot and of studies have, and that do not identify the policy."""
+"""Folder names of training runs that do not identify the policy."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One evaluation in a report.
+    """One evaluation of a report.
 
     Attributes:
-        results: what was read from its folder.
+        results: its result folder.
         label: short and unique within the report.
         colour: hexadecimal RGB.
         certificate: what ``dynahoi certify`` confirmed of it here, if it did.
@@ -82,7 +82,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
-    """Return a label per result: policy and inference; folder, then a number, are added where it is not unique."""
+    """Return a unique label per result: policy and inference, then folder and number if needed."""
     names = [marked(short_name(result.info.policy), privileged=result.privileged) for result in results]
     labels = [_timed(name, result.info.extra.get("inference")) for name, result in zip(names, results, strict=True)]
     labels = [
@@ -103,14 +103,14 @@ def short_name(policy: str) -> str:
 
 
 def clip(text: str, length: int = LABEL_LENGTH) -> str:
-    """Return ``text`` in printable characters, its middle left out where it is too long."""
+    """Return ``text`` in printable characters, shortened in the middle."""
     clean = "".join(letter if letter.isprintable() else "?" for letter in text.strip())
     half = (length - 1) // 2
     return clean if len(clean) <= length else f"{clean[:half]}…{clean[-half:]}"
 
 
 def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
-    """Return one row for every episode that any evaluation played."""
+    """Return one row per distinct episode of all evaluations."""
     rows = {tuple(row[name] for name in IDENTITY): row for entry in entries for row in entry.results.rows}
     return list(rows.values())
 

@@ -1,4 +1,4 @@
-"""``render_report``: one HTML file that needs nothing else, from any number of result folders."""
+"""``render_report``: one self-contained HTML page from any number of result folders."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def render_report(
     """Write the report of ``folders`` as one self-contained HTML page.
 
     Args:
-        folders: result folders; one that is named twice counts once.
+        folders: result folders; duplicates count once.
         out: the file to write, or an existing folder in which ``report.html`` is written.
         across: conditions under which paired evaluations may differ, of ``CROSSABLE``.
-        allow_version_mismatch: take results of different versions of the benchmark.
+        allow_version_mismatch: accept results of different benchmark versions.
 
     Returns:
         The path of the page.
@@ -50,7 +50,7 @@ def render_report(
 
 
 def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict[str, Any]:
-    """Return what the template shows."""
+    """Return the template's variables."""
     figures = [(figure, figure.render(entries)) for figure in in_order()]
     return {
         "entries": entries,

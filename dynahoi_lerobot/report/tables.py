@@ -13,7 +13,7 @@ from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report.entries import Entry
 
 COMPARED = ("S_hold", "S_loc", "S_joint", "E_loc")
-"""Metrics of the paired comparisons; one that applies to no pair is left out."""
+"""Metrics of the paired comparisons; those without pairs are omitted."""
 
 SIGNIFICANT = 0.05
 
@@ -78,7 +78,7 @@ def glossary() -> Table:
         )
         for name, metric in METRICS.items()
     )
-    return Table("What every number means.", ("metric", "unit", "better", "episodes", "definition"), rows)
+    return Table("Definitions of all metrics.", ("metric", "unit", "better", "episodes", "definition"), rows)
 
 
 def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) -> list[Table]:

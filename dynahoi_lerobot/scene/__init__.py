@@ -1,1 +1,1 @@
-"""The compiled MuJoCo model that every episode shares, and the per-world fields that turn it into one episode."""
+"""The compiled MuJoCo model of all episodes, and the per-world fields that set up one."""

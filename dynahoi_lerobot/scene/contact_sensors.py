@@ -1,4 +1,4 @@
-"""What touches the target, and how hard: contact sensors in the scene, and how they are read."""
+"""Contact sensors on the target, and how to read them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.hands.base import PALM_BODY
 
 N_SENSORS = len(FINGERS) + 2
-"""One for each finger, one for the palm, one for whatever touches the target."""
+"""One per finger, one for the palm, one for all contacts of the target."""
 PALM, ANY = len(FINGERS), len(FINGERS) + 1
 FOUND, FORCE = 0, slice(1, 4)
 SENSOR_SIZE = 4
@@ -21,7 +21,7 @@ NET_FORCE = 3
 
 @dataclass(frozen=True, eq=False)
 class TargetContacts:
-    """What touches the target, for worlds, frames or physics steps of any shape (...).
+    """Contacts of the target, for worlds, frames or physics steps of shape (...).
 
     Attributes:
         finger_force_n: (..., 5) magnitude of the net force of each finger on the target [N].
@@ -44,12 +44,12 @@ class TargetContacts:
 
 
 def no_contacts(*shape: int) -> TargetContacts:
-    """Return contacts of ``shape`` where nothing touches the target."""
+    """Return contacts of ``shape`` without any touch."""
     return TargetContacts(np.zeros((*shape, len(FINGERS))), np.zeros(shape), np.zeros(shape))
 
 
 def read_contacts(sensordata: np.ndarray) -> TargetContacts:
-    """Return what touches the target.
+    """Return the contacts of the target.
 
     Args:
         sensordata: (..., 28) of a scene with ``add_contact_sensors``.

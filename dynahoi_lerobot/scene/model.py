@@ -1,4 +1,4 @@
-"""The MuJoCo model of every episode: hand, target, fixtures and surroundings, put together once.
+"""The MuJoCo model of every episode, compiled once: hand, target, fixtures and surroundings.
 
 The target body carries ``TARGET_SLOTS``, geoms enough for every object of the benchmark, and more of them if an object
 registered by somebody else has more primitives of a shape. A world fills the slots its object uses and hides the rest.
@@ -44,11 +44,11 @@ SMOOTH_FRICTION = (0.0, *SURFACE_FRICTION[1:])
 """Of fixtures, whose own friction is a matter of the motion: of two frictions the greater counts."""
 FIXTURE_BOXES = ("box_a", "box_b")
 DISTRACTORS = ("box", "capsule", "cylinder", "sphere")
-"""Shapes of the things that are only there to be seen, one of each."""
+"""Shapes of the visual-only distractors, one of each."""
 FURNITURE_SLOTS = 16
-"""Boxes that furniture is made of; they are only there to be seen."""
+"""Boxes for furniture, visual only."""
 SCREEN = "screen"
-"""Name of the panel that hides the target under a protocol that has one."""
+"""Name of the panel that hides the target under the protocol ``occluded``."""
 USES = {"thing": (0.4, 1.0), "floor": (0.22, 8.0), "wall": (0.16, 12.0)}
 """Contrast of a pattern, the share that its dark parts lack, and how often it repeats, by what it is used for."""
 LARGEST_BOX_M = (1.5, 1.0, 0.3)
@@ -65,7 +65,7 @@ WALLS = {
 }
 """Direction of each wall from the centre, and the axes along it. They keep targets in."""
 SHOWN_WALLS = ("wall_front", "wall_left", "wall_right")
-"""No camera looks backwards."""
+"""The wall behind the hand is not drawn: no camera looks backwards."""
 WALL_HALF_THICKNESS_M = 0.1
 SHOWN_GROUPS = (SHOWN_GROUP, SKIN_GROUP)
 SHININESS = 0.5
@@ -74,7 +74,7 @@ SHININESS = 0.5
 SIDE_CAMERA = "side"
 SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([-0.65, -0.6, 0.4]), np.array([0.35, 0.05, 0.0])
 SIDE_CAMERA_FOVY_DEG = 54.0
-"""A camera that stands still, behind the waiting hand and to its right; from the palm centre at home."""
+"""Pose of the static side camera, behind the waiting hand and to its right, relative to the palm's centre at home."""
 
 
 def impact_solref(restitution: float) -> tuple[float, float]:
@@ -155,7 +155,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
 
 
 def _set_hand_collisions(spec: mujoco.MjSpec) -> None:
-    """Let the hand answer to targets that ask for it, and to nothing else."""
+    """Let the hand collide with targets that ask for it, and with nothing else."""
     for geom in spec.geoms:
         if geom.name.startswith(HAND_GEOM_PREFIX):
             geom.contype, geom.conaffinity, geom.condim = 0, HAND_BIT, 6
@@ -186,7 +186,7 @@ def _add_slots(body: mujoco.MjsBody, shape: str, numbers: range) -> None:
 
 
 def _add_solids(spec: mujoco.MjSpec) -> None:
-    """Add what is only there to be seen: furniture, distractors and the screen."""
+    """Add visual-only geoms: furniture, distractors and the screen."""
     names = {f"furniture_{number}": "box" for number in range(FURNITURE_SLOTS)}
     names |= {f"distractor_{shape}": shape for shape in DISTRACTORS} | {SCREEN: "box"}
     for name, shape in names.items():

@@ -1,4 +1,4 @@
-"""The compiled scene: the MuJoCo model, and where hand, target, fixtures and surroundings are in it."""
+"""The compiled scene: the MuJoCo model and the addresses of hand, target, fixtures and surroundings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from dynahoi_lerobot.scene.slots import TARGET_SLOTS, extra_slots
 
 @dataclass(frozen=True)
 class Scene:
-    """The compiled model and where things are in it.
+    """The compiled model and its addresses.
 
     Attributes:
         model: the MuJoCo model; never written to.

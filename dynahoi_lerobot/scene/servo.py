@@ -10,12 +10,12 @@ import numpy as np
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF, SUBSTEPS
 
 ROUNDING = 1e-5
-"""Relative excess of a step that is a rounding error: replaying a stored, cut command must not cut it again."""
+"""Relative excess that counts as rounding: replaying a stored, clipped command must not clip it again."""
 
 
 @dataclass(frozen=True)
 class SpeedLimits:
-    """How far commands may lead within one frame.
+    """Speed limits of the hand within one frame.
 
     Attributes:
         palm_speed_m_s: of the palm [m/s].
@@ -60,7 +60,7 @@ class Servo:
         self._limits = limits
 
     def within_reach(self, command: np.ndarray, previous: np.ndarray, origin: np.ndarray) -> np.ndarray:
-        """Return (n, 18) commands towards ``command`` that a hand at ``previous`` can meet within one frame.
+        """Return (n, 18) commands towards ``command`` that a hand at ``previous`` can reach within one frame.
 
         Args:
             command: (n, 18) palm positions [m] and joint angles [rad].

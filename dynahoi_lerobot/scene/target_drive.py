@@ -21,7 +21,7 @@ GRAVITY_W = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 @dataclass(frozen=True, eq=False)
 class TargetDrive:
-    """How one target is driven.
+    """The drive of one target.
 
     Attributes:
         start_pos_w: (3,) position at t = 0 [m].

@@ -60,7 +60,7 @@ class VlmAgent(ChunkAgent):
     ) -> Plan:
         """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took.
 
-        Nobody is asked about worlds whose episode has ended, which are black.
+        Worlds whose episode has ended are skipped.
         """
         shown = [i for i in worlds.tolist() if observation.images[EGO_VIEW][i].any()]
         actions = np.repeat(observation.state[:, None].astype(np.float64), HORIZON, axis=1)
@@ -70,7 +70,7 @@ class VlmAgent(ChunkAgent):
         return Plan(actions[worlds], seconds[worlds])
 
     def _decisions(self, observation: Observation, worlds: Sequence[int]) -> list[tuple[np.ndarray, float]]:
-        """Ask for a chunk (10, 18) for each of ``worlds``, several at a time; also return the seconds each took."""
+        """Request a chunk (10, 18) for each of ``worlds`` concurrently; also return the seconds that each took."""
         return list(self._threads.map(lambda i: self._decision(observation, i), worlds))
 
     def _decision(self, observation: Observation, i: int) -> tuple[np.ndarray, float]:

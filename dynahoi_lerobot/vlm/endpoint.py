@@ -46,7 +46,7 @@ def connect(base_url: str | None, redact: Redactor) -> Any:
         import httpx2 as httpx
         import openai
     except ImportError as error:
-        raise ValueError(f"a VLM needs the openai client ({error}); install dynahoi_lerobot[vlm]") from error
+        raise ValueError(f"a VLM needs the openai client ({error}), which the extra `vlm` installs") from error
     from dynahoi_lerobot.vlm.transport import BoundedTransport
 
     _check_url(os.environ.get(URL_VARIABLE) or None if base_url is None else base_url, redact)

@@ -45,7 +45,7 @@ Return only the following JSON:
     {"frame_index": $horizon, "hand_params": [18 values]}
   ]
 }"""
-"""Figure "Hybrid prompt template for VLM online control", to the letter: <TASK_TEXT>, the state and T are filled in."""
+"""Figure "Hybrid prompt template for VLM online control", verbatim: <TASK_TEXT>, the state and T are filled in."""
 
 EXTENDED = """Task: $task
 Input: the RGB image of the camera on the hand, and the current hand state s_t, 18 numbers \
@@ -59,7 +59,7 @@ Return only the following JSON:
 {"action_sequence": [{"skill": "APPROACH", "params": {"target": "object"}, "duration": 4}, ...],
  "predicted_motion": [{"frame_index": 1, "hand_params": [18 values]}, ..., \
 {"frame_index": $horizon, "hand_params": [18 values]}]}"""
-"""The same with what the paper's leaves the model to guess: units, axes, the order of the joints, rate and speed."""
+"""The same, and what the paper's leaves unspecified: units, axes, joint order, frame rate and speed."""
 
 PROMPTS = {"extended": Template(EXTENDED), "paper": Template(PAPER)}
 """By the name that ``--prompt`` takes and that results carry. Both ask for the same answer, but for ``terminate_if``.

@@ -99,7 +99,7 @@ def test_viz_loads_an_episode(dataset):
 
 
 def test_store_says_when_there_is_no_dataset(tmp_path):
-    with pytest.raises(FileNotFoundError, match="holds no LeRobot dataset"):
+    with pytest.raises(FileNotFoundError, match="is no LeRobot dataset"):
         Store(tmp_path)
     with pytest.raises(IndexError, match="episode 6 does not exist"):
         Store(write(tmp_path / "d", range(6), 16)).episode(6)

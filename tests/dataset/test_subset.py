@@ -33,7 +33,7 @@ def test_kept_episodes_are_copied_to_the_last_pixel(tmp_path, codec):
 
 
 def test_impossible_subsets_are_refused(dataset, tmp_path):
-    with pytest.raises(ValueError, match="no episode is kept"):
+    with pytest.raises(ValueError, match="at least one"):
         copy_subset(dataset, tmp_path / "x", [])
     with pytest.raises(ValueError, match="episode 7 does not exist"):
         copy_subset(dataset, tmp_path / "x", [0, 7])

@@ -55,7 +55,7 @@ def test_broken_dataset_is_reported(simulated, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("words", "sentence"),
-    [(["nowhere"], "holds no LeRobot dataset"), (["nowhere", "--decode", "-1"], "--decode is '-1'")],
+    [(["nowhere"], "is no LeRobot dataset"), (["nowhere", "--decode", "-1"], "--decode is '-1'")],
 )
 def test_bad_input_is_one_sentence(words, sentence, capsys):
     assert run(verify_command, *words) == 2

@@ -125,7 +125,7 @@ def test_bad_input_is_one_sentence(with_outlier, tmp_path, capsys, words, senten
 
 def test_folders_that_do_not_fit_are_refused(with_outlier, tmp_path, capsys):
     assert run(tmp_path, "--out", tmp_path / "new") == 2
-    assert "holds no LeRobot dataset" in capsys.readouterr().err
+    assert "is no LeRobot dataset" in capsys.readouterr().err
     assert run(with_outlier) == 2
     assert "say where the new dataset goes with --out DIR" in capsys.readouterr().err
     assert run(with_outlier, "--out", tmp_path) == 2

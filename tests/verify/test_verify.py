@@ -152,7 +152,7 @@ def test_samples_take_turns_among_kinds():
 
 
 def test_verify_needs_a_dataset(tmp_path):
-    with pytest.raises(FileNotFoundError, match="holds no LeRobot dataset"):
+    with pytest.raises(FileNotFoundError, match="is no LeRobot dataset"):
         verify(tmp_path)
 
 

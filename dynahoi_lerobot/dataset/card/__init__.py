@@ -1,1 +1,1 @@
-"""The dataset card: ``README.md`` and its pictures, as LeRobot's ``push_to_hub`` writes it, with all fields filled."""
+"""The dataset card: ``README.md`` and its images, in the form that LeRobot's ``push_to_hub`` writes."""

@@ -1,4 +1,4 @@
-"""Pictures of histograms as SVG, written by hand: the same numbers give the same bytes with any library version."""
+"""Histograms as handwritten SVG: the same numbers give the same bytes with any library version."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ COLUMNS = 6
 WIDTH, HEIGHT, TOP, BOTTOM, GAP = 130, 60, 16, 14, 10
 """Of one panel [px]: its bars, the line of text above and below them, and the space to the next one."""
 INK, TEXT = "#4477aa", "#888888"
-"""Readable on the Hub's light and dark pages."""
+"""Legible on the Hub's light and dark pages."""
 
 
 def histogram_svg(histograms: Mapping[str, Mapping[str, Any]]) -> str:

@@ -34,14 +34,14 @@ METADATA = {
     "tags": ["LeRobot", "dynahoi", "robotics", "dexterous-manipulation", "simulation", "mujoco"],
     "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
 }
-"""What the Hub reads: tags for its search, and which files its viewer shows."""
+"""Metadata for the Hub's search and viewer."""
 
 
 def finish_with_card(root: Path, manifest: Manifest) -> Manifest:
-    """Write the card, its pictures and then the manifest, which names them, too.
+    """Write the card, its images and then the manifest, which lists them.
 
     Args:
-        root: a dataset that is complete but for these files.
+        root: a dataset that lacks only these files.
         manifest: names every other file.
 
     Returns:

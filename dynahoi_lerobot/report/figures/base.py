@@ -32,7 +32,7 @@ class ReportFigure:
         name: the anchor on the page.
         title: the heading on the page.
         place: figures appear in the order of this number.
-        draw: returns the drawing, or None where the entries hold nothing to draw; its docstring is the caption.
+        draw: returns the drawing, or None if there is nothing to draw; its docstring is the caption.
     """
 
     name: str
@@ -42,7 +42,7 @@ class ReportFigure:
 
     @property
     def caption(self) -> str:
-        """What the figure shows and which figure of the paper it answers."""
+        """Caption: what the figure shows, and its counterpart in the paper."""
         return " ".join(inspect.cleandoc(self.draw.__doc__ or "").replace("``", "").split())
 
     def render(self, entries: Sequence[Entry]) -> str | None:
@@ -74,7 +74,7 @@ ACROSS = 4
 
 
 def columns_of(entries: Sequence[Entry]) -> tuple[str, ...]:
-    """Return the paper's metrics, led by S_hold if any evaluation uses the capture rule contact."""
+    """Return the paper's metrics, preceded by S_hold if any evaluation uses the capture rule contact."""
     return columns_for([entry.results for entry in entries])
 
 

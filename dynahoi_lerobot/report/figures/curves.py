@@ -1,4 +1,4 @@
-"""Metrics over a number that says how a policy was trained or evaluated, a line for each group of evaluations."""
+"""Metrics over a parameter of training or evaluation, one line per group of evaluations."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ LARGEST_ON_AXIS = 1e12
 
 
 Number = Callable[[Entry], object]
-"""Gives where on the axis an evaluation belongs; what is no number that an axis can show belongs nowhere."""
+"""Maps an evaluation to its place on the axis; None if it has none."""
 Group = Callable[[Entry], tuple[str, ...]]
-"""Gives the names that evaluations on one line have in common."""
+"""Maps an evaluation to the names that its line shares."""
 
 
 @dataclass(frozen=True)
@@ -101,14 +101,14 @@ def _is_number(value: object) -> bool:
 def obs_frames(entries: Sequence[Entry]) -> Figure | None:
     """The metrics over the number of observed frames s (Figure "Obs-frames ablation").
 
-    Drawn from evaluations that say ``n_obs_frames``, a line for each ``condition`` of a study.
+    Shows evaluations with ``n_obs_frames``, one line per ``condition`` of a study.
     """
     return curves(entries, stored("n_obs_frames"), "observed frames s")
 
 
 @figure("latency", "Inference latency", place=85)
 def latency(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics over the time that an inference takes, a line for each policy and way of bridging it.
+    """The metrics over the latency of inference, one line per policy and mode.
 
     Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where the world waits.
     """
@@ -122,14 +122,14 @@ def declared_ms(entry: Entry) -> float | None:
 
 
 def policy_and_rules(entry: Entry) -> tuple[str, ...]:
-    """Return the policy of an evaluation, how it bridged the latency, split, capture rule and control class."""
+    """Return policy, inference mode, split, capture rule and control class of an evaluation."""
     results, timing = entry.results, _timing(entry) or Inference()
     bridged = "corrected" if timing.corrected else ""
     return short_name(results.info.policy), bridged, results.info.split, results.capture, results.control_class
 
 
 def _timing(entry: Entry) -> Inference | None:
-    """Return how long the inferences of an evaluation took; None if its label does not say it."""
+    """Return the latency of an evaluation's inference; None if its label does not state it."""
     label = entry.results.inference
     try:
         return Inference.from_label("" if label == SYNC else label)
@@ -141,6 +141,6 @@ def _timing(entry: Entry) -> Inference | None:
 def data_scaling(entries: Sequence[Entry]) -> Figure | None:
     """The metrics over the share of the training data (Figure "Training-data scaling").
 
-    Drawn from evaluations that say ``data_fraction``.
+    Shows evaluations with ``data_fraction``.
     """
     return curves(entries, stored("data_fraction"), "share of the training data")

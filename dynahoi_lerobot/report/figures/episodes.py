@@ -1,4 +1,4 @@
-"""What was played: kinds, durations, travels and grasps of the episodes, and how the commands change."""
+"""The episodes: kinds, durations, travels, grasps and changes of command."""
 
 from __future__ import annotations
 

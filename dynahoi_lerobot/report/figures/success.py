@@ -1,4 +1,4 @@
-"""How well each evaluation did: overall, by stage, by stratum and frame by frame."""
+"""Success: overall, by stage, by stratum and frame by frame."""
 
 from __future__ import annotations
 
