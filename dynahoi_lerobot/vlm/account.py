@@ -4,9 +4,37 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
-from dynahoi_lerobot.vlm.completion import Usage
+
+class Cause(StrEnum):
+    """Why a request gave no commands: a fixed set, so that no server can add keys to a report."""
+
+    TIMEOUT = "timeout"
+    """The deadline of the decision passed."""
+    CONNECTION = "connection"
+    """Name resolution, TCP or TLS failed, the connection broke, or the response is not HTTP."""
+    HTTP_3XX = "http_3xx"
+    """A redirect; none is followed."""
+    HTTP_4XX = "http_4xx"
+    HTTP_5XX = "http_5xx"
+    HTTP_OTHER = "http_other"
+    MALFORMED = "malformed"
+    """The response body is not JSON, or not a chat completion with text."""
+    UNPLAYABLE = "unplayable"
+    """A chat completion whose text is not a valid answer."""
+    UNEXPECTED = "unexpected"
+    """Any other exception during a request."""
+
+    @classmethod
+    def of_status(cls, status: int) -> Cause:
+        """Return the cause for an HTTP status code that is not 2xx."""
+        return {3: cls.HTTP_3XX, 4: cls.HTTP_4XX, 5: cls.HTTP_5XX}.get(status // 100, cls.HTTP_OTHER)
+
+
+Usage = tuple[int, int]
+"""Prompt and completion tokens of one request."""
 
 
 @dataclass

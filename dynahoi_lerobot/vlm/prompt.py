@@ -1,4 +1,4 @@
-"""The prompts for a vision-language model (appendix "Details for Evaluating VLMs") and the schema of its answer."""
+"""The prompts for a vision-language model (appendix "Details for Evaluating VLMs")."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, HAND_NAMES
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_NAMES
 
 HORIZON = 10
 """T, the number of frames of 0.05 s that one answer commands."""
@@ -110,34 +110,6 @@ class Prompt:
 
 
 DEFAULT_PROMPT = Prompt()
-
-
-def answer_schema(horizon: int = HORIZON) -> dict[str, Any]:
-    """Return the JSON schema of an answer with ``horizon`` frames, for servers that offer structured output."""
-    skill = {
-        "type": "object",
-        "properties": {
-            "skill": {"type": "string", "enum": list(SKILLS)},
-            "params": {"type": "object"},
-            "duration": {"type": "integer", "minimum": 1, "maximum": horizon},
-            "terminate_if": {"type": "string"},
-        },
-        "required": ["skill", "duration"],
-    }
-    values = {"type": "array", "items": {"type": "number"}, "minItems": HAND_DOF, "maxItems": HAND_DOF}
-    frame = {
-        "type": "object",
-        "properties": {"frame_index": {"type": "integer"}, "hand_params": values},
-        "required": ["frame_index", "hand_params"],
-    }
-    return {
-        "type": "object",
-        "properties": {
-            "action_sequence": {"type": "array", "items": skill, "minItems": 1},
-            "predicted_motion": {"type": "array", "items": frame, "minItems": horizon, "maxItems": horizon},
-        },
-        "required": ["action_sequence", "predicted_motion"],
-    }
 
 
 def _data_url(image: np.ndarray) -> str:

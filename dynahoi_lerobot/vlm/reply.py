@@ -1,91 +1,76 @@
-"""Strict parsing of the model's answer: anything that differs from the requested format is refused, with the reason."""
+"""The model's answer as pydantic reads it: anything that differs from the requested format is refused."""
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
-from dynahoi_lerobot.vlm.bounded_json import decode_json
-from dynahoi_lerobot.vlm.failures import Cause, RequestFailure
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS
 
-MAX_ANSWER = 64 << 10
-"""Characters; ten frames of 18 numbers take about 3,000."""
 FENCE = "```"
+MAX_REASON = 200
+"""Characters of the reason for which an answer is refused."""
 
 
-class ReplyError(RequestFailure):
+class ReplyError(ValueError):
     """An answer that is not in the requested format; the message says why."""
 
-    def __init__(self, message: str) -> None:
-        super().__init__(Cause.UNPLAYABLE, message)
+
+class _Strict(BaseModel):
+    """Numbers are numbers, neither text nor truth values, and finite."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
-def parse_reply(text: str | None, horizon: int = HORIZON) -> np.ndarray:
-    """Return the commands of an answer.
+class Step(_Strict):
+    """One skill of the program. The simulator plays the rollout, so a step changes no command."""
 
-    A Markdown fence around the JSON is accepted, no other text is.
+    skill: Literal[SKILLS]  # type: ignore[valid-type]
+    duration: Annotated[int, Field(ge=1, le=HORIZON)]
+    params: Any = None
+    terminate_if: Any = None
 
-    Args:
-        text: of the answer.
-        horizon: number of frames that must be commanded.
+
+class Frame(_Strict):
+    """One frame of the rollout: palm centre position [m], home frame, and joint angles [rad]."""
+
+    hand_params: Annotated[list[float], Field(min_length=HAND_DOF, max_length=HAND_DOF)]
+
+
+class Answer(_Strict):
+    """A skill program and the rollout of the next ``HORIZON`` frames (appendix "Details for Evaluating VLMs")."""
+
+    action_sequence: Annotated[list[Step], Field(min_length=1)]
+    predicted_motion: Annotated[list[Frame], Field(min_length=HORIZON, max_length=HORIZON)]
+
+    @model_validator(mode="after")
+    def _durations_fill_the_horizon(self) -> Self:
+        if (total := sum(step.duration for step in self.action_sequence)) != HORIZON:
+            raise ValueError(f"the durations sum to {total}; they must sum to {HORIZON}")
+        return self
+
+
+def parse_reply(text: str) -> np.ndarray:
+    """Return the commands of an answer; a Markdown fence around the JSON is accepted, no other text is.
 
     Returns:
-        (horizon, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but not clipped.
+        (10, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but not clipped.
 
     Raises:
-        ReplyError: for a refusal, broken or oversized JSON, missing keys, unknown skills, durations that do not sum to
-            ``horizon``, a wrong number of frames or values, and values that are not finite numbers.
+        ReplyError: if the text is not JSON or not an ``Answer``.
     """
-    if not text or not text.strip():
-        raise ReplyError("the answer is empty")
-    if len(text) > MAX_ANSWER:
-        raise ReplyError(f"the answer has {len(text)} characters, more than {MAX_ANSWER}")
-    answer = _decode(text)
-    _check_program(_item(answer, "action_sequence", list), horizon)
-    motion = _item(answer, "predicted_motion", list)
-    if len(motion) != horizon:
-        raise ReplyError(f"predicted_motion has {len(motion)} frames, not {horizon}")
-    return np.array([_frame(frame, number) for number, frame in enumerate(motion, 1)])
-
-
-def _decode(text: str) -> dict[str, Any]:
     body = text.strip()
     if body.startswith(FENCE):
         body = body.removeprefix(FENCE).removeprefix("json").removesuffix(FENCE)
     try:
-        answer = decode_json(body)
-    except ValueError as error:
-        raise ReplyError(f"the answer is not JSON ({error}): {body[:80]!r}") from error
-    if not isinstance(answer, dict):
-        raise ReplyError(f"the answer is a JSON {type(answer).__name__}, not an object")
-    return answer
-
-
-def _item(mapping: Any, key: str, kind: type) -> Any:
-    value = mapping.get(key) if isinstance(mapping, dict) else None
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise ReplyError(f"{key} is missing or not a {kind.__name__}")
-    return value
-
-
-def _check_program(program: list[Any], horizon: int) -> None:
-    for step in program:
-        skill = _item(step, "skill", str)
-        if skill not in SKILLS:
-            raise ReplyError(f"unknown skill {skill[:40]!r}; known: {', '.join(SKILLS)}")
-    durations = [_item(step, "duration", int) for step in program]
-    if min(durations, default=0) < 1 or sum(durations) != horizon:
-        raise ReplyError(f"the durations sum to {sum(durations)}, or one is below 1; they must sum to {horizon}")
-
-
-def _frame(frame: Any, number: int) -> list[float]:
-    values = _item(frame, "hand_params", list)
-    if len(values) != HAND_DOF:
-        raise ReplyError(f"frame {number} has {len(values)} values, not {HAND_DOF}")
-    if not all(isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in values):
-        raise ReplyError(f"frame {number} has a value that is not a finite number")
-    return [float(v) for v in values]
+        answer = Answer.model_validate_json(body)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        place = ".".join(map(str, first["loc"])) or "the answer"
+        raise ReplyError(f"{place}: {first['msg']}"[:MAX_REASON]) from None
+    except ValueError as error:  # text that is not Unicode
+        raise ReplyError(f"the answer cannot be read: {error}"[:MAX_REASON]) from None
+    return np.array([frame.hand_params for frame in answer.predicted_motion], np.float64)

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import socket
-import threading
 import time
 from collections.abc import Callable
 
-import httpcore2 as httpcore
 import numpy as np
 import pytest
 
 from dynahoi_lerobot.vlm.client import VlmClient
-from dynahoi_lerobot.vlm.deadline import Deadline
-from dynahoi_lerobot.vlm.failures import Cause, RequestFailure
-from dynahoi_lerobot.vlm.network import BoundedBackend
 from tests.vlm.hostile import GOOD, HEAD, STATE
 from tests.vlm.server import CERTIFICATE, DRIP_S, listening, serving
 
@@ -84,55 +79,3 @@ def test_name_resolution_that_fails(monkeypatch: pytest.MonkeyPatch):
 
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
     assert failure("http://unknown.invalid/v1") == "connection"
-
-
-def test_the_next_address_is_tried(monkeypatch: pytest.MonkeyPatch):
-    found, real = [], socket.getaddrinfo
-    with serving(lambda exchange: exchange.raw(GOOD)) as (url, _):
-        monkeypatch.setattr(
-            socket,
-            "getaddrinfo",
-            lambda host, port, *a, **k: [
-                entry
-                for each in (found.append(host) or ["127.0.0.2", "127.0.0.1"] if host == "two.invalid" else [host])
-                for entry in real(each, port, *a, **k)
-            ],
-        )
-        assert VlmClient("tiny", url.replace("127.0.0.1", "two.invalid")).plan("", STATE, IMAGE) is not None
-    assert found == ["two.invalid"]
-
-
-@pytest.mark.parametrize("reads", [0, 64])
-def test_sending_to_a_slow_reader_ends_in_time(reads: int):
-    """Each `send` makes progress, so a timeout of every call would never be reached."""
-
-    def read_slowly(connection: socket.socket) -> None:
-        for _ in range(int(4.0 / DRIP_S)):
-            if reads:
-                connection.recv(reads << 10)
-            time.sleep(DRIP_S)
-
-    with listening(read_slowly) as port:
-        stream = BoundedBackend(Deadline(TIMEOUT_S), 1000).connect_tcp("127.0.0.1", port)
-        stream.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        start = time.monotonic()
-        with pytest.raises((httpcore.WriteTimeout, RequestFailure)):
-            stream.write(bytes(64 << 20))
-        assert time.monotonic() - start < TIMEOUT_S + SLACK_S
-        stream.close()
-
-
-def test_a_deadline_that_has_passed_allows_nothing():
-    deadline = Deadline(0.0)
-    assert deadline.passed
-    with pytest.raises(RequestFailure) as error:
-        deadline.remaining()
-    assert error.value.cause is Cause.TIMEOUT
-
-
-def test_no_thread_is_left_behind():
-    with serving(lambda exchange: exchange.drip(b"H")) as (url, _):
-        before = {thread.name for thread in threading.enumerate()}
-        failure(url)
-        after = [thread.name for thread in threading.enumerate() if thread.name not in before]
-    assert "resolve" not in after
