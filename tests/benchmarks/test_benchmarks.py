@@ -13,11 +13,7 @@ from typing import Any
 import pytest
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-QUICK = ("sampling_histograms",)
-SCRIPTS = [
-    pytest.param(path, id=path.stem, marks=() if path.stem in QUICK else pytest.mark.slow)
-    for path in sorted(BENCHMARKS.glob("*.py"))
-]
+SCRIPTS = [pytest.param(path, id=path.stem, marks=pytest.mark.slow) for path in sorted(BENCHMARKS.glob("*.py"))]
 
 
 def numbers_in(value: Any) -> Iterator[float]:
@@ -69,7 +65,7 @@ def test_an_eye_is_tested_on_what_a_policy_sees(tmp_path: Path) -> None:
 
 def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    command = [sys.executable, str(BENCHMARKS / "sampling_histograms.py"), "--tiny", "--json"]
+    command = [sys.executable, str(BENCHMARKS / "pin.py"), "--tiny", "--json"]
     for place, sentence in (("file/numbers.json", "file is a file"), (".", "is a folder; name a file in it")):
         done = subprocess.run([*command, place], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 2

@@ -68,7 +68,10 @@ def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
     motions = dynahoi(tmp_path, "list", "motions", "--json")
     assert "glide" in names(motions)
     assert names(motions).count("lob") == 1
-    assert "the plugin 'broken_motion' of broken (broken_motion) could not be imported: ZeroDivisionError" in motions.stderr
+    assert (
+        "the plugin 'broken_motion' of broken (broken_motion) could not be imported: ZeroDivisionError"
+        in motions.stderr
+    )
     assert "the plugin 'greedy_motion' of broken" in motions.stderr
     assert "the motion name 'lob' is taken" in motions.stderr
     assert "marble" in names(dynahoi(tmp_path, "list", "objects", "--json"))
