@@ -34,6 +34,9 @@ LENIENT_RADIUS_M = 1.0 * UNIT_M
 GRASP_FRACTION = 0.9
 """Share of the reference rotation every joint must reach (Appendix "Evaluation Criteria")."""
 
+LARGEST_GRASP_FRACTION = 1.2
+"""Share of the reference rotation that no joint may exceed in the two-sided grasp metric, which a fist fails."""
+
 PALM_DOF = 3
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 JOINTS_PER_FINGER = 3

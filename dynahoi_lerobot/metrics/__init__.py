@@ -1,4 +1,4 @@
-"""Metrics: pure functions of an Episode, one file each, with formula, unit, direction and source."""
+"""Metrics: pure functions of an episode, with formula, unit, direction and source."""
 
 from dynahoi_lerobot.metrics.base import METRICS, Metric, measure, metric
 

@@ -1,10 +1,12 @@
-"""The part of an episode on which trajectory quality is measured, as steps between frames."""
+"""Quality of the palm's path, from control start to the first localised frame."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.foundation.conventions import PALM_DOF, UNIT_M
+from dynahoi_lerobot.metrics.base import SCORE, metric
 
 REST_M = 1e-6
 """Palm steps up to this length [m] count as zero: a servo that holds still jitters in the last bits of a float32."""
@@ -34,3 +36,83 @@ def palm_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
     steps[np.linalg.norm(steps, axis=1) <= REST_M] = 0.0
     displacement = points[-1] - points[0]
     return steps, displacement if np.linalg.norm(displacement) > REST_M else np.zeros(3)
+
+
+@metric("Q_line", unit=SCORE, direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
+def q_line(episode: Episode) -> float:
+    """Spatial linearity of the palm's path from control start to the first localised frame.
+
+    ``Q_line = 1 / (N - 1) * sum_t s_t . v`` with the unit directions ``s_t`` of the steps and ``v`` of the whole
+    displacement; 0 without displacement or if the palm stays within 1 mm, and a step of zero length adds 0.
+
+    Score in [-1, 1], higher is better. Paper: Section "Evaluation metrics".
+    """
+    return linearity(*palm_steps(episode))
+
+
+def linearity(steps: np.ndarray, displacement: np.ndarray) -> float:
+    """Return the mean cosine between (M, D) steps and the (D,) displacement, 0 where either vanishes."""
+    lengths, distance = np.linalg.norm(steps, axis=1), np.linalg.norm(displacement)
+    if distance == 0 or len(steps) == 0:
+        return 0.0
+    cosines = np.divide(steps @ displacement, lengths * distance, out=np.zeros(len(steps)), where=lengths > 0)
+    return float(np.clip(cosines.mean(), -1.0, 1.0))
+
+
+@metric("Q_smooth", unit=SCORE, direction="higher", aggregation="mean")
+def q_smooth(episode: Episode) -> float:
+    """Temporal smoothness of the palm's path from control start to the first localised frame.
+
+    ``Q_smooth = 1 / (1 + CV(d))`` with ``CV = sigma_d / mu_d`` (population standard deviation) of the step lengths
+    ``d_t = |p_{t+1} - p_t|``, and ``CV = 0`` where ``mu_d = 0``: the palm stays within 1 mm of where it begins.
+
+    Score in [0, 1], higher is better. Paper: Section "Evaluation metrics".
+    """
+    return smoothness(palm_steps(episode)[0])
+
+
+def smoothness(steps: np.ndarray) -> float:
+    """Return ``1 / (1 + CV)`` of the lengths of (M, D) steps, 1 where there is no motion."""
+    lengths = np.linalg.norm(steps, axis=1)
+    if not lengths.any():
+        return 1.0
+    return float(1.0 / (1.0 + lengths.std() / lengths.mean()))
+
+
+LEGACY_REST = 1e-4
+"""Steps up to this length (u and rad mixed) are dropped, as in the authors' evaluation."""
+
+
+def command_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
+    """Return the (K, 18) steps between successive commands, tiny ones dropped, and (18,) the displacement.
+
+    Palm positions are in u and joint angles in radians, because that mixture is what the authors' code
+    measured.
+    """
+    points = episode.executed[until_localized(episode)].astype(np.float64)  # (M, 18)
+    points[:, :PALM_DOF] /= UNIT_M
+    steps = np.diff(points, axis=0)
+    return steps[np.linalg.norm(steps, axis=1) > LEGACY_REST], points[-1] - points[0]
+
+
+@metric("Q_line_18d", unit=SCORE, direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
+def q_line_18d(episode: Episode) -> float:
+    """Legacy linearity: Q_line on the 18-D commands (palm in u, joints in rad), steps up to 1e-4 dropped.
+
+    ``Q_line_18d = 1 / (N - 1) * sum_t s_t . v`` with the unit directions of ``a_{t+1} - a_t`` and of ``a_N - a_1``.
+
+    Score in [-1, 1], higher is better. Source: the authors' evaluation code; for comparison with their logs only.
+    """
+    return linearity(*command_steps(episode))
+
+
+@metric("Q_smooth_18d", unit=SCORE, direction="higher", aggregation="mean")
+def q_smooth_18d(episode: Episode) -> float:
+    """Legacy smoothness: Q_smooth on the 18-D commands (palm in u, joints in rad), steps up to 1e-4 dropped.
+
+    ``Q_smooth_18d = 1 / (1 + CV(d))`` with ``d_t = |a_{t+1} - a_t|``; 1 without any step, where the authors' value is
+    not a number.
+
+    Score in [0, 1], higher is better. Source: the authors' evaluation code; for comparison with their logs only.
+    """
+    return smoothness(command_steps(episode)[0])

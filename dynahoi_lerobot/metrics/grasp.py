@@ -1,0 +1,150 @@
+"""Whether the hand is in the reference grasp, or holds the target."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode, joints_reached
+from dynahoi_lerobot.foundation.conventions import (
+    CONTROL_HZ,
+    FINGERS,
+    GRASP_FRACTION,
+    JOINTS_PER_FINGER,
+    LARGEST_GRASP_FRACTION,
+    UNIT_M,
+)
+from dynahoi_lerobot.metrics.base import FRACTION, UNIT, metric
+
+
+def share_of_frames(episode: Episode, at_least: int) -> float:
+    """Return the share of control frames, 0 to 1, in which ``at_least`` fingers match the reference in all joints."""
+    reached = joints_reached(episode.joints[episode.control], episode.open_joints, episode.reference_joints)
+    by_finger = reached.reshape(-1, len(FINGERS), JOINTS_PER_FINGER)  # (T, 15) -> (T, 5, 3)
+    return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= at_least))
+
+
+def grasps_at(episode: Episode, frames: slice) -> bool:
+    """Tell whether all 15 joints reach the reference in any of ``frames``."""
+    reached = joints_reached(episode.joints[frames], episode.open_joints, episode.reference_joints)
+    return bool(reached.all(axis=1).any())
+
+
+@metric("S_gra", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
+def s_gra(episode: Episode) -> bool | None:
+    """Grasp success, given localisation: all 15 joints match the reference grasp at the first localised frame.
+
+    ``S_gra = 1 if for all j: (q_j - open_j) / (ref_j - open_j) >= 0.9, else 0`` with the joint angles q at that frame:
+    each joint has turned in the direction of the reference, by at least 0.9 of its rotation. None if the target is
+    never localised.
+
+    Fraction of localised episodes, higher is better. Paper: Section "Evaluation metrics" and Appendix "Evaluation
+    Criteria".
+    """
+    first = episode.first_localized
+    return None if first is None else grasps_at(episode, slice(first, first + 1))
+
+
+WINDOW_S = 0.5
+"""How long after localisation the grasp may close [s]."""
+
+
+@metric("S_gra_window", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
+def s_gra_window(episode: Episode) -> bool | None:
+    """Grasp success within 0.5 s, given localisation: the test of S_gra on the first localised frame and ten more.
+
+    ``S_gra_window = 1 if S_gra's condition holds at any t in [t_loc, t_loc + 0.5 s], else 0``; None if the target is
+    never localised.
+
+    Fraction of localised episodes, higher is better. Ours: S_gra judges one instant, which a hand that closes 50 ms
+    late fails.
+    """
+    first = episode.first_localized
+    return None if first is None else grasps_at(episode, slice(first, first + round(WINDOW_S * CONTROL_HZ) + 1))
+
+
+@metric("S_gra_two_sided", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
+def s_gra_two_sided(episode: Episode) -> bool | None:
+    """Grasp success, given localisation, with joints neither too open nor too closed.
+
+    ``S_gra_two_sided = 1 if for all j: 0.9 <= (q_j - open_j) / (ref_j - open_j) <= 1.2, else 0`` with the joint angles
+    q at the first localised frame; joints that the reference leaves open do not count. None if the target is never
+    localised.
+
+    Fraction of localised episodes, higher is better. Ours: a fist passes the paper's S_gra for every object.
+    """
+    first = episode.first_localized
+    if first is None:
+        return None
+    wanted = episode.reference_joints - episode.open_joints
+    counts = np.abs(wanted) > 1e-6
+    share = (episode.joints[first] - episode.open_joints)[counts] / wanted[counts]
+    return bool(((share >= GRASP_FRACTION - 1e-6) & (share <= LARGEST_GRASP_FRACTION + 1e-6)).all())
+
+
+@metric("S_joint", unit=FRACTION, direction="higher", aggregation="rate")
+def s_joint(episode: Episode) -> bool:
+    """Joint success: localised, and in the reference grasp at the first localised frame.
+
+    ``S_joint = S_loc * S_gra``, over all episodes.
+
+    Fraction of episodes, higher is better. Ours: the paper calls its S_gra conditional, yet prints 0.80 % beside S_loc
+    = 10.30 %; of 103 localised in 1,000 one is already 0.97 %, so its S_gra column is best compared with this one.
+    """
+    return bool(s_gra(episode))
+
+
+@metric("S_hold", unit=FRACTION, direction="higher", aggregation="rate", condition="capture rule contact")
+def s_hold(episode: Episode) -> bool | None:
+    """Physical capture: the hand holds the free target off every other surface for 0.5 s.
+
+    ``S_hold = 1 if the capture rule contact reports success, else 0``; None under the capture rule attach, where the
+    target is welded to the palm and cannot slip.
+
+    Fraction of episodes under contact, higher is better. Ours.
+    """
+    return episode.success if episode.meta.capture == "contact" else None
+
+
+@metric("E_gra", unit=UNIT, direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
+def e_gra(episode: Episode) -> float:
+    """Grasping error: the least distance between a fingertip and the target's surface.
+
+    ``E_gra = min_{t, finger} dist(tip(t), surface(t)) / 0.1 m`` over the frames of the control phase; 0 inside the
+    target.
+
+    In u (0.1 m), lower is better. Paper: Section "Evaluation metrics".
+    """
+    return float(episode.fingertip_distance[episode.control].min()) / UNIT_M
+
+
+@metric("grasp_loose", unit=FRACTION, direction="higher", aggregation="mean")
+def grasp_loose(episode: Episode) -> float:
+    """Per-frame grasp, loose: the share of control frames in which at least three fingers match the reference.
+
+    ``grasp_loose = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= 3]``.
+
+    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Loose.
+    """
+    return share_of_frames(episode, at_least=3)
+
+
+@metric("grasp_medium", unit=FRACTION, direction="higher", aggregation="mean")
+def grasp_medium(episode: Episode) -> float:
+    """Per-frame grasp, medium: the share of control frames in which at least four fingers match the reference.
+
+    ``grasp_medium = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= 4]``.
+
+    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Medium.
+    """
+    return share_of_frames(episode, at_least=4)
+
+
+@metric("grasp_strict", unit=FRACTION, direction="higher", aggregation="mean")
+def grasp_strict(episode: Episode) -> float:
+    """Per-frame grasp, strict: the share of control frames in which all five fingers match the reference.
+
+    ``grasp_strict = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= 5]``.
+
+    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Strict.
+    """
+    return share_of_frames(episode, at_least=5)

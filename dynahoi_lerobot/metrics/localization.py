@@ -1,0 +1,134 @@
+"""Whether, where and when the palm reaches the target."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.foundation.conventions import (
+    CONTROL_DT,
+    CONTROL_HZ,
+    LENIENT_RADIUS_M,
+    LOCALIZATION_RADIUS_M,
+    UNIT_M,
+)
+from dynahoi_lerobot.metrics.base import FRACTION, SCORE, SPEED, UNIT, metric
+from dynahoi_lerobot.metrics.trajectory import until_localized
+
+
+@metric("S_loc", unit=FRACTION, direction="higher", aggregation="rate")
+def s_loc(episode: Episode) -> bool:
+    """Localisation success: the palm centre comes within 0.3 u (0.03 m) of the target centre.
+
+    ``S_loc = 1 if exists t >= t_control: |palm(t) - target(t)| < 0.3 u, else 0``, the distance in 3-D and between
+    frames as well, over the control phase. Under the capture rule attach_lenient the threshold is 1.0 u (S_loc* of the
+    paper's table of vision-language models), here and wherever a metric speaks of localisation.
+
+    Fraction of episodes, higher is better. Paper: Section "Evaluation metrics", threshold from Appendix "Evaluation
+    Criteria".
+    """
+    return episode.first_localized is not None
+
+
+@metric("S_loc_planar", unit=FRACTION, direction="higher", aggregation="rate")
+def s_loc_planar(episode: Episode) -> bool:
+    """Planar localisation: the horizontal distance of palm and target centre falls below 0.3 u (0.03 m).
+
+    ``S_loc_planar = 1 if exists t: |(palm(t) - target(t))_xy| < 0.3 u, else 0`` over the control frames until the
+    target is attached; 3-D localisation implies it, also between two frames. Under attach_lenient within 1.0 u.
+
+    Fraction of episodes, higher is better. Source: the authors' evaluation code, which ignores height where the paper's
+    Section "Evaluation metrics" says distance.
+    """
+    if episode.first_localized is not None:
+        return True
+    frames = until_localized(episode)
+    offset = episode.palm_pos_h[frames, :2] - episode.target_pose[frames, :2]  # (T, 2)
+    radius_m = LENIENT_RADIUS_M if episode.meta.capture == "attach_lenient" else LOCALIZATION_RADIUS_M
+    return bool((np.linalg.norm(offset, axis=1) < radius_m).any())
+
+
+SPARE_FRAMES = round(0.1 * CONTROL_HZ)
+"""A target localised up to 0.1 s after the oracle's intercept still counts as met there."""
+
+
+@metric("S_intercept", unit=FRACTION, direction="higher", aggregation="rate")
+def s_intercept(episode: Episode) -> bool:
+    """Localisation at the first opportunity: no later than 0.1 s after the oracle's intercept.
+
+    ``S_intercept = 1 if t_loc <= t_intercept + 0.1 s, else 0`` with the first localised frame of the control phase and
+    the earliest intercept that a hand of 0.3 m/s can reach.
+
+    Fraction of episodes, higher is better. Ours: a hand that follows its target and catches it later needs
+    no prediction.
+    """
+    first = episode.first_localized
+    return first is not None and first <= episode.meta.intercept_frame + SPARE_FRAMES
+
+
+@metric("E_loc", unit=UNIT, direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
+def e_loc(episode: Episode) -> float:
+    """Localisation error: the least distance between palm centre and target centre.
+
+    ``E_loc = min_t |palm(t) - target(t)| / 0.1 m`` over the frames of the control phase.
+
+    In u (0.1 m), lower is better. Paper: Section "Evaluation metrics".
+    """
+    return float(episode.palm_distance[episode.control].min()) / UNIT_M
+
+
+@metric(
+    "relative_speed",
+    unit=SPEED,
+    direction="lower",
+    aggregation="mean",
+    bounds=(0.0, float("inf")),
+    condition="localised episodes",
+)
+def relative_speed(episode: Episode) -> float | None:
+    """Relative speed of palm and target at localisation.
+
+    ``relative_speed = |v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first
+    localised frame: the target's velocity of the frame before, as a welded target has the palm's, and the palm's mean
+    velocity in between. None if the target is never localised.
+
+    In m/s, lower is better. Ours: under ``attach`` a target is caught at any speed, which no hand can.
+    """
+    first = episode.first_localized
+    if first is None:
+        return None
+    palm_velocity = (episode.palm_pos_h[first] - episode.palm_pos_h[first - 1]) / CONTROL_DT
+    return float(np.linalg.norm(episode.target_velocity[first - 1, :3] - palm_velocity))
+
+
+@metric("R_time", unit=SCORE, direction="higher", aggregation="mean")
+def r_time(episode: Episode) -> float:
+    """Time score, counted from control start; 0 if the target is never localised.
+
+    ``R_time = 1 - T / N``, clipped to [0, 1], with N the recording's length and T the frames from control start to the
+    first localised one.
+
+    Score in [0, 1], higher is better. Paper: Section "Evaluation metrics"; the start of the clock follows the authors'
+    evaluation code.
+    """
+    return time_score(episode, start_frame=episode.meta.window_frames)
+
+
+def time_score(episode: Episode, start_frame: int) -> float:
+    """Return ``1 - (first localised frame - start_frame) / length_frames`` in [0, 1], 0 if there is none."""
+    first = episode.first_localized
+    if first is None:
+        return 0.0
+    return float(np.clip(1 - (first - start_frame) / episode.meta.length_frames, 0.0, 1.0))
+
+
+@metric("R_time_total", unit=SCORE, direction="higher", aggregation="mean")
+def r_time_total(episode: Episode) -> float:
+    """Time score, counted from the first frame, so that observing costs time too; 0 if the target is never localised.
+
+    ``R_time_total = 1 - T / N``, clipped to [0, 1], with N the recording's length and T the frames from the episode's
+    start to the first localised one.
+
+    Score in [0, 1], higher is better. Ours: the other reading of the paper's Section "Evaluation metrics".
+    """
+    return time_score(episode, start_frame=0)
