@@ -11,7 +11,6 @@ import pytest
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.evaluate import certificates
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
@@ -31,14 +30,6 @@ def menagerie(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Every test finds a small stand-in for MuJoCo Menagerie, also if the machine has the real one."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(MENAGERIE_ROOT, str(write_menagerie(tmp_path_factory.mktemp("menagerie"))))
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """No test reads or writes what the user has certified."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(certificates.HOME, str(tmp_path_factory.mktemp("home")))
         yield
 
 

@@ -20,7 +20,6 @@ COMMANDS = {
     "pretrain": ("dynahoi_lerobot.onpolicy.pretrain_command", "train a policy's eye on images of random poses"),
     "dagger": ("dynahoi_lerobot.onpolicy.command", "train a policy on its own episodes, labelled by a teacher"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
-    "certify": ("dynahoi_lerobot.evaluate.certify_command", "replay an evaluation and compare every metric"),
     "report": ("dynahoi_lerobot.report.command", "write one HTML page with the tables and figures of result folders"),
     "push": ("dynahoi_lerobot.hub.command", "upload a dataset, a checkpoint, results or the environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or web page"),

@@ -32,7 +32,7 @@ EPISODES = 44
 STRIDE = 10
 """Frames between the stored poses, from which differences are measured."""
 TOLERANCE = 1e-5
-"""Greatest difference [m, rad] with which `dynahoi certify` confirms results of another machine."""
+"""Greatest difference [m, rad] with which `dynahoi evaluate --replay` confirms results of another machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def _motions(found: Reference, wanted: Reference) -> Fact:
     told += f"; palm off by at most {off[:3].max():.2g} m, target by {off[HAND_DOF:][:3].max():.2g} m"
     close = bool(off.max() <= TOLERANCE)
     follows = (
-        "`dynahoi certify` confirms results across both, with the same library versions"
+        "`dynahoi evaluate --replay` confirms results across both, with the same library versions"
         if close
         else "results differ from ours"
     )

@@ -16,14 +16,26 @@ from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi evaluate``."""
-    parser.add_argument(
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument(
+        "--replay", type=path, metavar="RESULTS", help="replay the commands of a result folder and compare every number"
+    )
+    task.add_argument(
         "--policy",
-        required=True,
         help=f"checkpoint folder, Hub repository, vlm, or privileged baseline: expert, {', '.join(EXPERTS.names())}",
     )
     parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val or one of the ood_ splits")
     parser.add_argument("--out", type=path, help="result folder; resumes where an earlier run stopped")
-    parser.add_argument("--episodes", type=int, help="number of episodes, from the first of the split; all by default")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        help="number of episodes, from the first of the split, with --replay drawn at random; all by default",
+    )
+    parser.add_argument(
+        "--replay-seed",
+        type=whole(0, 2**32 - 1),
+        help="with --replay: draws the same episodes as the run that printed it",
+    )
     parser.add_argument(
         "--motions", type=names, default=(), help="comma-separated motions; all of the split by default"
     )

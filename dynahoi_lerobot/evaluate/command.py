@@ -16,11 +16,12 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.actors import VLM, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.arguments import add_arguments
 from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
-from dynahoi_lerobot.evaluate.run_info import WEIGHTS
+from dynahoi_lerobot.evaluate.run_info import WEIGHTS, command_line
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.protocol import protocol_of
@@ -48,6 +49,10 @@ def run(args: argparse.Namespace) -> int:
         ResultsError: if ``--out`` holds damaged results, or those of another evaluation.
         ValueError: for any other bad argument.
     """
+    if args.replay_seed is not None and not args.replay:
+        raise ValueError(f"--replay-seed {args.replay_seed} is for --replay RESULTS")
+    if args.replay:
+        return replay_results.run(args)
     inference = Inference(args.inference, args.inference_ms, args.inference_correction)
     actor = _real_time(_actor(args), inference)
     recipe = _recipe(args, actor)
@@ -55,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
         actor.name if args.policy == VLM else args.policy,
         stream_label(args.split, args.salt),
         args.capture,
-        " ".join([Path(sys.argv[0]).name, *without_salt(sys.argv[1:])]),
+        command_line(without_salt(sys.argv)),
         recipe.fingerprint(),
         {
             "recipe": recipe.stored(),

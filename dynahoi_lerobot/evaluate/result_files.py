@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
+from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
 
@@ -32,16 +34,15 @@ HEAD_TYPES: dict[str, type] = {
 }
 """Keys that ``metrics.json`` must have, with the types of their values; ``extra``, a dict, may stand beside them."""
 
-MOST_EPISODES = 100_000
+MOST_EPISODES = 20_000
 """Episodes of results that are read."""
-LARGEST_EPISODE = 512 * HAND_DOF * 4
-"""Bytes of the commands of the longest episode that is read, 512 frames."""
-HEADER = 4096
-"""Bytes that may stand before the commands of all episodes."""
-LARGEST_HEAD = 2**24
-"""Bytes of the largest ``metrics.json`` that is read."""
-LONGEST_TEXT = 80
-"""Characters of a text that is shown because it cannot be printed."""
+LARGEST_EPISODE = 2**16
+"""Bytes of an episode in any of the files; its commands have 36,864 if it is as long as any."""
+HEADER, LARGEST_HEAD = 2**17, 2**24
+"""Bytes that those files may have besides, and that ``metrics.json`` may have."""
+LONGEST_TEXT, LONGEST_NAME = 4096, 256
+"""Characters of a text in ``metrics.json``, and of one in a row."""
+ARRAYS = {"action", "offsets", "seed", "window_frames"}
 
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 
@@ -69,58 +70,64 @@ def write(folder: Path, head: dict[str, Any], rows: Sequence[Row], actions: Sequ
     )
 
 
-def read_head(folder: Path) -> dict[str, Any]:
-    """Return the content of ``metrics.json``.
+def read(folder: Path) -> tuple[dict[str, Any], list[Row], list[np.ndarray], dict[str, str]]:
+    """Return the content of ``metrics.json``, the rows, the (T, 18) actions of every episode and the files' sha256.
+
+    Files hold nothing compressed, so that their sizes, which are limited, bound what they decode to; every file is read
+    once, and its hash is that of the bytes that were decoded.
 
     Raises:
         ResultsError: one sentence that says what is missing or damaged.
     """
-    if not folder.is_dir():
-        raise ResultsError(f"there is no result folder {folder}; {REMEDY}")
-    return _load(folder / METRICS_FILE, _read_head)
-
-
-def read(folder: Path) -> tuple[dict[str, Any], list[Row], list[np.ndarray]]:
-    """Return the content of ``metrics.json``, the rows and the (T, 18) actions of every episode.
-
-    Raises:
-        ResultsError: one sentence that says what is missing or damaged.
-    """
-    head = read_head(folder)
-    rows = _load(folder / EPISODES_FILE, partial(_read_rows, n=head["n"]))
-    actions = _load(folder / ACTIONS_FILE, partial(_read_actions, n=head["n"]))
+    head, digest = _load(folder, METRICS_FILE, _read_head)
+    n = head["n"]
+    rows, rows_digest = _load(folder, EPISODES_FILE, partial(_read_rows, n=n), n)
+    actions, actions_digest = _load(
+        folder, ACTIONS_FILE, partial(_read_actions, seeds=[row["seed"] for row in rows]), n
+    )
     if not head["n"] == len(rows) == len(actions) > 0:
         counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
         raise ResultsError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
-    return head, rows, actions
+    return head, rows, actions, {METRICS_FILE: digest, EPISODES_FILE: rows_digest, ACTIONS_FILE: actions_digest}
 
 
-def _load(path: Path, reader: Callable[[Path], Any]) -> Any:
+def _load(folder: Path, name: str, reader: Callable[[BytesIO], Any], n: int = 0) -> tuple[Any, str]:
+    """Return what a file of ``n`` episodes holds, and its sha256."""
+    path = folder / name
+    if not folder.is_dir():
+        raise ResultsError(f"there is no result folder {folder}; {REMEDY}")
     if not path.is_file():
-        raise ResultsError(f"{path.parent} holds no results: {path.name} is missing; {REMEDY}")
+        raise ResultsError(f"{folder} holds no results: {name} is missing; {REMEDY}")
     try:
-        return reader(path)
+        if (size := path.stat().st_size) > (
+            most := min(n, MOST_EPISODES) * LARGEST_EPISODE + HEADER if n else LARGEST_HEAD
+        ):
+            raise ValueError(f"{size} bytes are too many for {n} episodes; allowed are {most}")
+        content = path.read_bytes()
+        return reader(BytesIO(content)), sha256(content).hexdigest()
     except Exception as error:  # whatever a damaged file makes its reader raise, the remedy is the same
         raise ResultsError(f"{path} is damaged ({type(error).__name__}: {error}); {REMEDY}") from error
 
 
-def _read_head(path: Path) -> dict[str, Any]:
-    if (size := path.stat().st_size) > LARGEST_HEAD:
-        raise ValueError(f"it has {size} bytes; allowed are {LARGEST_HEAD}")
-    head = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+def _read_head(file: BytesIO) -> dict[str, Any]:
+    head = json.loads(file.getvalue().decode("utf-8"), parse_constant=_refuse_constant)
     if not isinstance(head, dict):
         raise TypeError(f"it must hold an object, not {type(head).__name__}")
     if missing := [key for key in HEAD_TYPES if key not in head]:
         raise KeyError(f"it lacks {', '.join(missing)}")
+    if surplus := sorted(head.keys() - HEAD_TYPES.keys() - {"extra"}):
+        raise KeyError(f"it has the unknown key {surplus[0]!r}")
     for key, wanted in (HEAD_TYPES | {"extra": dict}).items():
         if not isinstance(value := head.get(key) or wanted(), wanted):
             raise TypeError(f"{key} must be of type {wanted.__name__}, got {type(value).__name__}")
     inference = (head.get("extra") or {}).get("inference") or ""
     if not isinstance(inference, str):
         raise TypeError(f"inference must be a text such as 'async 150 ms', got {inference!r}")
-    for text in _texts({key: value for key, value in head.items() if key != "command"}):
+    for text in _texts(head):
         if not text.isprintable():  # it would be obeyed by the terminal that it is printed on
-            raise ValueError(f"its texts must be printable, got {text[:LONGEST_TEXT]!r}")
+            raise ValueError(f"its texts must be printable, got {text[:80]!r}")
+        if len(text) > LONGEST_TEXT:
+            raise ValueError(f"its texts may have {LONGEST_TEXT} characters, got {len(text)}")
     return head
 
 
@@ -145,27 +152,40 @@ def _write_rows(path: Path, rows: Sequence[Row]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.Table.from_pylist(list(rows), schema=row_schema()), path)
+    pq.write_table(pa.Table.from_pylist(list(rows), schema=row_schema()), path, compression="none")
 
 
-def _read_rows(path: Path, n: int) -> list[Row]:
-    """Return the rows; nothing is decompressed before their number is known to be ``n``."""
+def _read_rows(file: BytesIO, n: int) -> list[Row]:
+    """Return the ``n`` rows; texts are decoded once they are known to be short."""
     import pyarrow.parquet as pq
 
-    # opened here, because a path that ends in ``=value`` would be read as a partition
-    with path.open("rb") as file:
-        parquet = pq.ParquetFile(file)
-        if parquet.metadata.num_rows != n or n > MOST_EPISODES:
-            counts = f"{METRICS_FILE} {n}, {EPISODES_FILE} {parquet.metadata.num_rows}"
-            raise ValueError(f"the files disagree on the episodes: {counts}, or are of more than {MOST_EPISODES}")
-        table = parquet.read()
-    return checked_rows(table)
+    schema = row_schema()
+    texts = [field.name for field in schema if str(field.type) == "string"]
+    stored = pq.read_schema(file)
+    parquet = pq.ParquetFile(file, read_dictionary=texts)  # equal texts stay one text, however many rows have it
+    data = parquet.metadata
+    if data.num_rows != n or not 0 < n <= MOST_EPISODES:
+        raise ValueError(f"it has {data.num_rows} rows, {METRICS_FILE} says {n}; allowed are {MOST_EPISODES}")
+    if differing := sorted(set(stored.names) ^ set(schema.names)) or [
+        f.name for f in schema if stored.field(f.name) != f
+    ]:
+        raise TypeError(f"its column {differing[0]} is not one of {EPISODES_FILE}, or there twice, or of another type")
+    groups = [data.row_group(i) for i in range(data.num_row_groups)]
+    if {group.column(i).compression for group in groups for i in range(data.num_columns)} != {"UNCOMPRESSED"}:
+        raise ValueError("its columns must not be compressed")
+    table = parquet.read()
+    for name in texts:
+        for chunk in table.column(name).chunks:
+            values = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
+            if (longest := max((len(text) for text in values.to_pylist() if text), default=0)) > LONGEST_NAME:
+                raise ValueError(f"texts of {name} may have {LONGEST_NAME} characters, got {longest}")
+    return checked_rows(table.select(schema.names).cast(schema))
 
 
 def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
     """Write all commands end to end; episode i is ``action[offsets[i]:offsets[i + 1]]``."""
     with path.open("wb") as file:  # an open file, because numpy appends .npz to a path
-        np.savez_compressed(
+        np.savez(
             file,
             action=np.concatenate(list(actions)).reshape(-1, HAND_DOF),
             offsets=np.cumsum([0, *map(len, actions)]),
@@ -174,14 +194,17 @@ def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray
         )
 
 
-def _read_actions(path: Path, n: int) -> list[np.ndarray]:
-    """Return the (T, 18) actions of ``n`` episodes; nothing is decompressed that is too large for them."""
-    with ZipFile(path) as members:
-        size, most = max(member.file_size for member in members.infolist()), n * LARGEST_EPISODE + HEADER
-    if size > most:
-        raise ValueError(f"{size} bytes are too many for {n} episodes; allowed are {most}")
-    with np.load(path, allow_pickle=False) as archive:
-        actions, offsets = archive["action"], archive["offsets"]
+def _read_actions(file: BytesIO, seeds: Sequence[int]) -> list[np.ndarray]:
+    """Return the (T, 18) actions of the episodes with these ``seeds``."""
+    with ZipFile(file) as members:
+        if any(member.compress_type != ZIP_STORED for member in members.infolist()):
+            raise ValueError("its arrays must not be compressed")
+    with np.load(file, allow_pickle=False) as archive:
+        if set(archive.files) != ARRAYS or len(archive.files) != len(ARRAYS):
+            raise KeyError(f"it must hold {', '.join(sorted(ARRAYS))}, not {', '.join(archive.files)[:LONGEST_TEXT]}")
+        actions, offsets, stored_seeds = archive["action"], archive["offsets"], archive["seed"]
+    if stored_seeds.tolist() != list(seeds):
+        raise ValueError(f"its seeds are not those of {EPISODES_FILE}")
     if actions.ndim != 2 or actions.shape[1] != HAND_DOF or actions.dtype != np.float32:
         raise ValueError(f"actions must be (K, {HAND_DOF}) float32, not {actions.shape} {actions.dtype}")
     if not np.isfinite(actions).all():

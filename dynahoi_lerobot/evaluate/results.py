@@ -33,12 +33,16 @@ class Results:
         info: what was evaluated and how.
         rows: one row an episode, as ``episode_row`` makes them.
         actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint angles [rad].
+        head: what ``metrics.json`` held; empty for results that were not read.
+        digests: sha256 of the bytes that were read, by file name.
     """
 
     folder: Path
     info: RunInfo
     rows: tuple[Row, ...]
     actions: tuple[np.ndarray, ...] = field(repr=False)
+    head: dict[str, Any] = field(default_factory=dict, repr=False)
+    digests: dict[str, str] = field(default_factory=dict)
 
     @property
     def control_class(self) -> str:
@@ -230,10 +234,10 @@ def read_results(folder: Path) -> Results:
         ResultsError: one sentence that says what is missing or damaged.
     """
     folder = Path(folder)
-    head, rows, actions = result_files.read(folder)
+    head, rows, actions, digests = result_files.read(folder)
     names = ("policy", "split", "capture", "command", "fingerprint", "benchmark")
     info = RunInfo(**{name: head[name] for name in names}, extra=head.get("extra") or {})
-    return Results(folder, info, tuple(rows), tuple(actions))
+    return Results(folder, info, tuple(rows), tuple(actions), head, digests)
 
 
 def _plain(summary: Summary) -> dict[str, dict[str, Any]]:

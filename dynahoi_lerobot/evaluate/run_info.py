@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
+
+
+LONGEST_COMMAND = 4096
+
+
+def command_line(words: Sequence[str]) -> str:
+    """Return a command line as results keep it: printable, its program without the folder, cut where it is too long."""
+    text = " ".join([Path(words[0]).name, *words[1:]])
+    shown = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+    return shown if len(shown) <= LONGEST_COMMAND else shown[: LONGEST_COMMAND - 4] + " ..."
 
 
 @dataclass(frozen=True)

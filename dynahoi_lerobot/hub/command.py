@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.hub.contents import (
     Contents,
-    benchmark_contents,
     checkpoint_contents,
     dataset_contents,
     environment_contents,
@@ -18,7 +17,6 @@ from dynahoi_lerobot.hub.contents import (
     results_contents,
 )
 from dynahoi_lerobot.hub.failures import RESUME, HubError
-from dynahoi_lerobot.hub.leaderboards import BENCHMARK_NAME, CARD_REPO
 from dynahoi_lerobot.hub.repository import Repository
 from dynahoi_lerobot.verify.runner import verify
 
@@ -30,14 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "folder",
         type=path,
-        help="a dataset, a pretrained_model folder, results of evaluate, envs/hub, or the benchmark's dataset",
+        help="a dataset, a pretrained_model folder, results of evaluate, or envs/hub",
     )
     parser.add_argument("repo", help="USER/NAME on the Hub; results go to their checkpoint's repository")
     parser.add_argument("--private", action="store_true", help="create a private repository")
     parser.add_argument(
         "--replace", action="store_true", help="checkpoints only: replace other weights and remove their results"
     )
-    parser.add_argument("--leaderboard", help=f"results only: leaderboard dataset, USER/NAME; {CARD_REPO} by default")
     parser.add_argument("--policy", help="results only: the policy that was evaluated, if it had another name")
 
 
@@ -58,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
             return _say(f"{args.folder} was not pushed: `dynahoi verify` has findings", FAILED)
         with TemporaryDirectory() as stage:
             layout = Path(stage) / args.folder.resolve().name
-            contents = _contents(kind, args, layout, repository.api.endpoint)
+            contents = _contents(kind, args, layout)
             address = repository.push(contents, args.private, replace=args.replace, policy=args.policy or "")
     except ModuleNotFoundError as error:
         return _say(f"it needs {error.name}, which the extra `lerobot` installs", BAD_INPUT)
@@ -67,8 +64,6 @@ def run(args: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         return _say(f"interrupted; {RESUME}", STOPPED)
     print(f"{kind} pushed to {address}" + (f", tagged {', '.join(contents.tags)}" if contents.tags else ""))
-    if contents.unranked:
-        print(f"no leaderboard lists it: {contents.unranked}")
     return DONE
 
 
@@ -86,23 +81,20 @@ def _check_options(kind: str, args: argparse.Namespace) -> None:
     Raises:
         ValueError: naming one, and what is pushed.
     """
-    for wanted, options in (("results", ("policy", "leaderboard")), ("checkpoint", ("replace",))):
+    for wanted, options in (("results", ("policy",)), ("checkpoint", ("replace",))):
         for option in options:
             if getattr(args, option) and kind != wanted:
                 raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
 
 
-def _contents(kind: str, args: argparse.Namespace, stage: Path, endpoint: str) -> Contents:
+def _contents(kind: str, args: argparse.Namespace, stage: Path) -> Contents:
     if kind == "dataset":
         return dataset_contents(args.folder)
     if kind == "checkpoint":
         return checkpoint_contents(args.folder, args.repo)
     if kind == "environment":
         return environment_contents(args.folder)
-    if kind == "benchmark":
-        return benchmark_contents(args.folder, stage, args.repo)
-    leaderboard = args.leaderboard or f"{args.repo.partition('/')[0]}/{BENCHMARK_NAME}"
-    return results_contents(args.folder, stage, args.repo, leaderboard, endpoint)
+    return results_contents(args.folder, stage)
 
 
 def _say(problem: object, code: int) -> int:

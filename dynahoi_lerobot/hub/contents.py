@@ -2,34 +2,37 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
 from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights
+from dynahoi_lerobot.evaluate.replay_results import changed_rules
 from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
-from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.hub.checkpoint_card import checkpoint_card
-from dynahoi_lerobot.hub.eval_results import EVAL_RESULTS, eval_results_yaml, variant
-from dynahoi_lerobot.hub.leaderboards import CARD_REPO, EVAL_FILE, why_unranked
 from dynahoi_lerobot.hub.weights import evaluated, evaluated_weights
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.salt import split_of
 
 ENV_FILE = "env.py"
 """What LeRobot's ``make_env("user/name")`` runs."""
 RESULTS = "results"
-"""Folder of a checkpoint's repository with the result folders, whose action logs ``dynahoi certify`` replays."""
-RESULT_FOLDERS = (EVAL_RESULTS, RESULTS)
+"""Folder of a checkpoint's repository with the result folders, for ``dynahoi evaluate --replay``."""
+NAME_LENGTH, DIGITS = 120, 8
+"""Characters of the longest name of a result folder; a longer one is cut and ends with digits of a hash."""
 KIND_FILES = {
     "dataset": INFO_PATH,
     "results": METRICS_FILE,
     "checkpoint": CONFIG,
     "environment": ENV_FILE,
-    "benchmark": EVAL_FILE,
 }
 """What can be pushed, and the file that identifies it."""
 HUB_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
@@ -49,7 +52,6 @@ class Contents:
         ignored: glob patterns of what stays here.
         others: folders of the repository that belong to this content, but come with other pushes.
         adds_to: file without which there is nothing in the repository to add to; empty for content of its own.
-        unranked: of results, why no leaderboard lists them; empty if one does.
         weights: sha256 of the weights by file name: of a checkpoint its own, of results those of the policy that they
             are of, if it lies here.
         source: of results, their folder.
@@ -64,7 +66,6 @@ class Contents:
     ignored: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
     adds_to: str = ""
-    unranked: str = ""
     weights: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
     policy: str = ""
@@ -109,7 +110,7 @@ def checkpoint_contents(folder: Path, repo: str) -> Contents:
         raise ValueError(f"{folder} holds the pickle {pickles[0]}, which nobody should load; save it as safetensors")
     return Contents(
         folder, "model", (CONFIG, "type"), ignored=("training_state/**", ".cache/**"),
-        others=tuple(f"{name}/" for name in RESULT_FOLDERS), weights=folder_weights(folder),
+        others=(f"{RESULTS}/",), weights=folder_weights(folder),
         card="" if (folder / CARD_PATH).is_file() else checkpoint_card(folder, repo),
     )  # fmt: skip
 
@@ -119,44 +120,60 @@ def environment_contents(folder: Path) -> Contents:
     return Contents(folder, "model", ignored=("**/__pycache__/**", "__pycache__/**", ".cache/**"))
 
 
-def benchmark_contents(folder: Path, stage: Path, repo: str) -> Contents:
-    """Return the benchmark's dataset, as ``hub.benchmark_repo`` writes it, tagged with the benchmark's version.
-
-    Its card names the repository, so a copy is made in ``stage``.
-    """
-    shutil.copytree(folder, stage, ignore=shutil.ignore_patterns(".cache"))
-    if (card := stage / CARD_PATH).is_file():
-        card.write_text(card.read_text(encoding="utf-8").replace(CARD_REPO, repo), encoding="utf-8")
-    return Contents(stage, "dataset", tags=(f"dynahoi-{BENCHMARK.version}",), ignored=(".cache/**",))
-
-
-def results_contents(folder: Path, stage: Path, repo: str, benchmark: str, endpoint: str) -> Contents:
-    """Return a result folder for the checkpoint's repository and, if it is ranked, its evaluation results.
+def results_contents(folder: Path, stage: Path) -> Contents:
+    """Return a result folder for the checkpoint's repository, under a name of its own.
 
     Args:
         folder: what ``dynahoi evaluate`` wrote.
-        stage: a new folder, in which they are laid out.
-        repo: the checkpoint's repository.
-        benchmark: the dataset's repository whose leaderboard lists them.
-        endpoint: address of the Hub.
+        stage: a new folder, in which it is laid out.
 
     Raises:
         ResultsError: if the folder is incomplete or damaged.
     """
     results = read_results(folder)
-    name = variant(results)
-    source = f"{endpoint}/{repo}/tree/main/{RESULTS}/{name}"
-    if not (unranked := why_unranked(results)):
-        (stage / EVAL_RESULTS).mkdir(parents=True)
-        entries = eval_results_yaml(results, benchmark, source)
-        (stage / EVAL_RESULTS / f"{name}.yaml").write_text(entries, encoding="utf-8")
-    (stage / RESULTS / name).mkdir(parents=True)
+    place = stage / RESULTS / variant(results)
+    place.mkdir(parents=True)
     for file in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
-        shutil.copyfile(folder / file, stage / RESULTS / name / file)
+        shutil.copyfile(folder / file, place / file)
     return Contents(
-        stage, "model", (CONFIG, "type"), adds_to=CONFIG, unranked=unranked, source=str(folder),
+        stage, "model", (CONFIG, "type"), adds_to=CONFIG, source=str(folder),
         policy=evaluated(results.info), weights=evaluated_weights(results.info),
     )  # fmt: skip
+
+
+def variant(results: Results) -> str:
+    """Return a folder name for the conditions of an evaluation; others have another one.
+
+    It says the rules, whatever of the recipe is not the benchmark's, and the number of episodes of a part of a split.
+
+    Raises:
+        ResultsError: if the results do not say what was played.
+        ValueError: if there is no such split, capture rule or control class.
+    """
+    info = results.info
+    words = [info.benchmark, info.split, info.capture, results.control_class]
+    words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
+    words += [f"{name}_{_text(value)}" for name, (value, _) in changed_rules(results).items() if name != "salt"]
+    text = "_".join([*words, *_part(results)])
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("_.")
+    return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - DIGITS - 1]}_{_digest(text)}"
+
+
+def _part(results: Results) -> list[str]:
+    """Return how many episodes were played and, if they are not the first ones, which; nothing for a whole split."""
+    seeds = sorted(row["seed"] for row in results.rows)
+    if len(seeds) == BENCHMARK.splits[split_of(results.info.split)].size:
+        return []
+    first = seeds == list(range(len(seeds)))
+    return [f"{len(seeds)}_episodes", *([] if first else [_digest(str(seeds))])]
+
+
+def _text(value: Any) -> str:
+    return "_".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 
 def kind_of(folder: Path) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.dataset.paths import CARD_PATH
-from dynahoi_lerobot.hub.contents import RESULT_FOLDERS, Contents, read_identity
+from dynahoi_lerobot.hub.contents import RESULTS, Contents, read_identity
 from dynahoi_lerobot.hub.failures import LOG_IN, HubError, explained
 from dynahoi_lerobot.hub.weights import other_weights, repository_weights
 
@@ -145,7 +145,7 @@ class Repository:
             repo_type=contents.repo_type,
             ignore_patterns=list(contents.ignored),
             commit_message=f"Push {contents.folder.name} with dynahoi",
-            delete_patterns=[f"{name}/*" for name in RESULT_FOLDERS] if renewed else None,
+            delete_patterns=[f"{RESULTS}/*"] if renewed else None,
         )
 
     def _add_card(self, contents: Contents) -> None:

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from dynahoi_lerobot.evaluate import certificates
-from dynahoi_lerobot.evaluate.certificates import Certificate
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.results import Results, marked, read_results
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
@@ -35,13 +33,11 @@ class Entry:
         results: its result folder.
         label: short and unique within the report.
         colour: hexadecimal RGB.
-        certificate: what ``dynahoi certify`` confirmed of it here, if it did.
     """
 
     results: Results
     label: str
     colour: str
-    certificate: Certificate | None = None
 
     @cached_property
     def summary(self) -> Summary:
@@ -76,7 +72,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
     results.sort(key=lambda result: -sum(row["S_loc"] for row in result.rows) / len(result.rows))
     labels = unique_labels(results)
     return [
-        Entry(result, label, COLOURS[place % len(COLOURS)], certificates.find(result.folder))
+        Entry(result, label, COLOURS[place % len(COLOURS)])
         for place, (result, label) in enumerate(zip(results, labels, strict=True))
     ]
 

@@ -13,7 +13,7 @@ from dynahoi_lerobot.report.figures.base import in_order
 from dynahoi_lerobot.report.tables import (
     comparison_tables,
     glossary,
-    leaderboard,
+    main_metrics,
     other_metrics,
     stratum_tables,
 )
@@ -55,7 +55,7 @@ def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict
     return {
         "entries": entries,
         "episodes": len(distinct_episodes(entries)),
-        "leaderboard": leaderboard(entries),
+        "main_metrics": main_metrics(entries),
         "other_metrics": other_metrics(entries),
         "comparisons": comparison_tables(entries, across),
         "figures": [(figure, address) for figure, address in figures if address],

@@ -44,13 +44,10 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
 
 
-def leaderboard(entries: Sequence[Entry]) -> Table:
-    """Return the paper's columns, S_joint and what is certified of each evaluation; the best of equals is marked."""
+def main_metrics(entries: Sequence[Entry]) -> Table:
+    """Return the paper's columns and S_joint of each evaluation; the best of equals is marked."""
     names = (*columns_for([entry.results for entry in entries]), "S_joint")
-    certified = [_certified(entry) for entry in entries]
-    return _metric_table(
-        "One row per evaluation, 95 % intervals under the values.", entries, names, certified=certified
-    )
+    return _metric_table("One row per evaluation, 95 % intervals under the values.", entries, names)
 
 
 def other_metrics(entries: Sequence[Entry]) -> Table:
@@ -90,8 +87,8 @@ def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) ->
     return [table for table in tables if table is not None]
 
 
-def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str], **others: Sequence[Cell]) -> Table:
-    """Return a row for each evaluation; further columns, ``others`` by their headings, stand before the metrics.
+def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str]) -> Table:
+    """Return a row for each evaluation.
 
     Conditions that all evaluations share are in the caption, so that the metrics fit the page.
     """
@@ -103,17 +100,12 @@ def _metric_table(caption: str, entries: Sequence[Entry], names: Sequence[str], 
     rows = tuple(
         (
             Cell(entry.label), *(_condition(titles[i], conditions[place][i]) for i in differing),
-            *(cells[place] for cells in others.values()),
             *(_cell(entry.summary[name], "best" if (place, name) in best else "") for name in names),
         )
         for place, entry in enumerate(entries)
     )  # fmt: skip
     caption = f"{caption} All of them: {', '.join(shared)}." if shared else caption
-    return Table(caption, (LABELS[0], *(titles[i] for i in differing), *others, *map(heading, names)), rows)
-
-
-def _certified(entry: Entry) -> Cell:
-    return Cell(str(entry.certificate), mark="better") if entry.certificate else Cell("no")
+    return Table(caption, (LABELS[0], *(titles[i] for i in differing), *map(heading, names)), rows)
 
 
 def _best(entries: Sequence[Entry], names: Sequence[str]) -> set[tuple[int, str]]:

@@ -1,7 +1,7 @@
 """A salted seed stream: the same benchmark with other episodes, which only those who know the salt can make.
 
-Whoever runs a leaderboard keeps a salt, evaluates what is submitted on episodes that nobody could train on, and
-publishes results. What is written to disk names the salt by a hash, so that results of one salt can be compared with
+Whoever compares policies of others keeps a salt, evaluates them on episodes that nobody could train on, and publishes
+results. What is written to disk names the salt by a hash, so that results of one salt can be compared with
 each other and are never mixed with those of the public stream.
 """
 
@@ -28,9 +28,7 @@ HIDDEN = "(hidden)"
 
 def add_salt_argument(parser: argparse.ArgumentParser) -> None:
     """Declare ``--salt``."""
-    parser.add_argument(
-        OPTION, default="", help="secret of a leaderboard: other episodes of the same benchmark; only a hash is stored"
-    )
+    parser.add_argument(OPTION, default="", help="secret: other episodes of the same benchmark; only a hash is stored")
 
 
 def check_salt(salt: str) -> None:

@@ -154,7 +154,7 @@ def test_a_failed_write_leaves_the_earlier_results_alone(folder: Path):
 
 
 def test_drafts_are_removed_when_writing_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(np, "savez_compressed", lambda *_, **__: (_ for _ in ()).throw(OSError("disk full")))
+    monkeypatch.setattr(np, "savez", lambda *_, **__: (_ for _ in ()).throw(OSError("disk full")))
     with pytest.raises(OSError, match="disk full"):
         write_results(tmp_path / "run", episodes(), **RUN)
     assert list((tmp_path / "run").iterdir()) == []
@@ -198,7 +198,7 @@ def test_a_missing_key_is_named(folder: Path):
 def test_files_of_two_runs_are_told_apart(folder: Path):
     write_results(folder.parent / "short", episodes(2), **RUN)
     (folder.parent / "short" / "actions.npz").replace(folder / "actions.npz")
-    with pytest.raises(ResultsError, match=r"disagree on the episodes: .* 6, .* 6, actions.npz 2"):
+    with pytest.raises(ResultsError, match=r"actions.npz is damaged"):
         read_results(folder)
 
 

@@ -12,7 +12,7 @@ from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
 from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.report.entries import LABEL_LENGTH, distinct_episodes, read_entries, short_name, unique_labels
-from dynahoi_lerobot.report.tables import leaderboard
+from dynahoi_lerobot.report.tables import main_metrics
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.report.example_runs import example_run
 
@@ -94,5 +94,5 @@ def test_versions_of_the_benchmark_are_not_mixed_unless_asked(tmp_path: Path, ca
     assert main(words) == 0
     assert all(version in (tmp_path / "page.html").read_text() for version in ("v0", BENCHMARK.version))
     assert not any(
-        cell.mark for row in leaderboard(read_entries([old, new], allow_version_mismatch=True)).rows for cell in row
+        cell.mark for row in main_metrics(read_entries([old, new], allow_version_mismatch=True)).rows for cell in row
     )

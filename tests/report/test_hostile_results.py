@@ -43,7 +43,11 @@ def set_column(name: str, values: list[Any], kind: pa.DataType | None = None) ->
     def change(folder: Path) -> None:
         table = pq.read_table(folder / "episodes.parquet")
         column = pa.array(values, kind or table.schema.field(name).type)
-        pq.write_table(table.set_column(table.column_names.index(name), name, column), folder / "episodes.parquet")
+        pq.write_table(
+            table.set_column(table.column_names.index(name), name, column),
+            folder / "episodes.parquet",
+            compression="none",
+        )
 
     return change
 
@@ -54,15 +58,32 @@ def set_actions(**changes: Any) -> Callable[[Path], None]:
     def change(folder: Path) -> None:
         with np.load(folder / "actions.npz") as archive:
             arrays = dict(archive)
-        np.savez(folder / "actions.npz", **arrays | {name: edit(arrays[name]) for name, edit in changes.items()})
+        np.savez(folder / "actions.npz", **arrays | {name: edit(arrays.get(name)) for name, edit in changes.items()})
 
     return change
+
+
+def compressed_rows(folder: Path) -> None:
+    """A run of equal values takes no place on disk: 65 kB once became 3 GB."""
+    pq.write_table(pq.read_table(folder / "episodes.parquet"), folder / "episodes.parquet", compression="zstd")
+
+
+def compressed_actions(folder: Path) -> None:
+    """A third of a megabyte of zeros once became 360 MB."""
+    with np.load(folder / "actions.npz") as archive:
+        np.savez_compressed(folder / "actions.npz", **dict(archive))
+
+
+def surplus_column(folder: Path) -> None:
+    table = pq.read_table(folder / "episodes.parquet")
+    table = table.append_column("surplus", pa.array([0] * len(table)))
+    pq.write_table(table, folder / "episodes.parquet", compression="none")
 
 
 DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (lambda folder: (folder / "metrics.json").write_text("[]"), "it must hold an object, not list"),
     (lambda folder: (folder / "metrics.json").write_text("[" * 10**5), "RecursionError"),
-    (set_head(n=0), "disagree on the episodes"),
+    (set_head(n=0), "it has 4 rows"),
     (set_head(n="4"), "n must be of type int, got str"),
     (set_head(policy={"a": 1}), "policy must be of type str, got dict"),
     (set_head(extra=[1]), "extra must be of type dict, got list"),
@@ -70,9 +91,19 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_head(extra={"n_obs_frames": float("nan")}), "NaN is no number of JSON"),
     (set_head(extra={"inference": 150.0}), "inference must be a text such as 'async 150 ms', got 150.0"),
     (set_head(fingerprint="0\x1b[8m\n1"), r"its texts must be printable, got '0\x1b[8m\n1'"),
+    (set_head(command="\x1b]0;evil\x07"), "its texts must be printable"),
+    (set_head(policy="x" * 5000), "may have 4096 characters, got 5000"),
+    (set_head(surplus=1), "the unknown key 'surplus'"),
+    (compressed_rows, "must not be compressed"),
+    (compressed_actions, "must not be compressed"),
+    (surplus_column, "its column surplus is not one of"),
+    (set_column("kind", ["lob", "x" * 10**6, "lob", "lob"]), "bytes are too many"),
+    (set_column("kind", ["lob", "x" * 300, "lob", "lob"]), "kind may have 256 characters, got 300"),
+    (set_actions(seed=lambda old: old + 1), "its seeds are not those of"),
+    (set_actions(more=lambda _: np.zeros(3)), "it must hold action, offsets, seed, window_frames"),
     (set_head(metrics={"S_loc\r": {}}), r"its texts must be printable, got 'S_loc\r'"),
-    (lambda folder: (folder / "metrics.json").write_text(" " * 2**25), "33554432 bytes; allowed are 16777216"),
-    (set_column("S_loc", ["a"] * 4, pa.string()), "the column S_loc must be of type double, not string"),
+    (lambda folder: (folder / "metrics.json").write_text(" " * 2**25), "33554432 bytes are too many"),
+    (set_column("S_loc", ["a"] * 4, pa.string()), "its column S_loc is not one of"),
     (set_column("S_loc", [0.0, 1.0, 0.5, 1.0]), "seed 2 has the S_loc 0.5, which must be 0 or 1"),
     (set_column("E_loc", [0.0, 1.0, float("nan"), 1.0]), "seed 2 has the E_loc nan, which must be 0 to inf"),
     (set_column("E_loc", [0.0, 1.0, float("inf"), 1.0]), "seed 2 has the E_loc inf"),
@@ -83,7 +114,7 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_actions(action=lambda old: old[:, :17]), r"actions must be (K, 18) float32, not"),
     (set_actions(action=lambda old: old * np.float32("nan")), "an action is not a finite number"),
     (set_actions(action=lambda old: old.astype(object)), "actions.npz is damaged"),
-    (set_actions(action=lambda old: np.zeros((10**5, 18), np.float32)), "7200128 bytes are too many for 4 episodes"),
+    (set_actions(action=lambda old: np.zeros((10**5, 18), np.float32)), "bytes are too many for 4 episodes"),
     (set_actions(offsets=lambda old: old[::-1]), "offsets must rise from 0 to"),
     (set_actions(offsets=lambda old: old[:, None]), "offsets must be (N + 1,) integers"),
 ]

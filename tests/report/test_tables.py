@@ -7,7 +7,7 @@ import pytest
 from dynahoi_lerobot.evaluate.table import printed_parts
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report.entries import Entry, read_entries
-from dynahoi_lerobot.report.tables import comparison_tables, glossary, leaderboard, other_metrics, stratum_tables
+from dynahoi_lerobot.report.tables import comparison_tables, glossary, main_metrics, other_metrics, stratum_tables
 from tests.report.example_runs import example_run
 
 
@@ -25,8 +25,8 @@ def column(table, title: str) -> dict[str, object]:
     return {row[0].text: row[place] for row in table.rows}
 
 
-def test_the_leaderboard_holds_every_estimate(entries: list[Entry]):
-    table = leaderboard(entries)
+def test_the_results_hold_every_estimate(entries: list[Entry]):
+    table = main_metrics(entries)
     assert len(table.rows) == 3
     for entry in entries:
         for name in ("S_loc", "E_loc", "S_gra", "Q_line", "R_time", "S_joint", "S_hold"):
@@ -37,24 +37,24 @@ def test_the_leaderboard_holds_every_estimate(entries: list[Entry]):
 
 
 def test_conditions_are_columns_where_evaluations_differ_and_in_the_caption_where_they_agree(entries: list[Entry]):
-    table = leaderboard(entries)
+    table = main_metrics(entries)
     assert sorted(cell.text for cell in column(table, "capture").values()) == ["attach", "attach", "contact"]
     assert "split" not in table.head
     assert f"split {entries[0].results.info.split}" in table.caption
 
 
 def test_the_best_is_marked_within_its_split_and_rule_only(entries: list[Entry]):
-    table = leaderboard(entries)
+    table = main_metrics(entries)
     for name in ("S_loc", "E_loc", "R_time"):
         marks = {label: cell.mark for label, cell in column(table, name).items()}
         assert marks == {"strong": "best", "weak": "", "holder": ""}
     assert not any(cell.mark for cell in column(table, "S_hold").values())
     across_rules = [entry for entry in entries if entry.label != "strong"]
-    assert not any(cell.mark for row in leaderboard(across_rules).rows for cell in row)
+    assert not any(cell.mark for row in main_metrics(across_rules).rows for cell in row)
 
 
 def test_both_tables_together_hold_every_metric(entries: list[Entry]):
-    titles = [head.split()[0] for head in (*leaderboard(entries).head, *other_metrics(entries).head)]
+    titles = [head.split()[0] for head in (*main_metrics(entries).head, *other_metrics(entries).head)]
     assert all(titles.count(name) == 1 for name in METRICS.names())
 
 

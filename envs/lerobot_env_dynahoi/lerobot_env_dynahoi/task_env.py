@@ -13,7 +13,7 @@ from typing import Any
 from dynahoi_lerobot.env.late_env import LateVectorEnv
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
-from dynahoi_lerobot.evaluate.run_info import WEIGHTS
+from dynahoi_lerobot.evaluate.run_info import WEIGHTS, command_line
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -58,7 +58,7 @@ class ResultsLog:
             "surroundings": surroundings(),
             WEIGHTS: policy_weights(sys.argv),
         }
-        name, command = policy_name(sys.argv), " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+        name, command = policy_name(sys.argv), command_line(sys.argv)
         info = RunInfo(name, self._split, self._recipe.capture, command, self._fingerprint, extra)
         results = self._recorder.write(self.folder, info)
         self._unwritten = 0

@@ -1,25 +1,27 @@
-"""Checking a published result: every number follows from the logged commands, played again from the seeds.
+"""``dynahoi evaluate --replay RESULTS``: the logged commands are played again and every number is recomputed.
 
-A certificate says that the commands in the folder, given in the episodes of the split, lead to the results in it. It
-does not say who or what gave the commands, from which observations, or how long that took: a log of the expert's
-commands under another name is certified, too.
+A replay shows that the commands in a folder, given in the episodes of its split, lead to the results in it. It does not
+show who or what gave the commands, from which observations, or how long that took: a log of the expert's commands under
+another name replays, too.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
+import secrets
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import batched
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
-from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
@@ -27,14 +29,55 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import seal, split_of, stream_label
 from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
 
+SAME, DIFFERS = 0, 1
 TOLERANCE = 1e-5
 """Greatest difference of a number, in its unit, for replays on another processor; on one machine they are equal."""
 PLAYED_TOGETHER = 32
+SHOWN = 10
+"""Findings that are printed."""
 NOT_REPLAYED = {"agent"}
 """Columns that do not follow from the commands."""
 COMPUTED = ("n", "metrics", "per_kind")
 """Entries of ``metrics.json`` that follow from the rows."""
-UNCERTIFIED = "not checked, because no command tells it: policy, privileged, inference and settings"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what was replayed, and what differs; return the exit code: 0 if every number is the same, else 1.
+
+    Raises:
+        ResultsError: if the folder cannot be read.
+        ValueError: if the results are of another salt.
+    """
+    results = read_results(args.replay)
+    recipe = open_recipe(results, args.salt)
+    for name, digest in results.digests.items():
+        print(f"sha256 {digest}  {results.folder / name}")
+    for name, (value, rule) in changed_rules(results).items():
+        print(f"not the benchmark's {name}: {value!r}, which is {rule!r}")
+    seed = secrets.randbits(32) if args.replay_seed is None else args.replay_seed
+    chosen = drawn(len(results.rows), args.episodes, seed)
+    findings = list(check_results(results, recipe))
+    if not findings:
+        progress = tqdm(check_episodes(results, recipe, chosen), total=len(chosen), desc="replaying", unit="episode")
+        findings = [finding for found in progress for finding in found]
+    for finding in findings[:SHOWN]:
+        print(finding)
+    of = f"{len(results.rows)} episodes in the folder, {len(split_seeds(split_of(results.info.split)))} in the split"
+    print(f"{len(chosen)} episodes drawn with --replay-seed {seed}, of {of}")
+    if findings:
+        print(f"not the same: {len(findings)} found")
+        return DIFFERS
+    print(
+        "every number is the same; no command tells the policy, its settings, its observations and its inference time"
+    )
+    return SAME
+
+
+def drawn(n_rows: int, count: int | None, seed: int) -> list[int]:
+    """Return ``count`` of ``n_rows`` rows drawn at random; all of them for None."""
+    if count is None or count >= n_rows:
+        return list(range(n_rows))
+    return sorted(np.random.default_rng(seed).choice(n_rows, count, replace=False).tolist())
 
 
 def open_recipe(results: Results, salt: str = "") -> Recipe:
@@ -54,15 +97,25 @@ def _stream(sealed: str) -> str:
     return f"salt {sealed}" if sealed else "the public stream"
 
 
+def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
+    """Return the fields of a result's recipe that are not the benchmark's, with their values and the benchmark's.
+
+    Raises:
+        ResultsError: if the result does not say what was played.
+        ValueError: if there is no such split, capture rule or control class.
+    """
+    info = results.info
+    rules = Recipe(split=seed_stream(split_of(info.split)), capture=info.capture, control_class=results.control_class)
+    played = asdict(results.recipe())
+    return {name: (played[name], value) for name, value in asdict(rules).items() if played[name] != value}
+
+
 def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     """Yield what in results and their folder is wrong by itself, before anything is played.
 
     Args:
         results: as ``read_results`` read them.
         recipe: of ``open_recipe``.
-
-    Raises:
-        ResultsError: if the folder cannot be read any more.
     """
     info, split = results.info, split_of(results.info.split)
     if (here := recipe.fingerprint()) != info.fingerprint:
@@ -81,9 +134,9 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
         yield f"seed {foreign[0]} is not in split {info.split}"
     if not results.privileged and (again := [row for row in results.rows if row["attempts"] != 1]):
         yield f"seed {again[0]['seed']} took {again[0]['attempts']} attempts; a policy has one"
-    stored, recomputed = result_files.read_head(results.folder), results.as_json()
+    recomputed = results.as_json()
     for name in COMPUTED:
-        yield from _wrong_sums(name, stored[name], recomputed[name])
+        yield from _wrong_sums(name, results.head[name], recomputed[name])
 
 
 def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:
@@ -92,13 +145,6 @@ def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> 
         episodes = replay(recipe, [results.log(i) for i in chosen], images=False, as_evaluated=True)
         for i, episode in zip(chosen, episodes, strict=True):
             yield [*_wrong_values(episode, results.rows[i]), *_wrong_actions(episode, results.actions[i])]
-
-
-def sample(n_rows: int, count: int | None) -> list[int]:
-    """Return ``count`` of ``n_rows`` rows, evenly spread; all of them for None."""
-    if count is None or count >= n_rows:
-        return list(range(n_rows))
-    return sorted({int(i) for i in np.linspace(0, n_rows - 1, count)})
 
 
 def _otherwise(results: Results) -> str:
