@@ -1,9 +1,9 @@
-"""The statistics of a dataset, from its episode rows and one pass over its numeric columns."""
+"""The statistics and histograms of a dataset, from its episode rows and one pass over its numeric columns."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,53 @@ from dynahoi_lerobot.dataset.columns import (
     numeric_keys,
 )
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_histogram, row_stats
-from dynahoi_lerobot.dataset.histograms import histograms
-from dynahoi_lerobot.dataset.quantiles import exact_quantiles, weighted_quantiles
-from dynahoi_lerobot.dataset.statistics import LEVELS, Moments, Stats, picture_stats
+from dynahoi_lerobot.dataset.statistics import (
+    LEVELS,
+    Moments,
+    Stats,
+    exact_quantiles,
+    picture_stats,
+    weighted_quantiles,
+)
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+
+SHOWN = ("action", "observation.state")
+BINS = 50
+
+
+def histograms(
+    read: Callable[[str], Iterable[np.ndarray]], features: Features, stats: dict[str, Stats]
+) -> dict[str, dict[str, Any]]:
+    """Count each dimension in equal bins between its least and its greatest value.
+
+    Args:
+        read: gives a column of the whole dataset, as (n, D) arrays.
+        features: the feature table, for the names of the dimensions.
+        stats: the dataset's statistics, for the ranges.
+
+    Returns:
+        Per key and dimension name: ``min`` and ``max`` in the column's unit, ``counts`` (BINS,).
+    """
+    result = {}
+    for key in SHOWN:
+        low, high = stats[key]["min"], stats[key]["max"]
+        counts = np.zeros((len(low), BINS), np.int64)
+        for batch in read(key):
+            counts += _counts(batch, low, high)
+        names = features[key]["names"]
+        result[key] = {
+            name: {"min": float(low[axis]), "max": float(high[axis]), "counts": counts[axis].tolist()}
+            for axis, name in enumerate(names)
+        }
+    return result
+
+
+def _counts(batch: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return (D, BINS) counts; a dimension that never changes falls into its first bin."""
+    width = np.where(high > low, high - low, 1.0)
+    position = np.nan_to_num((batch - low) / width)
+    bins = np.clip(position * BINS, 0, BINS - 1).astype(int)  # (n, D)
+    return np.stack([np.bincount(column, minlength=BINS) for column in bins.T])
 
 
 class DatasetStats:

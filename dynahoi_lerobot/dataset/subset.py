@@ -12,9 +12,9 @@ from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns
 from dynahoi_lerobot.dataset.files import reading, temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.merge import VideoCopy
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video_copy import VideoCopy
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 

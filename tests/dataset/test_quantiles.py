@@ -6,8 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from dynahoi_lerobot.dataset.quantiles import PERCENTS, exact_quantiles, rank, weighted_quantiles
-from dynahoi_lerobot.dataset.statistics import Moments, column_stats, picture_histogram, picture_stats
+from dynahoi_lerobot.dataset.statistics import (
+    PERCENTS,
+    Moments,
+    column_stats,
+    exact_quantiles,
+    picture_histogram,
+    picture_stats,
+    rank,
+    weighted_quantiles,
+)
 
 FLOATS = st.floats(width=32, allow_nan=False, allow_infinity=False)
 

@@ -7,7 +7,7 @@ import pytest
 
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
-from dynahoi_lerobot.dataset.histograms import SHOWN, histograms
+from dynahoi_lerobot.dataset.dataset_stats import SHOWN, histograms
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset

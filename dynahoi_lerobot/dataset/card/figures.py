@@ -18,7 +18,7 @@ def histogram_svg(histograms: Mapping[str, Mapping[str, Any]]) -> str:
     """Return one panel per dimension, six in a row.
 
     Args:
-        histograms: per dimension ``min`` and ``max`` in its unit and ``counts``, as ``dataset.histograms`` gives them.
+        histograms: per dimension ``min`` and ``max`` in its unit and ``counts``, as in ``histograms.json``.
     """
     panels = [
         f'<g transform="translate({GAP + index % COLUMNS * (WIDTH + GAP)},'
