@@ -7,10 +7,11 @@ from pathlib import Path
 
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.foundation.output import check_output
+from dynahoi_lerobot.foundation.working_folder import differences
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Progress, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.generate.workers import make_in_processes
-from dynahoi_lerobot.generate.workspace import differences, open_workspace, remove_workspace
+from dynahoi_lerobot.generate.workspace import open_workspace, remove_workspace
 
 MAX_WORKERS = 4096
 CHECKS = 3

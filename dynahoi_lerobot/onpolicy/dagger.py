@@ -47,7 +47,7 @@ class Dagger:
         self._rng = np.random.default_rng(recipe.seed)
         self._curriculum = Curriculum(recipe, self._rng)
         self._batch = make_batch(recipe.episodes, recipe.worlds, recipe.threads)
-        self._folder = RunFolder(recipe.out)
+        self._folder = RunFolder(recipe.out, {})
         if state := self._folder.restore():
             self._resume(state)
 

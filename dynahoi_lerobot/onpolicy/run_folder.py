@@ -3,21 +3,31 @@
 from __future__ import annotations
 
 import json
+import weakref
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.evaluate.atomic import write_atomically
+from dynahoi_lerobot.foundation.working_folder import working_folder
 
-LOG, STATE = "log.jsonl", "state.pt"
+LOG, STATE, RECORD = "log.jsonl", "state.pt", "run.json"
 
 
 class RunFolder:
     """Keeps log and saved state together: what was logged after the last save is dropped when a run goes on from it."""
 
-    def __init__(self, path: Path) -> None:
-        """Use a folder, which is made if it does not exist."""
-        path.mkdir(parents=True, exist_ok=True)
+    def __init__(self, path: Path, task: dict[str, Any]) -> None:
+        """Claim a folder for ``task`` as long as this object lives, see ``working_folder``.
+
+        Raises:
+            BlockingIOError: if another process works in it.
+            FileExistsError: if it belongs to another task, or no run made it.
+        """
         self.path = path
+        claim = ExitStack()
+        claim.enter_context(working_folder(path, task, RECORD))
+        self.release = weakref.finalize(self, claim.close)
 
     def log(self, line: dict[str, Any]) -> None:
         """Append a line of JSON."""

@@ -11,7 +11,7 @@ import pytest
 
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import hash_files
-from dynahoi_lerobot.generate.lock import exclusive
+from dynahoi_lerobot.foundation.working_folder import clear, exclusive, working_folder
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from dynahoi_lerobot.generate.shard import ShardMaker
@@ -188,7 +188,7 @@ def test_a_second_process_is_told_so(tmp_path, capsys):
     with open_workspace(PLAN, root):
         assert run("--root", root, "--episodes", 6, "--shard-episodes", 2) == 1
     told = capsys.readouterr().err
-    assert f"process {os.getpid()} on {socket.gethostname()} is generating into {workspace_path(root)}; wait" in told
+    assert f"process {os.getpid()} on {socket.gethostname()} works in {workspace_path(root)}; wait" in told
     assert told.count("\n") == 1
     assert run("--root", root, "--episodes", 6, "--shard-episodes", 2) == 0
 
@@ -196,7 +196,7 @@ def test_a_second_process_is_told_so(tmp_path, capsys):
 HOLDER = """
 import sys, time
 from pathlib import Path
-from dynahoi_lerobot.generate.lock import exclusive
+from dynahoi_lerobot.foundation.working_folder import exclusive
 with exclusive(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
@@ -204,14 +204,39 @@ with exclusive(Path(sys.argv[1])):
 
 
 def test_the_lock_of_a_killed_process_is_taken_over(tmp_path):
-    command = [sys.executable, "-c", HOLDER, str(tmp_path / "lock")]
+    command = [sys.executable, "-c", HOLDER, str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=REPOSITORY) as holder:
         assert holder.stdout is not None
         assert holder.stdout.readline() == b"held\n"
-        with pytest.raises(GenerationError, match=f"process {holder.pid} on"), exclusive(tmp_path / "lock"):
+        with pytest.raises(BlockingIOError, match=f"process {holder.pid} on"), exclusive(tmp_path):
             pass
         holder.kill()
     assert (tmp_path / "lock").exists()
-    with exclusive(tmp_path / "lock"):
+    with exclusive(tmp_path):
         assert (tmp_path / "lock").read_text().startswith(f"process {os.getpid()} on")
     assert not (tmp_path / "lock").exists()
+
+
+def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path):
+    (tmp_path / "thesis.tex").write_text("mine")
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "lock").symlink_to(tmp_path / "thesis.tex")
+    with pytest.raises(FileExistsError), exclusive(tmp_path / "d"):
+        pass
+    assert (tmp_path / "thesis.tex").read_text() == "mine"
+
+
+def test_only_the_folder_of_the_same_task_is_cleared(tmp_path):
+    folder, task = tmp_path / "work", {"recipe": {"split": "val"}}
+    with working_folder(folder, task):
+        (folder / "file").touch()
+    with pytest.raises(FileExistsError, match="other split"):
+        clear(folder, {"recipe": {"split": "test"}})
+    assert (folder / "file").exists()
+    clear(folder, task)
+    assert not folder.exists()
+    folder.mkdir()
+    (folder / "thesis.tex").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"thesis.tex but no"):
+        clear(folder, task)
+    assert (folder / "thesis.tex").exists()

@@ -68,7 +68,7 @@ def test_an_eye_on_a_gpu_learns(tmp_path: Path, gpu: None):
 
 
 def test_a_run_saved_on_a_gpu_goes_on_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    folder = RunFolder(tmp_path)
+    folder = RunFolder(tmp_path, {})
     folder.log({})
     with monkeypatch.context() as patch:
         patch.setattr(torch.serialization, "location_tag", lambda _: "cuda:0")

@@ -94,7 +94,7 @@ def test_another_recipe_does_not_go_on_in_the_same_folder(
     recipe = tiny_recipe(tmp_path, learning_rate=0.5)
     state = (finished / STATE).read_bytes()
     assert main(["pretrain", "--recipe", str(recipe), "--out", str(finished)]) == 2
-    assert "holds a run with learning_rate 0.002, not 0.5; name another folder" in capsys.readouterr().err
+    assert "(other learning_rate)" in capsys.readouterr().err
     assert (finished / STATE).read_bytes() == state
 
 
@@ -122,8 +122,17 @@ def test_a_loss_that_is_not_finite_ends_the_run(
     assert "the loss of update 0 is nan; lower learning_rate; the last save is in" in capsys.readouterr().err
 
 
+def test_a_log_of_somebody_else_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    recipe = tiny_recipe(tmp_path)
+    (tmp_path / "eye").mkdir()
+    (tmp_path / "eye" / LOG).write_text("mine")
+    assert main(["pretrain", "--recipe", str(recipe)]) == 2
+    assert f"holds {LOG} but no run.json" in capsys.readouterr().err
+    assert (tmp_path / "eye" / LOG).read_text() == "mine"
+
+
 def test_a_folder_goes_back_to_its_last_whole_save(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    folder = RunFolder(tmp_path / "run")
+    folder = RunFolder(tmp_path / "run", {})
     folder.log({"of": "a run that was killed before it saved"})
     assert folder.restore() is None
     folder.log({"step": 1})

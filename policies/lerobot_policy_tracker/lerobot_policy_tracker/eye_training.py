@@ -51,7 +51,8 @@ class EyeTraining:
         """Build the eye of the recipe's policy on its device; a run that was killed goes on where it was saved last.
 
         Raises:
-            ValueError: if the folder holds a run of another recipe.
+            BlockingIOError: if another process works in the folder.
+            FileExistsError: if the folder holds a run of another recipe, or no run made it.
         """
         torch.manual_seed(recipe.seed)
         self.recipe = recipe
@@ -61,7 +62,7 @@ class EyeTraining:
         self.eye.to(draccus.decode(PreTrainedConfig, {"device": "cpu"} | recipe.policy).device)
         self.optimizer = torch.optim.AdamW(self.eye.parameters(), lr=0.0, weight_decay=1e-4)
         self.n_updates, self._spent_s = 0, 0.0
-        self._folder = RunFolder(recipe.out)
+        self._folder = RunFolder(recipe.out, _as_stored(recipe))
         if state := self._folder.restore():
             self._resume(state)
 
@@ -89,6 +90,7 @@ class EyeTraining:
             self._save()
             yield line
         write_atomically({self.recipe.out / WEIGHTS: lambda path: save_file(self.eye.learned_state(), path)})
+        self._folder.release()
 
     def _update(self, shown: Snapshots) -> float:
         recipe, n = self.recipe, self.n_updates
@@ -105,7 +107,6 @@ class EyeTraining:
 
     def _save(self) -> None:
         state = {
-            "recipe": _as_stored(self.recipe),
             "updates": self.n_updates,
             "processor_s": self._processor_s(),
             "eye": self.eye.state_dict(),
@@ -114,13 +115,6 @@ class EyeTraining:
         self._folder.save(state)
 
     def _resume(self, state: dict[str, Any]) -> None:
-        wanted = _as_stored(self.recipe)
-        if changed := sorted(key for key, value in wanted.items() if state["recipe"][key] != value):
-            key = changed[0]
-            raise ValueError(
-                f"{self.recipe.out} holds a run with {key} {state['recipe'][key]}, not {wanted[key]}; "
-                "name another folder with --out"
-            )
         self.n_updates, self._spent_s = state["updates"], state["processor_s"]
         self.eye.load_state_dict(state["eye"])
         self.optimizer.load_state_dict(state["optimizer"])
