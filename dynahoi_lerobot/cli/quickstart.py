@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import shutil
 import sys
 import time
 import webbrowser
@@ -23,9 +22,11 @@ from tqdm import tqdm
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.lerobot_process import run_lerobot
 from dynahoi_lerobot.doctor.parts import cores
+from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.foundation.arguments import path, whole
+from dynahoi_lerobot.foundation.working_folder import clear, working_folder
 from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -111,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
 def _run_stages(out: Path, size: Size, start: float) -> None:
     stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
-        ("train the tracker on its own episodes", _checkpoint(out), _train),
+        ("train the tracker on its own episodes", _checkpoint(out) / WEIGHTS, _train),
         ("evaluate it with lerobot-eval", out / "results" / "tracker", _evaluate),
         ("evaluate the privileged baselines", out / TABLE, _baselines),
     ]
@@ -147,7 +148,8 @@ def _train(out: Path, size: Size) -> None:
 def _evaluate(out: Path, size: Size) -> None:
     """Evaluate into a temporary folder and rename it after all kinds have been played."""
     kinds, results, partial = KINDS[: size.kinds], out / "results" / "tracker", out / "results" / "tracker.partial"
-    shutil.rmtree(partial, ignore_errors=True)
+    task = {"quickstart": "lerobot-eval"}
+    clear(partial, task)
     words = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
@@ -155,7 +157,7 @@ def _evaluate(out: Path, size: Size) -> None:
         f"--env.task={','.join(kinds)}",
         f"--env.split={SMALL_TEST}",
         f"--env.image_size={IMAGE_SIZE}",
-        f"--env.results_dir={partial}",
+        f"--env.results_dir={partial / results.name}",
         f"--eval.n_episodes={size.per_kind}",
         f"--eval.batch_size={size.per_kind}",
         "--seed=0",
@@ -163,10 +165,14 @@ def _evaluate(out: Path, size: Size) -> None:
     ]
     log = out / "lerobot_eval.log"
     print(f"lerobot-eval {' '.join(words)}\noutput: {log}", flush=True)
-    with tqdm(total=len(kinds), desc="evaluating", unit="kind", disable=None) as bar:
+    with (
+        working_folder(partial, task),
+        tqdm(total=len(kinds), desc="evaluating", unit="kind", disable=None) as bar,
+    ):
         if code := run_lerobot("lerobot_eval", words, log, TASK_DONE, bar):
             raise StageError(f"lerobot-eval exited with code {code}; see {log}")
-    partial.rename(results)
+        (partial / results.name).rename(results)
+    clear(partial, task)
 
 
 def _device() -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -24,6 +25,7 @@ from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
 from dynahoi_lerobot.evaluate.run_info import WEIGHTS, command_line
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.features import ENVIRONMENT_STATE
+from dynahoi_lerobot.foundation.working_folder import exclusive
 from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
@@ -71,21 +73,33 @@ def run(args: argparse.Namespace) -> int:
             WEIGHTS: dict(actor.weights),
         },
     )
-    recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
-    specs = _specs(args, recipe, recorder)
-    args.batch_size = _batch_size(args, inference)
-    for episodes in _played(args, recipe, actor, specs):
-        recorder.extend(episodes)
-        info.extra.update(actor.report())
-        if args.out:
-            recorder.write(args.out, info)
-    results = recorder.write(args.out, info) if args.out else recorder.results(info)
+    with _claimed(args.out):
+        recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
+        specs = _specs(args, recipe, recorder)
+        args.batch_size = _batch_size(args, inference)
+        for episodes in _played(args, recipe, actor, specs):
+            recorder.extend(episodes)
+            info.extra.update(actor.report())
+            if args.out:
+                recorder.write(args.out, info)
+        results = recorder.write(args.out, info) if args.out else recorder.results(info)
     print(results_table([results]))
     if args.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
     if args.per_kind:
         print("\n" + stratum_table(results))
     return 0
+
+
+@contextmanager
+def _claimed(out: Path | None) -> Iterator[None]:
+    """Hold the lock of the result folder, if there is one."""
+    if out is None:
+        yield
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    with exclusive(out):
+        yield
 
 
 def _real_time(actor: Actor, inference: Inference) -> Actor:

@@ -108,9 +108,10 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkey
     codes = iter((1, 0))
 
     def run_lerobot(_: str, words: list[str], *__: object) -> int:
-        assert f"--env.results_dir={partial}" in words
-        assert not partial.exists(), "what an earlier run left is not mixed in"
-        example_run(partial, "tracker", skill=0.5)
+        (made,) = (Path(word.partition("=")[2]) for word in words if word.startswith("--env.results_dir="))
+        assert partial in made.parents
+        assert not made.exists(), "what an earlier run left is not mixed in"
+        example_run(made, "tracker", skill=0.5)
         return next(codes)
 
     monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
@@ -122,6 +123,14 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkey
     assert not partial.exists()
 
 
+def test_a_partial_folder_of_somebody_else_stays(tmp_path: Path) -> None:
+    (tmp_path / "results" / "tracker.partial").mkdir(parents=True)
+    (tmp_path / "results" / "tracker.partial" / "thesis.tex").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"thesis\.tex"):
+        quickstart._evaluate(tmp_path, quickstart.TINY)
+    assert (tmp_path / "results" / "tracker.partial" / "thesis.tex").exists()
+
+
 def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
     for name in ("_generate", "_train", "_evaluate", "_baselines"):
@@ -129,7 +138,9 @@ def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeyp
     for folder in ("dataset", "training/pretrained_model", "results/tracker", "results/hold"):
         (tmp_path / folder).mkdir(parents=True)
     quickstart._run_stages(tmp_path, quickstart.TINY, 0.0)
-    assert ran == ["_baselines"]
+    assert ran == ["_train", "_baselines"], "an empty folder is no checkpoint"
+    ran.remove("_train")
+    (tmp_path / "training/pretrained_model/model.safetensors").touch()
     (tmp_path / quickstart.TABLE).touch()
     quickstart._run_stages(tmp_path, quickstart.TINY, 0.0)
     assert ran == ["_baselines"]
