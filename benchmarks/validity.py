@@ -19,8 +19,8 @@ from support.home_clusters import cluster, hits_by_cluster, homes_of, nearest
 from support.options import benchmark_parser, write_numbers
 from support.path_search import relative_paths, search_path
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.intervals import wilson
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS

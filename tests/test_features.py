@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 from lerobot_env_dynahoi import DynahoiEnvConfig
 
-from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.cli.listing import LISTS, markdown_table
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import FEATURES, Feature
 from dynahoi_lerobot.dataset import read_episodes, store, write_episodes
 from dynahoi_lerobot.env import DynahoiVectorEnv
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import FEATURES
 from dynahoi_lerobot.hands.base import EGO_CAMERA
-from dynahoi_lerobot.renderers.camera_views import VIEWS
+from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.rollout import recorder
 from dynahoi_lerobot.world.batch import WorldBatch
 

@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from dynahoi_lerobot.agent import Actor
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.agent import Actor
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import argparse
 
+from dynahoi_lerobot.core.arguments import add_field_arguments, number, path, whole
 from dynahoi_lerobot.evaluate.actors import TRAINED_FOR, add_trust_argument
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.arguments import add_field_arguments, number, path, whole
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.splits import SMALL_TEST

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynahoi_lerobot.core.compatibility import refuse_to_mix
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.intervals import bootstrap_means
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 from dynahoi_lerobot.metrics import METRICS
-from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
+from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
 
 CROSSABLE = ("protocol", "control_class", "inference")
 """Conditions that may be what is compared: the same episodes, played under others."""

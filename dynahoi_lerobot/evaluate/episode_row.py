@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.strata import STRATA, travel_u
 from dynahoi_lerobot.metrics import METRICS, measure
 

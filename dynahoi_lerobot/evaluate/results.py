@@ -10,7 +10,7 @@ from typing import Any
 import draccus
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.result_files import ResultsError

@@ -9,8 +9,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.foundation.conventions import UNIT_M
+from dynahoi_lerobot.core.conventions import UNIT_M
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.motions.base import CATEGORIES
 
 Label = Callable[[Episode], str]

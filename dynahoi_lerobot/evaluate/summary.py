@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.intervals import bootstrap, wilson
 from dynahoi_lerobot.evaluate.strata import STRATA

@@ -6,10 +6,10 @@ import argparse
 from itertools import combinations
 from pathlib import Path
 
+from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.evaluate.compare import CROSSABLE, unequal_conditions
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
-from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
 

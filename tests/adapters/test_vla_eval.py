@@ -10,7 +10,7 @@ from vla_eval.recording import NullEpisodeRecorder
 from vla_eval.registry import resolve_import_string
 from vla_eval.runners.sync_runner import SyncEpisodeRunner
 
-from dynahoi_lerobot.adapters.vla_eval import DynahoiBenchmark
+from dynahoi_lerobot.env.vla_eval import DynahoiBenchmark
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 
@@ -73,7 +73,7 @@ def test_observations_follow_the_convention():
 
 @pytest.mark.parametrize("mode", ["cpu", "gpu"])
 def test_it_renders_anywhere_and_is_found_by_its_name(mode: str):
-    name = "dynahoi_lerobot.adapters.vla_eval:DynahoiBenchmark"
+    name = "dynahoi_lerobot.env.vla_eval:DynahoiBenchmark"
     assert resolve_import_string(name) is DynahoiBenchmark
     assert mode in DynahoiBenchmark.render_backends
     assert DynahoiBenchmark.configure_render(mode) == {}

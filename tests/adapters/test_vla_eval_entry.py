@@ -14,11 +14,11 @@ from vla_eval.cli.smoke import SmokeTest, run_validate, smoke_test_from_path
 from vla_eval.config import DockerConfig, EvalConfig
 from vla_eval.registry import resolve_import_string
 
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.core.rules import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import kind_seeds, seed_stream
+from dynahoi_lerobot.sampling.splits import kind_seeds
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "envs" / "vla_eval"
@@ -51,8 +51,8 @@ def test_every_episode_is_another_one(path: Path):
     config, benchmark = entry(path), benchmark_of(path)
     tasks, split = benchmark.get_tasks(), config.params["split"]
     assert {task["suite"] for task in tasks} == set(CATEGORIES)
-    recipe = Recipe(split=seed_stream(split))
-    held = [len(kind_seeds(recipe, split, task["name"])) for task in tasks]
+    recipe = Recipe(split=split)
+    held = [len(kind_seeds(recipe, task["name"])) for task in tasks]
     assert len(tasks) == len(BENCHMARK.splits[split].motions)
     assert config.episodes_per_task == min(held), "more would wrap around"
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.captures import CAPTURES, Track
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
-from dynahoi_lerobot.foundation.rotations import quat_to_matrix
+from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.linalg import quat_to_matrix
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.scene.contact_sensors import no_contacts
 from dynahoi_lerobot.world.batch import WorldBatch

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.agent import Expert, WorldState
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.agent import Expert, WorldState
+from dynahoi_lerobot.core.conventions import CONTROL_DT, LENIENT_RADIUS_M
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LENIENT_RADIUS_M
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.world.batch import WorldBatch

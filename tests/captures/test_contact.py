@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.captures import CAPTURES, Track
-from dynahoi_lerobot.captures.contact import HELD_FRAMES
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.captures import CAPTURES, HELD_FRAMES, Track
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rollout.loop import play

@@ -17,9 +17,8 @@ from lerobot_policy_tracker import TrackerConfig
 
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Results, read_results
-from dynahoi_lerobot.rollout.inference import Inference
+from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 

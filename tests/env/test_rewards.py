@@ -7,9 +7,9 @@ import pickle
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts.intercept import Intercept
-from dynahoi_lerobot.phase import is_acting
 
 SMALL = {"kind": "constant", "image_size": 0, "threads": 1}
 

@@ -67,7 +67,7 @@ def test_a_copy_of_a_made_env_keeps_its_id_and_its_wrappers(copied: Callable) ->
 
 
 def test_a_copy_of_lerobots_task_reports_to_a_log_of_the_same_folder(tmp_path: Path) -> None:
-    env = TaskEnv(ResultsLog(tmp_path, "test", Recipe(split="test", image_size=16)), 1, **OPTIONS)
+    env = TaskEnv(1, log=ResultsLog(tmp_path, Recipe(split="test", image_size=16)), **OPTIONS)
     twin = copy.deepcopy(env)
     assert (twin._log.folder, twin.kind, twin.num_envs) == (tmp_path, "lob", 1)
     assert twin._on_episode == twin._log.add

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from dynahoi_lerobot.core.compatibility import MixedError
+from dynahoi_lerobot.core.registry import UnknownNameError
 from dynahoi_lerobot.evaluate.compare import compare, mcnemar, paired_values
-from dynahoi_lerobot.foundation.mixing import MixedError
-from dynahoi_lerobot.foundation.registry import UnknownNameError
 
 
 def rows(values: list[float | None], metric: str = "S_loc", first_seed: int = 0, **changes: object):

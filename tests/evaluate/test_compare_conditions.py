@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.evaluate.compare import compare_results
 from dynahoi_lerobot.evaluate.results import Results, write_results
-from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.report.example_runs import play
 

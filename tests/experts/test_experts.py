@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import WorldView
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch

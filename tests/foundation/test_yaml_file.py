@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.cli.main import BAD_INPUT, main
-from dynahoi_lerobot.foundation.yaml_file import MAX_BYTES, MAX_DEPTH, read_yaml
+from dynahoi_lerobot.core.yaml_file import MAX_BYTES, MAX_DEPTH, read_yaml
 from dynahoi_lerobot.sampling.recipe import load_recipe
 
 LIMIT_S = 2.0

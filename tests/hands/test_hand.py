@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import wait, world
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli import main as cli
+from dynahoi_lerobot.core.conventions import FINGERS, HAND_NAMES
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import FINGERS, HAND_NAMES
 from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT, SharpaHand, menagerie_model_path
 from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.sampling.recipe import Recipe

@@ -10,15 +10,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.foundation.rotations import quat_to_matrix
+from dynahoi_lerobot.core.linalg import quat_to_matrix
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects import OBJECTS, Primitive, TargetObject
 from dynahoi_lerobot.objects.base import FRICTION_RANGE, MASS_RANGE_KG
 from dynahoi_lerobot.objects.primitives import as_table, extent, from_table
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.scene.model import LARGEST_SLOT_M, SHAPES
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
-from dynahoi_lerobot.scene.slots import LARGEST_SLOT_M, SHAPES
 
 NAMES = OBJECTS.names()
 IN_DISTRIBUTION = BENCHMARK.splits["train"].objects

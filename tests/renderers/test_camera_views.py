@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.renderers.camera_views import COLORS, DEPTH_LEVEL_M, EXTRA_VIEWS
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.renderers.views import COLORS, DEPTH_LEVEL_M, EXTRA_VIEWS
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.scene.slots import LARGEST_SLOT_M
+from dynahoi_lerobot.scene.model import LARGEST_SLOT_M
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 

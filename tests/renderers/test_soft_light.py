@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import EGO_CAMERA, SHOWN_GROUP, SKIN_GROUP
 from dynahoi_lerobot.renderers.raycast import pipeline
 from dynahoi_lerobot.renderers.raycast.textures import level_sides, shrink

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.renderers import RENDERERS
 from dynahoi_lerobot.scene.model import SHOWN_GROUPS
 from dynahoi_lerobot.world.batch import WorldBatch

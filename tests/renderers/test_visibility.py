@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 

@@ -9,11 +9,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.conventions import HAND_DOF
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.episode_row import episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate
-from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.figures.base import FIGURES, in_order, scaled
 from dynahoi_lerobot.report.figures.curves import condition, declared_ms, grouped, policy_and_rules

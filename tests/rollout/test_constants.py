@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.linalg import quat_to_matrix
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
-from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.objects.primitives import from_table
-from dynahoi_lerobot.rollout.constants import camera_pose, episode_constants, intrinsics
 from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.rollout.recorder import camera_pose, episode_constants, intrinsics
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.scene.scene import compile_scene

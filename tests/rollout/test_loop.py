@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.agent import Agent, Expert, Observation, WorldState
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.agent import Agent, Expert, Observation, WorldState
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS

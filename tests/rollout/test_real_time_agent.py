@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.phase import one_hot_phase
-from dynahoi_lerobot.rollout.inference import Inference, frames_of
-from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent, frames_of
 
 STILL = -1.0
 

@@ -7,11 +7,9 @@ from collections import deque
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
-from dynahoi_lerobot.phase import one_hot_phase
-from dynahoi_lerobot.rollout.inference import Inference
-from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
-from dynahoi_lerobot.rollout.stepwise_inference import QueuedPolicy, StepwiseInference
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.rollout.inference import Inference, QueuedPolicy, RealTimeAgent, StepwiseInference
 
 STILL = -1.0
 

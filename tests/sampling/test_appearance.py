@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.rotations import quat_to_matrix
+from dynahoi_lerobot.core.linalg import quat_to_matrix
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS, randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe

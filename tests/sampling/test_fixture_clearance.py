@@ -9,13 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.launch import Box
-from dynahoi_lerobot.sampling.fixture_clearance import keeps_clear
+from dynahoi_lerobot.sampling.homes import REFERENCE_HAND, keeps_clear
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.visibility import REFERENCE_HAND
 from dynahoi_lerobot.scene.scene import compile_scene
 
 KINDS = ("ramp", "ramp_and_runout", "struck", "wall_rebound")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.foundation.conventions import UNIT_M
+from dynahoi_lerobot.core.conventions import UNIT_M
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe

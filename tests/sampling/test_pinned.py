@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import pin
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.splits import split_seeds
 

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.report.entries import read_entries
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.salt import seal, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_spec
+from dynahoi_lerobot.sampling.splits import seal, without_salt
 
 SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
 PUBLIC = Recipe(split="test", image_size=32)

@@ -8,17 +8,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.candidate import MIN_OBSERVED_S
+from dynahoi_lerobot.sampling.homes import REFERENCE_HAND, visible
+from dynahoi_lerobot.sampling.oracle_path import roll_ahead
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
+from dynahoi_lerobot.sampling.sampler import MIN_OBSERVED_S, sample_spec, sample_specs
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES
-from dynahoi_lerobot.sampling.visibility import REFERENCE_HAND, visible
 from dynahoi_lerobot.scene.scene import compile_scene
-from dynahoi_lerobot.world.untouched_path import roll_ahead
 
 TEST = Recipe(split="test", image_size=32)
 
@@ -99,7 +98,8 @@ def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpe
 def test_every_hand_plays_the_same_episodes_from_the_same_homes(hand: str, specs: list[EpisodeSpec]):
     for other, spec in zip(sample_specs(replace(TEST, hand=hand), range(22)), specs, strict=False):
         assert other.hand == hand
-        assert_same(replace(other, hand=spec.hand, fingerprint=spec.fingerprint), spec)
+        own = ("hand", "open_joints", "reference_joints", "fingerprint")
+        assert_same(replace(other, **{name: getattr(spec, name) for name in own}), spec)
         assert other.reference_joints.shape == other.open_joints.shape == (FINGER_DOF,)
         assert not np.array_equal(other.reference_joints, spec.reference_joints)
 

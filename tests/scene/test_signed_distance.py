@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.scene.model import SHAPES
 from dynahoi_lerobot.scene.signed_distance import signed_distance
-from dynahoi_lerobot.scene.slots import SHAPES
 
 SIZES = {
     "sphere": (0.03, 0.0, 0.0),

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.agent import Observation
-from dynahoi_lerobot.rollout.inference import Inference
-from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.vlm import agent as vlm_agent
 from dynahoi_lerobot.vlm.agent import VlmAgent
 from dynahoi_lerobot.vlm.prompt import HORIZON

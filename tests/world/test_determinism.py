@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from tests.world.playing import digests, wait, world
 
 SHORTEST = 6

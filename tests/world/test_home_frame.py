@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.conventions import HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.env import DynahoiVectorEnv
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe

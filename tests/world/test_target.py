@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PHYSICS_DT, SUBSTEPS
+from dynahoi_lerobot.core.conventions import CONTROL_DT, PHYSICS_DT, SUBSTEPS
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.motions.inclined_rolling import RollingMotion
 from dynahoi_lerobot.scene.scene import compile_scene
-from dynahoi_lerobot.scene.target_drive import GRAVITY_W, drive_for
-from dynahoi_lerobot.scene.world_fields import WorldFields
+from dynahoi_lerobot.scene.world_fields import GRAVITY_W, WorldFields, drive_for
 from tests.drawing import draw_motion
 from tests.world.playing import world
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.evaluate.strata import STRATA
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary
 from dynahoi_lerobot.evaluate.table import columns_for, heading
-from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.report.entries import Entry
 from dynahoi_lerobot.report.style import Labelled, figure_style, hide_unused, legend, new_figure, svg_data_uri
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import HAND_DOF, JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.evaluate.episode_row import Row
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.strata import STRATA
-from dynahoi_lerobot.foundation.conventions import HAND_DOF, JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes
 from dynahoi_lerobot.report.figures.base import figure
 from dynahoi_lerobot.report.style import INK, legend, new_figure
