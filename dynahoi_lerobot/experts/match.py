@@ -8,7 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import Meeting
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, GANTRY_SPEED_M_S, PALM_DOF
-from dynahoi_lerobot.core.linalg import norm, product
+from dynahoi_lerobot.core.numerics import norm, product
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS, PlannedExpert
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
-from dynahoi_lerobot.core.linalg import norm
+from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.registry import Registry
 
 HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import FINGER_DOF, FINGERS
-from dynahoi_lerobot.core.linalg import norm, product
+from dynahoi_lerobot.core.numerics import norm, product
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, HIDDEN_GROUP, Hand
 from dynahoi_lerobot.hands.parts import (
     FINGER_BANDWIDTH_RAD_S,

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import FINGER_DOF, FINGERS, JOINT_NAMES
-from dynahoi_lerobot.core.linalg import norm
+from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
 from dynahoi_lerobot.hands.parts import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, close_around, quat_z_to
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.linalg import product
+from dynahoi_lerobot.core.numerics import product
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Tether, Vector, as_vector
 

@@ -14,7 +14,7 @@ from dynahoi_lerobot.core.agent import Meeting, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.features import FEATURES, Feature, frame_features
-from dynahoi_lerobot.core.linalg import norm
+from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import Motion

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.core.linalg import product, quat_to_matrix
+from dynahoi_lerobot.core.numerics import product, quat_to_matrix
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.scene.appearance import Solid, hsv
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS, SIDE_CAMERA_POS_M

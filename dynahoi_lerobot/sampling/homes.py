@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_SPEED_M_S
-from dynahoi_lerobot.core.linalg import product, quat_to_matrix
+from dynahoi_lerobot.core.numerics import product, quat_to_matrix
 from dynahoi_lerobot.hands.base import SKIN_GROUP
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.sampling.benchmark import HOLD_CLEARANCE_M

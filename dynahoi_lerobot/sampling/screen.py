@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.linalg import norm, quat_to_matrix
+from dynahoi_lerobot.core.numerics import norm, quat_to_matrix
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.parts import CAMERA_POS

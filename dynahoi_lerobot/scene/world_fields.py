@@ -10,7 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.conventions import PHYSICS_DT, SUBSTEPS
-from dynahoi_lerobot.core.linalg import norm
+from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.motions import Motion, PrescribedMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Tether, yaw_quat
 from dynahoi_lerobot.objects import TargetObject

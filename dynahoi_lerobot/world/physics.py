@@ -8,7 +8,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.captures import NO_EVENT, CaptureRule, Release, Substeps, Weld
 from dynahoi_lerobot.core.conventions import PALM_DOF, SUBSTEPS
-from dynahoi_lerobot.core.linalg import quat_to_matrix
+from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.world_fields import TargetDrive, WorldFields

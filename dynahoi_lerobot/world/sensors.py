@@ -8,7 +8,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, FINGERS
-from dynahoi_lerobot.core.linalg import matrix_to_rotvec
+from dynahoi_lerobot.core.numerics import matrix_to_rotvec
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.views import VIEWS

@@ -9,7 +9,7 @@ import numpy as np
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS, PALM_DOF
 from dynahoi_lerobot.core.features import PRIMITIVE_NAMES
-from dynahoi_lerobot.core.linalg import quat_to_matrix
+from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.objects.primitives import from_table

@@ -1,4 +1,4 @@
-"""No hand waits near a table, a ramp or a wall, and no palm goes through one; measured by MuJoCo's own distances."""
+"""The hand waits where it can watch its target, and near no table, ramp or wall."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from dynahoi_lerobot.sampling.homes import REFERENCE_HAND, keeps_clear
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene.scene import compile_scene
+from dynahoi_lerobot.world.batch import WorldBatch
+from tests.world.playing import world
 
 KINDS = ("ramp", "ramp_and_runout", "struck", "wall_rebound")
 """Those with fixtures near the hand; a bounce has a floor."""
@@ -96,3 +98,28 @@ def test_homes_beside_a_table():
     homes = np.array([[-0.2, 0.0, 1.3], [-0.2, 0.0, 0.7], [-0.7, 0.0, 0.95], [-0.2, 0.0, 1.06]])
     np.testing.assert_array_equal(keeps_clear(homes, intercept, [table]), [True, False, False, False])
     assert keeps_clear(homes, intercept, []).all()
+
+
+EVERY = 2
+"""Frames from one that is rendered to the next."""
+
+
+def watched(batch: WorldBatch, specs: list[EpisodeSpec]) -> list[np.ndarray]:
+    """Play the windows of at most ``batch.size`` episodes; whether each rendered frame shows a pixel of the target."""
+    ids = np.arange(len(specs))
+    batch.reset(ids, specs)
+    seen: list[list[bool]] = [[] for _ in specs]
+    for frame in range(max(spec.window_frames for spec in specs)):
+        if frame % EVERY == 0:
+            shown = np.isin(batch.cameras.segmentation(), batch.scene.target_geoms).any(axis=(1, 2))
+            for i, spec in enumerate(specs):
+                if frame < spec.window_frames:
+                    seen[i].append(bool(shown[i]))
+        batch.step(batch.executed[ids], ids)
+    return [np.array(frames) for frames in seen]
+
+
+def test_at_least_95_percent_of_episodes_see_their_target_in_80_percent_of_the_window(specs: list[EpisodeSpec]):
+    batch = world(specs[:22], image_size=64)
+    seen = watched(batch, specs[:22]) + watched(batch, specs[22:])
+    assert np.mean([frames.mean() >= 0.8 for frames in seen]) >= 0.95

@@ -7,7 +7,6 @@ import pytest
 
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.renderers.views import COLORS, DEPTH_LEVEL_M, EXTRA_VIEWS
-from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.model import LARGEST_SLOT_M
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
@@ -61,10 +60,3 @@ def test_pictures_of_depth_and_segmentation(batch: WorldBatch) -> None:
     assert not (pictures["ego_segmentation"][~is_target] == COLORS["target"]).all(axis=-1).any()
     for thing in ("hand", "target"):
         assert (pictures["side_segmentation"] == COLORS[thing]).all(axis=-1).any(axis=(1, 2)).mean() > 0.7
-
-
-@pytest.mark.parametrize(("views", "sentence"), [(("top",), "unknown view 'top'"), (("ego",), "unknown view 'ego'"),
-                                                 (("side", "side"), "named once")])  # fmt: skip
-def test_views_that_do_not_exist_are_refused(views: tuple[str, ...], sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        Recipe(views=views)

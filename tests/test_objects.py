@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.linalg import quat_to_matrix
+from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects import OBJECTS, Primitive, TargetObject
 from dynahoi_lerobot.objects.base import FRICTION_RANGE, MASS_RANGE_KG

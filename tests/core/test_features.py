@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from lerobot_env_dynahoi import DynahoiEnvConfig
 
-from dynahoi_lerobot.cli.listing import LISTS, markdown_table
+from dynahoi_lerobot.cli.listing import LISTS
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES, Feature
@@ -21,7 +21,6 @@ from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.rollout import recorder
 from dynahoi_lerobot.world.batch import WorldBatch
 
-PAGE = Path(__file__).parents[1] / "docs" / "dataset.md"
 WIND = Feature("wind", "observation.wind", (2,), ("x", "y"), "m/s", "wind", gym_key="wind", low=-3.0, high=3.0)
 HEAT = Feature("heat", "world.heat", (), ("heat",), "K", "temperature of the air")
 
@@ -98,7 +97,3 @@ def test_one_entry_is_enough_for_spaces_config_recording_dataset_and_reader(tmp_
     assert "heat" not in config.features
     rows = {row["dataset"]: row["gymnasium"] for row in LISTS["features"]()}
     assert (rows["observation.wind"], rows["world.heat"]) == ("wind", "privileged")
-
-
-def test_the_readme_shows_the_table() -> None:
-    assert markdown_table(LISTS["features"]()) in PAGE.read_text(), "paste what `dynahoi list features` prints"

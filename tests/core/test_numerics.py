@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.linalg import matrix_to_quat, matrix_to_rotvec, quat_to_matrix
+from dynahoi_lerobot.core.numerics import matrix_to_quat, matrix_to_rotvec, quat_to_matrix
 
 ANGLES_RAD = [0.0, 1e-12, 1e-8, 1e-4, 0.5, 2.0, np.pi - 1e-4, np.pi - 1e-8, np.pi]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.linalg import quat_to_matrix
+from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
