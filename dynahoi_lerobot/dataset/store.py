@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from PIL import Image
 
 from dynahoi_lerobot.dataset.columns import Features, image_keys
 from dynahoi_lerobot.dataset.episode_arrays import content_values
@@ -124,8 +123,8 @@ class Store:
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         if not self.has_video:
-            cells = table[key].to_pylist()
-            return np.stack([np.asarray(Image.open(io.BytesIO(cell["bytes"]))) for cell in cells])
+            cells = [np.frombuffer(cell["bytes"], np.uint8) for cell in table[key].to_pylist()]
+            return np.stack([cv2.imdecode(cell, cv2.IMREAD_COLOR_RGB) for cell in cells])
         start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
         return np.stack(list(decode(self.video_path(row, key), start, start + row["length"])))
 
