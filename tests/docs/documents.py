@@ -25,7 +25,7 @@ CREATED = re.compile(r"(?:Create|[Ss]ave as) `([^`]+)`")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 PROGRAMS = (
     *("dynahoi", "lerobot-train", "lerobot-eval", "lerobot-edit-dataset", "lerobot-dataset-viz"),
-    *("accelerate", "hf", "pip", "python", "pytest", "bash"),
+    *("accelerate", "hf", "pip", "python", "pytest", "bash", "uv"),
 )
 HUB_FILE = "env.py"
 """The file that an environment on the Hub consists of; not one of this project."""
@@ -130,7 +130,7 @@ def _command(line: str) -> list[str]:
         words = shlex.split(line, comments=True)
     except ValueError:  # a drawing, not a command
         return []
-    while words and (words[0] in ("uv", "run") or re.fullmatch(r"[A-Z_]+=.*", words[0])):
+    while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
         words = words[1:]
     return words if len(words) > 1 and words[0] in PROGRAMS else []
 
