@@ -8,6 +8,8 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 
+IMAGE_TRANSFORMS = "--dataset.image_transforms.enable=true"
+
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -17,7 +19,9 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow  # LeRobot takes long to import
-@pytest.mark.parametrize("options", [("tracker", "--dataset.image_transforms.enable=true"), ("tdmpc",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "options", [("act", IMAGE_TRANSFORMS, "--policy.pretrained_backbone_weights=null"), ("tdmpc",)], ids=" ".join
+)
 def test_lerobot_trains_two_steps(options: tuple[str, ...], data: Path, tmp_path: Path):
     from tests.docs.playing import run
 

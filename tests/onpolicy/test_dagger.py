@@ -20,7 +20,7 @@ from dynahoi_lerobot.rollout.loop import evaluate, make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
-RECIPES = Path(__file__).parents[2] / "recipes" / "train"
+RECIPES = Path(__file__).parents[2] / "recipes" / "dagger"
 TINY_EYE = {"channels": 8, "fovea": 12, "embedding": 4}
 
 
