@@ -203,7 +203,7 @@ GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] 
 """Pages that are played one after the other in one folder; what is done before, and what is checked afterwards."""
 REASONS: dict[str, Callable[[], bool]] = {
     "needs FFmpeg's libraries": lambda: not _torchcodec_works(),
-    "needs the file above in the checkout; tests/docs/test_contributing.py does that in a copy": lambda: True,
+    "needs the file above in the checkout; tests/docs/test_worked_example.py does that in a copy": lambda: True,
 }
 """Why a block is not run, and whether that holds here."""
 
