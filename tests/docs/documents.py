@@ -139,6 +139,6 @@ def _is_path(word: str) -> bool:
     if not re.fullmatch(r"[\w.\-/]+", word) or "..." in word:
         return False
     first = word.split("/", maxsplit=1)[0]
-    if first == "outputs":  # what commands make, and may have made here
+    if first == "outputs" or word.endswith(GENERATED):  # what commands make, and may have made here
         return False
     return ("/" in word and (ROOT / first).is_dir()) or word.endswith(CODE_SUFFIXES)

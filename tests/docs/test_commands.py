@@ -16,7 +16,7 @@ HEADER = re.compile(r"^#\s+(dynahoi .*)$", re.MULTILINE)
 IN_PAGES = {tuple(words) for page in pages() for words in page.commands if words[0] == "dynahoi"}
 RECIPES = [path.read_text() for path in (ROOT / "recipes").rglob("*.yaml")]
 IN_RECIPES = {tuple(line.split()) for text in RECIPES for line in HEADER.findall(text)}
-ELSEWHERE = {"--multi_gpu", "--steps"}
+ELSEWHERE = {"--cpu", "--multi_gpu", "--steps"}
 """Options of other programs that look like ours."""
 
 
