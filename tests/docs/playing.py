@@ -36,7 +36,11 @@ FEWER = {
     "lerobot-eval": ["--env.task=lob"],
 }
 """What is added to commands that do not have it: all of a split are too many, and so are all kinds of motion."""
-FEWER_WITH = {"--env.type=dynahoi": ["--env.task=lob"], "--resume=true": ["--steps=3"]}
+FEWER_WITH = {
+    "--env.type=dynahoi": ["--env.task=lob"],
+    "--resume=true": ["--steps=3"],
+    "--config_path=recipes/train/vqbet.yaml": ["--policy.n_vqvae_training_steps=1"],
+}
 """Likewise, to commands with these options."""
 TRAINING = "lerobot.scripts.lerobot_train"
 INSTALLERS = ("pip", "uv")
