@@ -140,7 +140,9 @@ def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> np.
     """Return the frame enlarged, with its border and the strip for the caption, (H, W, 3) uint8 RGB."""
     page = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     if phase is not None:
-        page = cv2.copyMakeBorder(page, *[BORDER_PX] * 4, cv2.BORDER_CONSTANT, value=BORDERS[phase])
+        page = cv2.copyMakeBorder(
+            page, BORDER_PX, BORDER_PX, BORDER_PX, BORDER_PX, cv2.BORDER_CONSTANT, value=BORDERS[phase]
+        )
     return _captioned(page, caption) if caption else page
 
 
