@@ -71,7 +71,7 @@ def player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Player]:
 
     before = Path.cwd()
     prepare(tmp_path)
-    monkeypatch.setenv("OPENAI_API_KEY", "key")
+    monkeypatch.setenv("OPENAI_API_KEY", "secret")
     with serving_hub() as hub, serving_model(lambda exchange: exchange.say(REPLY)) as (url, _):
         home = {"HF_ENDPOINT": hub.url, "HF_HOME": str(tmp_path / "home"), "HF_TOKEN": TOKEN, "HF_HUB_DISABLE_XET": "1"}
         yield Player({"USER": "me", "NAME": "tiny", "URL": url}, home)
