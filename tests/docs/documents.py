@@ -9,6 +9,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("_build", "jupyter_execute")
+MADE = ("data", "outputs", "results")
+"""Folders that commands make, and may have made in a checkout."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [path for path in sorted((ROOT / "docs").rglob("*.md")) if path.parts[-2] not in GENERATED]
 
@@ -139,6 +141,8 @@ def _is_path(word: str) -> bool:
     if not re.fullmatch(r"[\w.\-/]+", word) or "..." in word:
         return False
     first = word.split("/", maxsplit=1)[0]
-    if first == "outputs" or word.endswith(GENERATED):  # what commands make, and may have made here
+    if first in ("data", "outputs", "results") or word.endswith(
+        GENERATED
+    ):  # what commands make, and may have made here
         return False
     return ("/" in word and (ROOT / first).is_dir()) or word.endswith(CODE_SUFFIXES)
