@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
-from PIL import Image, ImageDraw
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.core.episode import Episode
@@ -24,7 +24,7 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 LABEL_PX, COLUMNS = 12, 4
-JPEG_QUALITY = 85
+JPEG = [cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
 TINY = {"out": Path("contact_sheet.jpg"), "tile_px": 32, "motions": ["constant", "lob"]}
 
 
@@ -41,9 +41,9 @@ def main() -> None:
     episodes = list(evaluate(WorldBatch(recipe, min(11, len(specs))), EXPERTS["intercept"](), specs, images=True))
     episodes.sort(key=lambda episode: (episode.meta.category, episode.meta.motion))
     strips = [_strip(episode) for episode in episodes]
-    strips += [Image.new("RGB", strips[0].size)] * (-len(strips) % COLUMNS)
-    rows = [np.hstack([np.asarray(s) for s in strips[i : i + COLUMNS]]) for i in range(0, len(strips), COLUMNS)]
-    Image.fromarray(np.vstack(rows)).save(args.out, quality=JPEG_QUALITY, subsampling=0)
+    strips += [np.zeros_like(strips[0])] * (-len(strips) % COLUMNS)
+    sheet = np.vstack([np.hstack(strips[i : i + COLUMNS]) for i in range(0, len(strips), COLUMNS)])
+    cv2.imwrite(str(args.out), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR), JPEG)
     kinds, objects = [e.meta.motion for e in episodes], sorted({e.meta.object for e in episodes})
     print(f"{args.out}: {len(kinds)} kinds, {len(objects)} objects")
     write_numbers(args, kinds=kinds, objects=objects)
@@ -62,15 +62,14 @@ def one_episode_per_kind(recipe: Recipe, motions: Sequence[str]) -> list[Episode
     return specs
 
 
-def _strip(episode: Episode) -> Image.Image:
+def _strip(episode: Episode) -> np.ndarray:
+    """Return the label and three moments of an episode, (H, W, 3) uint8 RGB."""
     caught = episode.first_localized or len(episode) - 1
     moments = (0, episode.meta.window_frames, min(caught + 2, len(episode) - 1))
-    size = episode.images["ego"].shape[1]
-    strip = Image.new("RGB", (size * len(moments) + 4, size + LABEL_PX + 4))
-    ImageDraw.Draw(strip).text((2, 0), f"{episode.meta.motion} · {episode.meta.object}", fill="white")
-    for column, frame in enumerate(moments):
-        strip.paste(Image.fromarray(episode.images["ego"][frame]), (column * size, LABEL_PX))
-    return strip
+    images = np.hstack([episode.images["ego"][frame] for frame in moments])
+    strip = cv2.copyMakeBorder(images, LABEL_PX, 4, 0, 4, cv2.BORDER_CONSTANT, value=(0, 0, 0))
+    label = f"{episode.meta.motion}, {episode.meta.object}"
+    return cv2.putText(strip, label, (2, LABEL_PX - 3), cv2.FONT_HERSHEY_SIMPLEX, 0.35, (255, 255, 255))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The documentation: ``uv run sphinx-build docs docs/_build``; ``-b linkcheck`` checks the links."""
+"""The documentation: ``uv run --group docs sphinx-build docs docs/_build``; ``-b linkcheck`` checks the links."""
 
 from __future__ import annotations
 

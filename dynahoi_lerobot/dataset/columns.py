@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 import pyarrow as pa
-from PIL import Image
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
@@ -126,9 +125,8 @@ def _images(images: np.ndarray) -> pa.Array:
 
 
 def _png(image: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, format="PNG", compress_level=6)
-    return buffer.getvalue()
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    return cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
 
 
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])

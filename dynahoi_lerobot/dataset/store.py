@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from PIL import Image
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
@@ -123,8 +122,7 @@ class Store:
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         if not self.has_video:
-            cells = table[key].to_pylist()
-            return np.stack([np.asarray(Image.open(io.BytesIO(cell["bytes"]))) for cell in cells])
+            return np.stack([_decoded(cell) for cell in table[key].to_pylist()])
         start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
         return np.stack(list(decode(self.video_path(row, key), start, start + row["length"])))
 
@@ -142,6 +140,14 @@ class Store:
         views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
         values = own_values(row)
         return Episode(images=views, **values, **content_values(table, values))
+
+
+def _decoded(cell: dict[str, Any]) -> np.ndarray:
+    """Return an image file's pixels, (H, W, 3) uint8 RGB."""
+    image = cv2.imdecode(np.frombuffer(cell["bytes"], np.uint8), cv2.IMREAD_COLOR_RGB)
+    if image is None:
+        raise ValueError(f"{cell['path']} of the frame table is no image")
+    return image
 
 
 def _rows(path: Path) -> pa.Table:

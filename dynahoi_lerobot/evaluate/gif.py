@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
@@ -21,6 +22,8 @@ BORDERS = {"observing": (128, 128, 128), "acting": (30, 30, 34), "localized": (4
 
 BORDER_PX = 3
 CAPTION_PX = 16
+STRIP, INK = (30, 30, 34), (235, 235, 235)
+FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.38
 COLOURS, PALETTE_PAGES = 128, 8
 """Colours of a GIF, and how many of its pages they are chosen from."""
 MAX_FPS = 50
@@ -45,7 +48,7 @@ def episode_gif(path: Path, episode: Episode, caption: str | None = None, min_wi
     frames = episode.images.get(EGO_VIEW)
     if frames is None:
         raise ValueError(f"the episode with seed {episode.meta.seed} holds no images; play it with a renderer")
-    text = f"{episode.meta.motion} · {episode.meta.object} · {episode.stage}" if caption is None else caption
+    text = f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}" if caption is None else caption
     return write_gif(path, frames, caption=text, phases=phases_of(episode), min_width=min_width)
 
 
@@ -103,7 +106,7 @@ def encode_gif(
     Args:
         frames: (T, H, W, 3) uint8 RGB.
         fps: frames per second, at most 50; the format rounds the duration of a frame to 10 ms.
-        caption: text for a strip under the image; empty leaves the strip out.
+        caption: text for a strip under the image, cut to its width; empty leaves the strip out.
         phases: T names out of ``BORDERS``, or None for no border.
         min_width: least width of the frames [px]; smaller ones are enlarged by a whole factor, so that pixels stay
             crisp.
@@ -133,17 +136,34 @@ def _check(frames: np.ndarray, fps: float, phases: Sequence[str] | None) -> None
         )
 
 
-def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> Image.Image:
-    from PIL import Image, ImageOps
-
-    picture = Image.fromarray(np.repeat(np.repeat(frame, scale, axis=0), scale, axis=1))
+def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> np.ndarray:
+    """Return the frame enlarged, with its border and the strip for the caption, (H, W, 3) uint8 RGB."""
+    page = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     if phase is not None:
-        picture = ImageOps.expand(picture, BORDER_PX, BORDERS[phase])
-    return _captioned(picture, caption) if caption else picture
+        page = cv2.copyMakeBorder(
+            page, BORDER_PX, BORDER_PX, BORDER_PX, BORDER_PX, cv2.BORDER_CONSTANT, value=BORDERS[phase]
+        )
+    return _captioned(page, caption) if caption else page
 
 
-def _quantized(pages: Sequence[Image.Image]) -> list[Image.Image]:
-    """Give all pages the same colours, so that what stands still does not flicker and is stored once."""
+def _captioned(page: np.ndarray, caption: str) -> np.ndarray:
+    height, width = page.shape[:2]
+    page = cv2.copyMakeBorder(page, 0, CAPTION_PX, 0, 0, cv2.BORDER_CONSTANT, value=STRIP)
+    fitting = [end for end in range(len(caption) + 1) if _text_width(caption[:end]) <= width - 8]
+    shown = caption if fitting[-1] == len(caption) else caption[: max(fitting[-1] - 2, 0)].rstrip() + ".."
+    cv2.putText(page, shown, (4, height + 11), FONT, FONT_SCALE, INK, lineType=cv2.LINE_AA)
+    return page
+
+
+def _text_width(text: str) -> int:
+    return cv2.getTextSize(text, FONT, FONT_SCALE, 1)[0][0]
+
+
+def _quantized(pages: Sequence[np.ndarray]) -> list[Image.Image]:
+    """Give all pages the same colours, so that what stands still does not flicker and is stored once.
+
+    Pillow does this. OpenCV's own GIF encoder dithers, so that still pixels change and a small target loses its colour.
+    """
     from PIL import Image
 
     few = [pages[i] for i in np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)]
@@ -151,16 +171,4 @@ def _quantized(pages: Sequence[Image.Image]) -> list[Image.Image]:
     learned = Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS), octree).getpalette() or []
     palette = Image.new("P", (1, 1))
     palette.putpalette([*np.ravel(list(BORDERS.values())).tolist(), *learned])
-    return [page.quantize(palette=palette, dither=Image.Dither.NONE) for page in pages]
-
-
-def _captioned(picture: Image.Image, caption: str) -> Image.Image:
-    from PIL import Image, ImageDraw, ImageFont
-
-    page = Image.new("RGB", (picture.width, picture.height + CAPTION_PX), (30, 30, 34))
-    page.paste(picture)
-    font = ImageFont.load_default(size=11)
-    while caption and font.getlength(caption) > page.width - 8:
-        caption = caption[:-2].rstrip("…") + "…" if len(caption) > 2 else ""
-    ImageDraw.Draw(page).text((4, picture.height + 1), caption, fill=(235, 235, 235), font=font)
-    return page
+    return [Image.fromarray(page).quantize(palette=palette, dither=Image.Dither.NONE) for page in pages]

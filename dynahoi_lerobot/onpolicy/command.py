@@ -20,7 +20,7 @@ BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}{postfix}"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi dagger``."""
-    parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/train/standard.yaml")
+    parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/dagger/standard.yaml")
     parser.add_argument("--out", type=path, help="folder of the run instead of the recipe's; goes on where it stopped")
 
 

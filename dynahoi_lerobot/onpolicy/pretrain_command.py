@@ -14,7 +14,7 @@ from dynahoi_lerobot.onpolicy.snapshots import PictureStream
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi pretrain``."""
-    parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/train/eye.yaml")
+    parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/eye/eye.yaml")
     parser.add_argument("--out", type=path, help="folder of the run instead of the recipe's; goes on where it stopped")
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import dynahoi_lerobot
 from dynahoi_lerobot.core.registry import plugin_packages
 
-LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "pillow")
+LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "opencv-python-headless")
 """Libraries whose versions may change states, pixels or files."""
 
 DECIDING = (

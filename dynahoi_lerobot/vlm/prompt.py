@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import base64
-import io
 from dataclasses import dataclass
 from string import Template
 from typing import Any
 
+import cv2
 import numpy as np
-from PIL import Image
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_NAMES
 from dynahoi_lerobot.core.rules import DEFAULT_CONTROL_CLASS, control_class_of
@@ -113,6 +112,6 @@ DEFAULT_PROMPT = Prompt()
 
 
 def _data_url(image: np.ndarray) -> str:
-    stream = io.BytesIO()
-    Image.fromarray(image).save(stream, "JPEG", quality=85)  # as the paper's logger encodes
-    return "data:image/jpeg;base64," + base64.b64encode(stream.getvalue()).decode()
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 85])[1]  # the quality of the paper's logger
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg).decode()

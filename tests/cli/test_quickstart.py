@@ -22,7 +22,7 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.benchmark import MOTIONS
 from tests.report.example_runs import example_run
 
-STANDARD = Path(__file__).parents[2] / "recipes" / "train" / "standard.yaml"
+STANDARD = Path(__file__).parents[2] / "recipes" / "dagger" / "standard.yaml"
 """What the quickstart shortens; wheels hold only the copy."""
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("_build", "jupyter_execute")
+MADE = ("data", "outputs", "results")
+"""Folders that commands make, and may have made in a checkout."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [path for path in sorted((ROOT / "docs").rglob("*.md")) if path.parts[-2] not in GENERATED]
 
@@ -25,7 +27,7 @@ CREATED = re.compile(r"(?:Create|[Ss]ave as) `([^`]+)`")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 PROGRAMS = (
     *("dynahoi", "lerobot-train", "lerobot-eval", "lerobot-edit-dataset", "lerobot-dataset-viz"),
-    *("accelerate", "hf", "pip", "python", "pytest", "bash"),
+    *("accelerate", "hf", "pip", "python", "pytest", "bash", "uv"),
 )
 HUB_FILE = "env.py"
 """The file that an environment on the Hub consists of; not one of this project."""
@@ -130,7 +132,7 @@ def _command(line: str) -> list[str]:
         words = shlex.split(line, comments=True)
     except ValueError:  # a drawing, not a command
         return []
-    while words and (words[0] in ("uv", "run") or re.fullmatch(r"[A-Z_]+=.*", words[0])):
+    while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
         words = words[1:]
     return words if len(words) > 1 and words[0] in PROGRAMS else []
 
@@ -139,6 +141,8 @@ def _is_path(word: str) -> bool:
     if not re.fullmatch(r"[\w.\-/]+", word) or "..." in word:
         return False
     first = word.split("/", maxsplit=1)[0]
-    if first == "outputs":  # what commands make, and may have made here
+    if first in ("data", "outputs", "results") or word.endswith(
+        GENERATED
+    ):  # what commands make, and may have made here
         return False
     return ("/" in word and (ROOT / first).is_dir()) or word.endswith(CODE_SUFFIXES)

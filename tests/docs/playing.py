@@ -1,9 +1,15 @@
-"""Blocks of code of the pages, executed with smaller numbers than people are told to type."""
+"""Blocks of code of the pages, run as they are written but for their counts, and without a network."""
 
 from __future__ import annotations
 
+import glob
 import os
+import re
+import shutil
+import subprocess
 import sys
+import tomllib
+from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -11,52 +17,95 @@ from accelerate.state import AcceleratorState
 
 from tests.docs.documents import ROOT, Block
 
-SIZE = 32
-FILES = ("recipes", "envs", "checkpoints")
+LINKED = ("recipes", "envs", "checkpoints", "policies", "benchmarks")
 """Folders of the repository that commands name."""
-VALUES = {
-    "dynahoi generate": {"--episodes": 2, "--image-size": SIZE, "--workers": 1},
-    "dynahoi evaluate": {"--episodes": 2},
-    "dynahoi view": {},
-    "lerobot-train": {"--steps": 2, "--batch_size": 2, "--env_eval_freq": 2, "--env.image_size": SIZE},
-    "lerobot-eval": {"--eval.n_episodes": 1, "--eval.batch_size": 1, "--env.image_size": SIZE},
-}
-"""What replaces the values of these options, by command."""
-ADDED = {
+COUNTS = {
+    "dynahoi generate": {"--episodes": "2"},
+    "dynahoi evaluate": {"--episodes": "2", "--gifs": "1"},
+    "dynahoi verify": {"--replay": "1"},
+    "lerobot-train": {
+        "--steps": "2", "--batch_size": "2", "--env_eval_freq": "2", "--eval.n_episodes": "1", "--eval.batch_size": "1",
+    },
+    "lerobot-eval": {"--eval.n_episodes": "1", "--eval.batch_size": "1"},
+}  # fmt: skip
+"""What replaces the values of these options, where a command has them."""
+FEWER = {
+    "dynahoi quickstart": ["--tiny"],
     "dynahoi evaluate": ["--episodes=2"],
-    "lerobot-train": ["--num_workers=0", "--log_freq=1", "--eval.n_episodes=1", "--eval.batch_size=1"],
+    "lerobot-train": ["--steps=2", "--batch_size=2", "--num_workers=0", "--log_freq=1"],
     "lerobot-eval": ["--env.task=lob"],
 }
-"""Options that make a command small, by command."""
-ADDED_TO = {
+"""What is added to commands that do not have it: all of a split are too many, and so are all kinds of motion."""
+FEWER_WITH = {
     "--env.type=dynahoi": ["--env.task=lob"],
-    "--policy.type=act": ["--policy.pretrained_backbone_weights=null"],
     "--resume=true": ["--steps=3"],
-    "--recipe": ["--image-size=32"],
+    "--config_path=recipes/train/vqbet.yaml": ["--policy.n_vqvae_training_steps=1"],
 }
-"""Further ones, by an option that a command has."""
-TRAIN = "lerobot.scripts.lerobot_train"
+"""Likewise, to commands with these options."""
+TRAINING = "lerobot.scripts.lerobot_train"
+INSTALLERS = ("pip", "uv")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-def play(block: Block) -> None:
-    """Execute a block in the current folder: save the file, run the program or every command."""
-    if block.file:
-        Path(block.file).write_text(block.body)
-    elif block.language == "python":
-        sys.path.insert(0, "")  # as `python FILE` in this folder would
-        exec(compile(block.body, "block of code", "exec"), {"__name__": "__main__"})
-    else:
-        for words in block.commands:
-            run(small(words))
+@dataclass
+class Player:
+    """Plays blocks in the current folder.
+
+    Attributes:
+        placeholders: what stands for USER, NAME and URL.
+        hub: environment variables that lead to a Hub; commands that name one of its repositories get them.
+    """
+
+    placeholders: dict[str, str] = field(default_factory=dict)
+    hub: dict[str, str] = field(default_factory=dict)
+
+    def play(self, block: Block) -> None:
+        """Save the file, run the program, or run every command."""
+        if block.file:
+            Path(block.file).write_text(block.body)
+        elif block.language == "python":
+            sys.path.insert(0, "")  # as `python FILE` in this folder would
+            exec(compile(block.body, "block of code", "exec"), {"__name__": "__main__"})
+        else:
+            for words in block.commands:
+                self.run(words)
+
+    def run(self, words: list[str]) -> None:
+        """Run a command with smaller counts.
+
+        Raises:
+            AssertionError: if it does not exit with 0, or installs what this repository does not offer.
+        """
+        if words[0] in INSTALLERS:
+            check_installation(words)
+            words = wrapped(words)
+            if not words:
+                return
+        words = [name for word in small(words) for name in self._filled(word)]
+        if any(re.search(rf"(^|=){self.placeholders.get('USER')}/", word) for word in words):
+            run_elsewhere(words, self.hub)
+        else:
+            run(words)
+
+    def _filled(self, word: str) -> list[str]:
+        """Return the word with its placeholders replaced, or the files that a pattern stands for."""
+        if "*" in word:
+            return sorted(glob.glob(word))
+        for name, value in self.placeholders.items():
+            before, found, after = word.partition(name)
+            if found and before[-1:] in ("", "=") and after[:1] in ("", "/"):
+                return [before + value + after]
+        return [word]
 
 
 def small(words: list[str]) -> list[str]:
-    """Return a command that does the same in less time."""
-    command = next((key for key in VALUES if _names(words, key)), "")
-    kept = [word for group in _grouped(words) for word in _replaced(group, VALUES.get(command, {}))]
-    added = ADDED.get(command, []) + [extra for key, more in ADDED_TO.items() if key in words for extra in more]
-    given = {word.partition("=")[0] for word in words}
-    return kept + [word for word in added if word.partition("=")[0] not in given or "--resume=true" in words]
+    """Return a command that does the same with fewer episodes and steps."""
+    command = next((key for key in COUNTS | FEWER if _names(words, key)), "")
+    kept = [word for group in _grouped(words) for word in _replaced(group, COUNTS.get(command, {}))]
+    given = {word.partition("=")[0] for word in kept} - ({"--steps"} if "--resume=true" in kept else set())
+    added = FEWER.get(command, []) if "--replay" not in kept and "--dry-run" not in kept else []
+    added = added + [extra for key, more in FEWER_WITH.items() if key in words for extra in more]
+    return kept + [word for word in added if word.partition("=")[0] not in given]
 
 
 def run(words: list[str]) -> None:
@@ -77,15 +126,57 @@ def run(words: list[str]) -> None:
     assert not code, f"{' '.join(words)}: exit code {code}"
 
 
+def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
+    """Run a command in a process of its own, because the Hub's client reads its settings once.
+
+    Raises:
+        AssertionError: if it does not exit with 0.
+    """
+    (script,) = entry_points(group="console_scripts", name=words[0])
+    start = (
+        f"import sys; from {script.module} import {script.attr} as main; sys.argv[0] = {words[0]!r}; sys.exit(main())"
+    )
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("HF_")}
+    command = [sys.executable, "-c", start, *words[1:]]
+    done = subprocess.run(command, env=kept | environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{' '.join(words)}: {done.stderr[-2000:]}"
+
+
+def check_installation(words: list[str]) -> None:
+    """Compare what a command installs with what this repository offers, because nothing is installed in a test.
+
+    Raises:
+        AssertionError: if a folder, extra or dependency group is not there.
+    """
+    groups = [words[i + 1] for i, word in enumerate(words) if word == "--group"]
+    assert set(groups) <= set(PROJECT["dependency-groups"]), words
+    if "install" not in words:
+        return
+    for word in (word for word in words[words.index("install") + 1 :] if not word.startswith("-")):
+        folder, _, extras = word.removesuffix("]").partition("[")
+        if shutil.which(folder):
+            continue  # a program that is installed here
+        project = tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
+        assert set(filter(None, extras.split(","))) <= set(project.get("optional-dependencies", {})), word
+
+
+def wrapped(words: list[str]) -> list[str]:
+    """Return the command that ``uv run`` runs, nothing for other commands; this suite stands for ``pytest``."""
+    if words[:2] != ["uv", "run"]:
+        return []
+    command = words[4:] if words[2] == "--group" else words[2:]
+    return [] if command == ["pytest"] else command
+
+
 def prepare(folder: Path) -> None:
     """Let the folders that commands name be found below ``folder``, and make it the current one."""
-    for name in FILES:
+    for name in LINKED:
         (folder / name).symlink_to(ROOT / name)
     os.chdir(folder)
 
 
 def _names(words: list[str], command: str) -> bool:
-    return words[: command.count(" ") + 1] == command.split() or (command == "lerobot-train" and TRAIN in words)
+    return words[: command.count(" ") + 1] == command.split() or (command == "lerobot-train" and TRAINING in words)
 
 
 def _grouped(words: list[str]) -> list[list[str]]:
@@ -100,8 +191,8 @@ def _grouped(words: list[str]) -> list[list[str]]:
     return groups
 
 
-def _replaced(group: list[str], values: dict[str, int]) -> list[str]:
+def _replaced(group: list[str], values: dict[str, str]) -> list[str]:
     name = group[0].partition("=")[0]
-    if name not in values:
+    if name not in values or (len(group) == 1 and "=" not in group[0]):
         return group
-    return [f"{name}={values[name]}"] if "=" in group[0] else [name, str(values[name])]
+    return [f"{name}={values[name]}"] if "=" in group[0] else [name, values[name]]

@@ -1,70 +1,236 @@
-"""Every block of code in the pages runs as it stands there, with smaller numbers; or it says why it does not."""
+"""Every block of code in the pages runs as it is written, with fewer episodes and steps, and leaves what it should."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import signal
+import subprocess
+import sys
+import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 import yaml
 
-from tests.docs.documents import ROOT, Page, pages
+from tests.docs.documents import ROOT, Block, Page, pages
 
-ORDER = ("generate.md", "train.md", "evaluate.md")
-"""Pages whose datasets, checkpoints and results the others use."""
-ELSEWHERE = {"CONTRIBUTING.md", "README.md"}
-"""Pages whose programs other tests run: tests/docs/test_contributing.py and test_commands.py."""
-DATA = {"json": json.loads, "yaml": yaml.safe_load, "toml": tomllib.loads}
+if TYPE_CHECKING:
+    from dynahoi_lerobot.episode import Episode
+    from dynahoi_lerobot.evaluate.results import Results
+    from tests.docs.playing import Player
+
+DATA_FORMATS = {"json": json.loads, "yaml": yaml.safe_load, "toml": tomllib.loads}
 PROGRAMS = ("python", "bash")
 DRAWN = ("", "text", "{toctree}", "{eval-rst}")
-"""Blocks without a language are drawings, or commands whose options are compared with their programs."""
-
-
-@pytest.fixture
-def workspace(tmp_path: Path) -> Iterator[Path]:
-    """Let the commands find the repository's folders, in a folder that is empty otherwise."""
-    from tests.docs.playing import prepare
-
-    before = Path.cwd()
-    prepare(tmp_path)
-    yield tmp_path
-    os.chdir(before)
+REPLY = json.dumps(
+    {
+        "action_sequence": [{"skill": "WAIT", "params": {}, "duration": 10}],
+        "predicted_motion": [{"frame_index": i, "hand_params": [0.0] * 18} for i in range(1, 11)],
+    }
+)
+"""What the stand-in for a vision-language model answers."""
 
 
 def name(page: Page) -> str:
     return page.path.relative_to(ROOT / "docs" if page.path.is_relative_to(ROOT / "docs") else ROOT).as_posix()
 
 
-def in_order() -> list[Page]:
-    return sorted(
-        pages(), key=lambda page: (ORDER.index(name(page)) if name(page) in ORDER else len(ORDER), name(page))
-    )
+PAGES = {name(page): page for page in pages()}
 
 
-@pytest.mark.parametrize("page", pages(), ids=name)
+@pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)
 def test_every_block_has_a_language_that_is_tested(page: Page):
     for block in page.all_blocks:
-        assert block.language in {*PROGRAMS, *DATA, *DRAWN}, block
-        if block.language in DATA:
-            assert DATA[block.language](block.body)
+        assert block.language in {*PROGRAMS, *DATA_FORMATS, *DRAWN}, block
+        assert block.language in PROGRAMS or not block.commands, "commands are in a block of the language bash"
+        if block.language in DATA_FORMATS:
+            assert DATA_FORMATS[block.language](block.body)
+
+
+def test_every_block_that_is_not_run_has_a_reason_that_holds():
+    needs = {block.need for page in PAGES.values() for block in page.all_blocks}
+    assert needs == {"", *REASONS}
+
+
+def test_every_page_with_programs_is_played():
+    assert {page for page in PAGES if programs(PAGES[page])} == {page for group in GROUPS for page in group.split()}
+
+
+@pytest.fixture
+def player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Player]:
+    """An empty folder in which commands find the repository's folders, a Hub and a vision-language model."""
+    from tests.docs.playing import Player, prepare
+    from tests.hub.server import TOKEN
+    from tests.hub.server import serving as serving_hub
+    from tests.vlm.server import serving as serving_model
+
+    before = Path.cwd()
+    prepare(tmp_path)
+    monkeypatch.setenv("OPENAI_API_KEY", "secret")
+    with serving_hub() as hub, serving_model(lambda exchange: exchange.say(REPLY)) as (url, _):
+        home = {"HF_ENDPOINT": hub.url, "HF_HOME": str(tmp_path / "home"), "HF_TOKEN": TOKEN, "HF_HUB_DISABLE_XET": "1"}
+        yield Player({"USER": "me", "NAME": "tiny", "URL": url}, home)
+    os.chdir(before)
+
+
+# -- outcomes ------------------------------------------------------------------------------------------------------
+
+
+def check_data(folder: Path) -> None:
+    """What generate.md, dataset.md, lerobot.md and notes/verify.md leave."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    from dynahoi_lerobot.dataset import read_episodes
+    from tests.docs.playing import run
+
+    ours = sorted({path.parents[1] for path in folder.glob("data/*/meta/manifest.json")} - {folder / "data/slow"})
+    assert len(ours) >= 11
+    for root in ours:
+        run(["dynahoi", "verify", str(root)])
+    edited = {path.parents[1] for path in folder.glob("data/**/meta/info.json")} - {*ours, folder / "data/slow"}
+    counts = {root.name: LeRobotDataset(f"local/{root.name}", root).num_episodes for root in edited}
+    assert counts == {"train": 1, "val": 1, "fewer": 1, "lean": 2}, "LeRobot's editing tool"
+    assert not (folder / "data/large").exists(), "a dry run"
+
+    digests = {root.name: digest(root) for root in ours}
+    assert digests["tasks"] == digests["plain"], "datatrove writes the same bytes"
+    assert digests["dynahoi"] == digests["one_worker"] == digests["resumed"]
+
+    features = {root.name: json.loads((root / "meta/info.json").read_text())["features"] for root in ours}
+    assert sum(key.startswith("observation.images.") for key in features["views"]) == 4
+    assert "observation.touch" in features["contact"]
+    assert {"executed_action", "intervention", "teacher.arrival"} <= set(features["onpolicy"])
+    assert "language_persistent" in features["told"]
+    assert len(list((folder / "data/one_file/videos").rglob("*.mp4"))) == 1
+
+    for root in ours:
+        for episode in read_episodes(root):
+            assert episode.success or root.name == "onpolicy", root
+            assert palm_speed(episode) < 0.51 or root.name in ("unlimited", "contact"), root
+    (throw, _) = read_episodes(folder / "data/fast_throws")
+    assert throw.meta.motion in ("lob", "cross_throw")
+    assert throw.meta.protocol == "occluded"
+
+
+def palm_speed(episode: Episode) -> float:
+    """Return the palm's greatest speed between frames [m/s]."""
+    import numpy as np
+
+    from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+
+    return float(np.linalg.norm(np.diff(episode.state[:, :3], axis=0), axis=1).max() * CONTROL_HZ)
+
+
+def digest(root: Path) -> str:
+    return json.loads((root / "meta/manifest.json").read_text())["sha256"]
+
+
+def before_data(folder: Path) -> None:
+    """Generate what documented datasets are compared with: by one worker, interrupted and resumed, not by datatrove."""
+    from tests.docs.playing import run
+
+    size = ["--episodes", "2", "--image-size", "96"]
+    run(["dynahoi", "generate", "--root", "data/one_worker", *size])
+    run(["dynahoi", "generate", "--root", "data/plain", "--episodes", "2"])
+    command = ["dynahoi", "generate", "--root", "data/resumed", *size]
+    started = subprocess.Popen([sys.executable, "-m", "dynahoi_lerobot.cli.main", *command[1:]])
+    while started.poll() is None and not list(folder.glob("data/resumed.partial/shard-*")):
+        time.sleep(0.01)
+    started.send_signal(signal.SIGINT)
+    assert started.wait(), "it was over before it could be interrupted"
+    run(command)
+
+
+def check_results(folder: Path) -> None:
+    """What the pages about training and evaluation leave."""
+    from dynahoi_lerobot.evaluate.results import read_results
+
+    trained = {path.parents[3].name for path in folder.glob("outputs/*/checkpoints/last/pretrained_model/config.json")}
+    assert trained == {"act", "act_val", "act_state", "act_2", "act_hub"}
+    (played,) = folder.glob("outputs/act_val/dynahoi/*")
+    results = {path.name: read_results(path) for path in [played, *(folder / "results").iterdir()]}
+    assert results.pop(played.name).info.split == "val"
+    assert len(results.pop("lerobot").rows) == 1
+    for label, found in results.items():
+        assert len(found.rows) == 2, label
+        for row in found.rows:
+            assert 0 <= row["S_loc"] <= 1 and row["E_loc"] >= 0 and row["Q_line"] <= 1, label  # noqa: PT018
+    assert {label for label, found in results.items() if found.privileged} >= {"act_state", "pursuit", "occluded"}
+    assert not results["act"].privileged
+    assert score(results["occluded"], "S_loc") == 1.0, "the expert knows where the target will be"
+    assert score(results["appearance"], "S_joint") == 1.0
+    assert (results["occluded"].protocol, results["occluded"].control_class) == ("occluded", "late")
+    assert (results["direct_act"].protocol, results["blind"].protocol) == ("direct_act", "observe_then_blind")
+    assert results["unlimited"].control_class == results["corrected"].control_class == "unlimited"
+    assert results["contact"].capture == "contact"
+    assert "150" in results["act_async"].inference
+
+    for clip in ("replayed.gif", "held.gif"):
+        assert (folder / clip).read_bytes()[:4] == b"GIF8"
+    assert b"ftyp" in (folder / "planar.mp4").read_bytes()[:16]
+    assert "data:image/gif" in (folder / "episode.html").read_text()
+    report = (folder / "report.html").read_text()
+    assert all(label in report for label in ("tracker_standard", "pursuit", "S_loc"))
+
+
+def score(results: Results, metric: str) -> float:
+    return results.as_json()["metrics"][metric]["value"]
+
+
+def check_first_hour(folder: Path) -> None:
+    """What README and the pages for beginners leave."""
+    from dynahoi_lerobot.evaluate.results import read_results
+
+    for page in (folder / "report.html", folder / "outputs/quickstart/report.html"):
+        assert "S_loc" in page.read_text()
+    for results in (folder / "results").iterdir():
+        assert len(read_results(results).rows) == 2
+    assert (folder / "outputs/tracker/checkpoints/last/pretrained_model/model.safetensors").is_file()
+    for clip in ("lob.gif", "spiral.gif"):
+        assert (folder / clip).read_bytes()[:4] == b"GIF8"
+
+
+GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] = {
+    "generate.md dataset.md lerobot.md notes/verify.md": (before_data, check_data),
+    "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
+    "README.md quickstart.md environment.md install.md extend.md": (None, check_first_hour),
+}
+"""Pages that are played one after the other in one folder; what is done before, and what is checked afterwards."""
+REASONS: dict[str, Callable[[], bool]] = {
+    "needs FFmpeg's libraries": lambda: not _torchcodec_works(),
+    "needs the file above in the checkout; tests/docs/test_worked_example.py does that in a copy": lambda: True,
+}
+"""Why a block is not run, and whether that holds here."""
+
+
+def programs(page: Page) -> list[Block]:
+    return [block for block in page.all_blocks if block.file or block.language in PROGRAMS]
 
 
 @pytest.mark.slow
-def test_every_program_and_command_runs(workspace: Path, subtests: pytest.Subtests):
-    """One after the other in one folder, because a dataset, a training and an evaluation serve many pages."""
-    from tests.docs.playing import play
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_program_and_command_runs(group: str, player: Player, tmp_path: Path, subtests: pytest.Subtests):
+    """One after the other in one folder, because a dataset, a training and an evaluation serve several pages."""
+    before, check = GROUPS[group]
+    if before:
+        before(tmp_path)
+    for page in group.split():
+        for number, block in enumerate(programs(PAGES[page])):
+            if not (block.need and REASONS[block.need]()):
+                with subtests.test(page=page, block=number):
+                    start = time.monotonic()
+                    player.play(block)
+                    print(f"{page} {number}: {time.monotonic() - start:.1f} s")
+    check(tmp_path)
 
-    played = 0
-    for page in in_order():
-        for number, block in enumerate(page.all_blocks):
-            if name(page) in ELSEWHERE or block.need or not (block.file or block.language in PROGRAMS):
-                continue
-            with subtests.test(page=name(page), block=number):
-                play(block)
-                played += 1
-    assert played > 20
-    assert (workspace / "report.html").is_file()
-    assert (workspace / "lob.gif").read_bytes()[:4] == b"GIF8"
+
+def _torchcodec_works() -> bool:
+    try:
+        return bool(importlib.import_module("torchcodec"))
+    except (RuntimeError, OSError):
+        return False

@@ -210,9 +210,13 @@ def test_results_of_lerobot_eval_say_which_weights_were_played(tmp_path: Path) -
 @pytest.mark.parametrize(
     "words", [["--output_dir=out/run"], ["--seed", "1", "--output_dir", "out/run", "--env.fps=20"]]
 )
-def test_results_go_below_lerobots_output_folder(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_go_below_lerobots_output_folder(words: list[str], tmp_path: Path) -> None:
     assert new_results_folder(["lerobot-eval", *words]).parent == Path("out/run/dynahoi")
     assert new_results_folder(["lerobot-eval"]).parent == Path("outputs/dynahoi")
+    (tmp_path / "act.yaml").write_text("output_dir: outputs/act")
+    recipe = f"--config_path={tmp_path / 'act.yaml'}"
+    assert new_results_folder(["lerobot-train", recipe]).parent == Path("outputs/act/dynahoi")
+    assert new_results_folder(["lerobot-train", recipe, *words]).parent == Path("out/run/dynahoi")
 
 
 def test_an_evaluation_without_a_results_folder_leaves_its_metrics_with_lerobots(

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import PurePosixPath
 from typing import Any
-from urllib.parse import unquote, urlsplit
+from urllib.parse import parse_qs, unquote, urlsplit
 
 TOKEN = "hf_secretsecretsecret"
 REGULAR = (".md", ".json", ".yaml", ".svg", ".py", ".txt")
@@ -263,16 +264,22 @@ def delete_tag(handler: _Handler, body: bytes, kind: str, name: str, revision: s
     return _json({})
 
 
-def tree(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
+def tree(handler: _Handler, body: bytes, kind: str, name: str, revision: str, *, folder: str = "") -> Answer:
+    """List a folder's files and, unless asked to recurse, only what is in it itself."""
     repo = handler.repo(kind, name)
     files = repo.commits[handler.sha(repo, revision)]
-    entries = []
-    for path, content in files.items():
+    start = f"{folder}/" if folder else ""
+    inside = {path: content for path, content in files.items() if path.startswith(start)}
+    parents = {parent.as_posix() for path in inside for parent in PurePosixPath(path).parents}
+    entries = [{"type": "directory", "path": path, "size": 0, "oid": "0" * 40} for path in sorted(parents - {"."})]
+    for path, content in inside.items():
         entry: dict[str, Any] = {"type": "file", "path": path, "size": len(content), "oid": _oid(path, content)}
         if _is_large(path):
             entry["lfs"] = {"oid": _oid(path, content), "size": len(content), "pointerSize": 134}
         entries.append(entry)
-    return _json(entries)
+    recurses = parse_qs(urlsplit(handler.path).query).get("recursive", [""])[0].lower() in ("true", "1")
+    shown = [entry for entry in entries if entry["path"].startswith(start)]
+    return _json([entry for entry in shown if recurses or "/" not in entry["path"].removeprefix(start)])
 
 
 def resolve(handler: _Handler, body: bytes, **parts: str) -> Answer:
@@ -303,6 +310,7 @@ ROUTES = [
     ("POST", f"{API}/tag{REVISION}", make_tag),
     ("DELETE", f"{API}/tag{REVISION}", delete_tag),
     ("GET", f"{API}/tree{REVISION}", tree),
+    ("GET", f"{API}/tree{REVISION}/(?P<folder>.+)", tree),
     ("POST", r"(/datasets)?/(?P<name>[^/]+/[^/]+)\.git/info/lfs/objects/batch", batch),
     ("PUT", r"/blobs/(?P<oid>\w+)", upload),
     ("ANY", rf"/(?P<kind>datasets)/(?P<name>[^/]+/[^/]+)/resolve{REVISION}/(?P<path>.+)", resolve),

@@ -18,13 +18,15 @@ from tests.hub.server import TOKEN, Hub
 
 CHECKPOINT = Path(__file__).parents[2] / "checkpoints/tracker_standard"
 READ = """
-import sys
+from datasets import load_dataset
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from dynahoi_lerobot.verify.runner import verify
 dataset = LeRobotDataset("me/catching", video_backend="pyav")
 sample = dataset[len(dataset) - 1]
 print(dataset.num_episodes, dataset.meta.episodes[0]["motion"], *sample["observation.images.ego"].shape)
 print(*verify(dataset.root))
+table = load_dataset("me/catching", split="train")
+print(len(table) == len(dataset), table.features["action"].length, table.features["action"].feature.dtype)
 """
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
@@ -42,11 +44,12 @@ def elsewhere(hub: Hub, home: Path, *words: str, token: str = "") -> str:
 
 def test_a_dataset_is_read_by_its_name(simulated: Path, hub: Hub, push: Push, tmp_path: Path):
     push(simulated, "me/catching")
-    facts, findings, *_ = elsewhere(hub, tmp_path / "home", "-c", READ).splitlines()
+    facts, findings, table = elsewhere(hub, tmp_path / "home", "-c", READ).splitlines()
     seeds = Manifest.read(simulated).seeds
     assert facts.split()[0] == str(len(seeds))
     assert facts.split()[2:] == ["3", "32", "32"]
     assert findings == ""
+    assert table.split() == ["True", "18", "float32"]
 
 
 def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(hub: Hub, push: Push, tmp_path: Path):

@@ -21,7 +21,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
-RECIPES = Path(__file__).parents[2] / "recipes" / "train"
+RECIPES = Path(__file__).parents[2] / "recipes" / "dagger"
 TINY_EYE = {"channels": 8, "fovea": 12, "embedding": 4}
 
 

@@ -1,4 +1,4 @@
-"""The four distributions agree with each other, with their metadata and with what is tested."""
+"""The distributions agree with each other, with their metadata and with what is tested."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ import re
 import shutil
 import subprocess
 import tomllib
-from importlib.metadata import metadata, version
+from importlib.metadata import distributions, metadata, version
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 ROOT = Path(__file__).parents[2]
 PROJECTS = sorted(
@@ -37,12 +36,17 @@ def test_a_package_tells_its_version_and_that_it_is_typed(name: str) -> None:
     assert (Path(package.__file__).parent / "py.typed").is_file()
 
 
-def test_all_distributions_want_the_same_pythons_and_every_one_is_tested() -> None:
-    (wanted,) = {project(path)["requires-python"] for path in PROJECTS}
-    first, end = (int(minor) for minor in re.fullmatch(r">=3\.(\d+),<3\.(\d+)", wanted).groups())
-    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())
-    tested = workflow["jobs"]["fast"]["strategy"]["matrix"]["python"]
-    assert tested == [f"3.{minor}" for minor in range(first, end)]
+def test_all_distributions_want_the_same_pythons() -> None:
+    assert len({project(path)["requires-python"] for path in PROJECTS}) == 1
+
+
+def test_the_constraints_are_the_versions_that_are_tested_here() -> None:
+    words = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["uv"]["constraint-dependencies"]
+    pinned = dict(word.split("==") for word in words)
+    installed = {re.sub(r"[-_.]+", "-", found.name.lower()): found.version for found in distributions()}
+    assert {"lerobot", "mujoco", "numpy", "torch"} <= set(pinned)
+    changed = {name: found for name, found in installed.items() if pinned.get(name, found) != found}
+    assert not changed, "run .ci/pin if these are to be the tested ones"
 
 
 def test_distributions_bound_lerobot_alike() -> None:
@@ -86,17 +90,11 @@ def test_one_command_sets_all_versions(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", PROJECTS, ids=lambda path: project(path)["name"])
-def test_metadata_are_complete(path: Path) -> None:
+def test_every_distribution_carries_readme_and_licence(path: Path) -> None:
     table = project(path)
-    for key in ("description", "keywords", "classifiers", "urls"):
-        assert table[key], key
-    minors = {f"Programming Language :: Python :: 3.{minor}" for minor in (12, 13)}
-    assert minors <= set(table["classifiers"])
-    assert not [word for word in table["classifiers"] if word.startswith("License ::")], "replaced by the expression"
     assert (table["license"], table["license-files"]) == ("Apache-2.0", ["LICENSE"])
     assert (path.parent / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
-    readme = (path.parent / table["readme"]).read_text()
-    assert table["name"].split("_")[0] in readme
+    assert (path.parent / table["readme"]).is_file()
 
 
 def test_extras_are_named_as_lerobots_are() -> None:

@@ -34,8 +34,6 @@ PALIGEMMA = "google/paligemma-3b-pt-224"
 COSMOS = "nvidia/Cosmos-Reason2-2B"
 """On the Hub, or folders of these names where the test runs."""
 SMALL = {
-    "act": {"pretrained_backbone_weights": None, "dim_model": 32, "n_heads": 2, "dim_feedforward": 32},
-    "diffusion": {"pretrained_backbone_weights": None, "use_group_norm": True, "down_dims": [16, 32]},
     "multi_task_dit": {
         "vision_encoder_name": "CLIP",
         "text_encoder_name": "CLIP",
@@ -129,9 +127,12 @@ REMOTE_CODE = ("groot", "pi0_fast")
 """Policies whose own source asks transformers for remote code, so that they are loaded with ``--trust`` only."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "act" else pytest.mark.slow) for name in SMALL]
-)
+def test_every_recipe_of_the_zoo_is_trained():
+    assert {path.stem for path in RECIPES.iterdir()} == set(SMALL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SMALL)
 @pytest.mark.usefixtures("tiny_gemma")
 def test_two_steps_and_an_episode(
     name: str, models: dict[str, str], data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import draccus
+import yaml
 from lerobot.configs import PreTrainedConfig, parser
 
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError, described_folder, folder_weights, trained_for
@@ -59,9 +60,14 @@ def policy_rules(argv: Sequence[str]) -> dict[str, Any]:
 def new_results_folder(argv: Sequence[str]) -> Path:
     """Return a folder for an evaluation that begins now: below ``--output_dir``, or ``outputs`` if that is not given.
 
-    A training evaluates several times, so each evaluation has a folder of its own.
+    The file that ``--config_path`` names may give it, too. A training evaluates several times, so each evaluation has a
+    folder of its own.
     """
-    return Path(given(argv).get("output_dir", "outputs")) / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
+    options = given(argv)
+    config = Path(options.get("config_path", ""))
+    told = yaml.safe_load(config.read_text()) if config.is_file() else {}
+    folder = Path(options.get("output_dir") or told.get("output_dir") or "outputs")
+    return folder / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
 
 
 def queued_policy(n_action_steps: int) -> QueuedPolicy:

@@ -1,0 +1,103 @@
+"""Every recipe is what its folder says; those of ``recipes/train`` run as their headers say, with smaller counts."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import draccus
+import pytest
+import yaml
+
+from dynahoi_lerobot.control_class import control_class_of
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.sampling.recipe import load_recipe
+from tests.docs.documents import ROOT
+
+RECIPES = ROOT / "recipes"
+FOLDERS = {"dagger", "edit", "eye", "generate", "train", "zoo"}
+HEADER = re.compile(r"^#   (\S.*)$", re.MULTILINE)
+
+
+def recipes(*folders: str) -> list:
+    """Return the files of folders as parameters of a test."""
+    paths = [path for folder in folders for path in sorted((RECIPES / folder).iterdir())]
+    return [pytest.param(path, id=path.relative_to(RECIPES).as_posix()) for path in paths]
+
+
+def commands(path: Path) -> list[list[str]]:
+    """Return the words of the commands in the header of a recipe."""
+    return [shlex.split(line) for line in HEADER.findall(path.read_text())]
+
+
+def test_folders_are_named_after_what_reads_their_files():
+    assert {path.name for path in RECIPES.iterdir()} == FOLDERS
+
+
+@pytest.mark.parametrize("path", recipes("generate"))
+def test_a_generation_recipe_is_read(path: Path):
+    assert load_recipe(path).split == "train"
+
+
+@pytest.mark.parametrize("path", recipes("dagger", "eye"))
+def test_a_recipe_of_ours_is_read(path: Path):
+    from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
+
+    recipe = read_recipe({"dagger": DaggerRecipe, "eye": EyeRecipe}[path.parent.name], path)
+    if isinstance(recipe, DaggerRecipe):
+        assert recipe.policy["image_size"] == recipe.episodes.image_size
+        latency = control_class_of(recipe.episodes.control_class).latency_frames
+        assert recipe.policy.get("latency_frames", 0) == latency
+
+
+@pytest.mark.parametrize("path", recipes("train", "zoo"))
+def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(path: Path):
+    from lerobot.configs.train import TrainPipelineConfig
+    from lerobot.utils.import_utils import register_third_party_plugins
+
+    register_third_party_plugins()
+    config = draccus.parse(TrainPipelineConfig, config_path=path, args=[])
+    values = yaml.safe_load(path.read_text())
+    assert "device" not in values["policy"]
+    assert (config.policy.push_to_hub, config.env.split, config.env_eval_freq) == (False, "val", 0)
+    (size,) = {feature.shape[-1] for feature in config.policy.image_features.values()} or {config.env.image_size}
+    assert config.env.image_size == size
+    generate, train, *_ = (words for words in commands(path) if words[0] != "uv")
+    assert generate[:2] == ["dynahoi", "generate"]
+    assert generate[generate.index("--root") + 1] == config.dataset.root
+    assert train[:2] == ["lerobot-train", f"--config_path={path.relative_to(ROOT)}"]
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    from tests.docs.playing import prepare
+
+    before, folder = Path.cwd(), tmp_path_factory.mktemp("recipes")
+    prepare(folder)
+    yield folder
+    os.chdir(before)
+
+
+@pytest.mark.slow
+def test_recipes_train_as_their_headers_say(workspace: Path, subtests: pytest.Subtests):
+    from tests.docs.playing import Player
+
+    generated = set()
+    for parameter in recipes("train"):
+        (path,) = parameter.values
+        with subtests.test(recipe=path.stem):
+            generate, train, *evaluate = commands(path)
+            root = generate[generate.index("--root") + 1]
+            if root not in generated:
+                Player().run(generate)
+                generated.add(root)
+            Player().run([*train, "--env_eval_freq=2", "--env.task=lob", "--eval.n_episodes=1"])
+            out = workspace / "outputs" / path.stem
+            (played,) = (out / "dynahoi").iterdir()
+            assert len(read_results(played).rows) == 1
+            for words in evaluate:
+                Player().run(words)
+                assert len(read_results(Path(words[words.index("--out") + 1])).rows) == 2

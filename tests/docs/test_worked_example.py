@@ -1,0 +1,43 @@
+"""The worked example of docs/extend.md, in a copy of the checkout: a motion that a contributor adds."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.docs.documents import ROOT, Page
+
+EXAMPLE = Page.read(ROOT / "docs" / "extend.md")
+PROGRAMS = {"dynahoi": ["-m", "dynahoi_lerobot.cli.main"], "pytest": ["-m", "pytest", "-p", "no:cacheprovider"]}
+
+
+@pytest.mark.slow
+def test_the_worked_example_works_as_written(tmp_path: Path):
+    (source,) = (block.body for block in EXAMPLE.all_blocks if block.file == "spiral.py")
+    for part in ("dynahoi_lerobot", "tests"):
+        shutil.copytree(ROOT / part, tmp_path / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    path = "dynahoi_lerobot/motions/spiral.py"
+    assert f"`{path}`" in EXAMPLE.text
+    (tmp_path / path).write_text(source)
+    commands = [words for words in EXAMPLE.commands if Path(path).stem in " ".join(words)]
+    assert [words[:2] for words in commands] == [
+        ["dynahoi", "view"],
+        ["pytest", "-n"],
+        ["dynahoi", "generate"],
+        ["dynahoi", "verify"],
+    ]
+    for program, *words in commands:
+        run = [sys.executable, *PROGRAMS[program], *words]
+        done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        if program == "pytest":
+            assert re.search(r"[1-9]\d* passed", done.stdout)
+    assert (tmp_path / "spiral.gif").read_bytes()[:4] == b"GIF8"
+    for check in (["check"], ["format", "--check"]):
+        subprocess.run([sys.executable, "-m", "ruff", *check, path], cwd=tmp_path, check=True)
