@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.features import frame_features
 from tests.dataset.episodes import varied_episode
 
 

@@ -12,7 +12,7 @@ import draccus
 import pytest
 import yaml
 
-from dynahoi_lerobot.control_class import control_class_of
+from dynahoi_lerobot.core.rules import control_class_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.recipe import load_recipe
 from tests.docs.documents import ROOT
