@@ -64,7 +64,7 @@ def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> di
     rates = {
         "S_loc": rate([e.first_localized is not None for e in episodes]),
         "S_intercept": rate([METRICS["S_intercept"](e) == 1.0 for e in episodes]),
-        "S_joint": rate([e.success for e in episodes]),
+        "S_joint": rate([METRICS["S_joint"](e) == 1.0 for e in episodes]),
     }
     for label in (*CATEGORIES, *OBJECTS.names()):
         localized = [e.first_localized is not None for e in episodes if label in (e.meta.category, e.meta.object)]

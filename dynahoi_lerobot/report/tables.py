@@ -45,16 +45,16 @@ class Table:
 
 
 def main_metrics(entries: Sequence[Entry]) -> Table:
-    """Return the paper's columns and S_joint of each evaluation; the best of equals is marked."""
-    names = (*columns_for([entry.results for entry in entries]), "S_joint")
+    """Return the main columns of each evaluation; the best of equals is marked."""
+    names = columns_for([entry.results for entry in entries])
     return _metric_table("One row per evaluation, 95 % intervals under the values.", entries, names)
 
 
 def other_metrics(entries: Sequence[Entry]) -> Table:
     """Return every other registered metric, one row per evaluation."""
-    shown = (*columns_for([entry.results for entry in entries]), "S_joint")
+    shown = columns_for([entry.results for entry in entries])
     names = [name for name in METRICS.names() if name not in shown]
-    return _metric_table("Metrics beside the paper's, one row per evaluation.", entries, names)
+    return _metric_table("All other metrics, one row per evaluation.", entries, names)
 
 
 def stratum_tables(entries: Sequence[Entry], stratum: str) -> list[Table]:

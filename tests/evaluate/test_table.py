@@ -10,7 +10,7 @@ import pytest
 from dynahoi_lerobot.evaluate.episode_row import episode_row
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.evaluate.summary import Estimate, summarise_by
-from dynahoi_lerobot.evaluate.table import heading, printed, results_table, stratum_table
+from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, heading, printed, results_table, stratum_table
 from tests.synthetic import synthetic_episode
 
 
@@ -34,11 +34,9 @@ def test_headings_say_unit_and_direction():
     assert [heading(name) for name in ("S_loc", "E_loc", "Q_line")] == ["S_loc % ↑", "E_loc u ↓", "Q_line ↑"]
 
 
-def test_one_line_per_evaluation_in_the_papers_column_order():
+def test_one_line_per_evaluation():
     header, rule, *lines = results_table([results("a"), results("a much longer name")]).split("\n")
-    names = ["S_loc %", "E_loc u", "S_gra %", "E_gra u", "Q_smooth", "Q_line", "R_time"]
-    places = [header.index(name) for name in names]
-    assert places == sorted(places)
+    assert all(f" {name} " in header for name in MAIN_COLUMNS)
     assert set(rule) == {"-"}
     assert [line.split()[0] for line in lines] == ["a", "a"]
     assert len({line.index("75.0 [") for line in lines}) == 1, "columns must line up"

@@ -11,6 +11,7 @@ import pytest
 
 from dynahoi_lerobot.evaluate.gif import write_gif
 from dynahoi_lerobot.evaluate.results import ResultsError
+from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, heading
 from dynahoi_lerobot.report import clips, page, render_report
 from dynahoi_lerobot.report.figures.base import FIGURES
 from tests.report.example_runs import example_run
@@ -86,8 +87,7 @@ def parsed(html: str) -> Page:
 
 def test_every_evaluation_is_a_row_with_its_values(parsed: Page):
     head = next(row for row in parsed.rows if row[0] == "policy")
-    metrics = "S_loc % ↑,E_loc u ↓,S_gra % ↑,E_gra u ↓,Q_smooth ↑,Q_line ↑,R_time ↑,S_joint % ↑"
-    assert head == ["policy", *metrics.split(",")]
+    assert head == ["policy", *map(heading, MAIN_COLUMNS)]
     expert = next(row for row in parsed.rows if row[0] == "expert")
     assert expert[1] == "100.0 [85.1, 100.0]"
     assert len(expert) == len(head)

@@ -74,7 +74,7 @@ ACROSS = 4
 
 
 def columns_of(entries: Sequence[Entry]) -> tuple[str, ...]:
-    """Return the paper's metrics, preceded by S_hold if any evaluation uses the capture rule contact."""
+    """Return the main metrics, preceded by S_hold if any evaluation uses the capture rule contact."""
     return columns_for([entry.results for entry in entries])
 
 

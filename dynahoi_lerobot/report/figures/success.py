@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @figure("main", "Main metrics", place=10)
 def main_metrics(entries: Sequence[Entry]) -> Figure:
-    """The paper's seven metrics with 95 % intervals (Wilson for rates, bootstrap for means).
+    """The main metrics with 95 % intervals (Wilson for rates, bootstrap for means).
 
     An arrow in a title points towards better.
     """
