@@ -9,6 +9,7 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.arguments import names, number, path, whole
 from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC
+from dynahoi_lerobot.sampling.recipe import MAX_RENDER_NOISE
 from dynahoi_lerobot.sampling.salt import add_salt_argument
 from dynahoi_lerobot.sampling.splits import SMALL_TEST
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
@@ -58,6 +59,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=names,
         default=(),
         help="comma-separated: what is randomised beyond the training distribution",
+    )
+    parser.add_argument(
+        "--render-noise",
+        type=whole(0, MAX_RENDER_NOISE),
+        default=0,
+        metavar="LEVELS",
+        help="change every value of every image by at most so many of 255 levels, as renderers differ; 0 by default",
     )
     add_salt_argument(parser)
     parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")

@@ -173,6 +173,7 @@ def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
         hand=args.hand,
         views=actor.views,
         appearance=args.appearance,
+        render_noise=args.render_noise,
         salt=args.salt,
         **playing_rules(args, actor, DEFAULT_IMAGE_SIZE),
     )

@@ -11,11 +11,12 @@ import numpy as np
 from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
 from dynahoi_lerobot.evaluate.intervals import bootstrap_means
 from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams
 
-CROSSABLE = ("protocol", "control_class", "inference")
+CROSSABLE = ("protocol", "control_class", "inference", "render_noise")
 """Conditions that may be what is compared: the same episodes, played under others."""
 
 CONDITIONS = ("capture", *CROSSABLE)
@@ -112,6 +113,21 @@ def compare(
     only_a, only_b = int((differences > 0).sum()), int((differences < 0).sum())
     p_value = mcnemar(only_a, only_b) if aggregation == "rate" else _tail(means)
     return Comparison(metric, len(pairs), float(differences.mean()), float(low), float(high), p_value)
+
+
+def command_distances_cm(a: Results, b: Results) -> np.ndarray:
+    """Return (n,) distances of the palm positions that A and B commanded [cm], of every episode that both played.
+
+    Each is a mean over the control frames that both have: an episode ends once its target is localised.
+    """
+    other = {_identity(row): actions for row, actions in zip(b.rows, b.actions, strict=True)}
+    means = []
+    for row, actions in zip(a.rows, a.actions, strict=True):
+        if (paired := other.get(_identity(row))) is not None:
+            frames = slice(row["window_frames"], min(len(actions), len(paired)))
+            apart_m = np.linalg.norm(actions[frames, :PALM_DOF] - paired[frames, :PALM_DOF], axis=1)
+            means.append(100 * apart_m.mean())
+    return np.array(means, np.float64)
 
 
 def mcnemar(only_a: int, only_b: int) -> float:

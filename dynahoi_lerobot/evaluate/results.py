@@ -60,6 +60,12 @@ class Results:
         return self.info.capture
 
     @property
+    def render_noise(self) -> str:
+        """By how many of 255 levels the images were changed at most, ``0`` if they were not."""
+        recipe = self.info.extra.get("recipe")
+        return str(recipe.get("render_noise") or 0) if isinstance(recipe, dict) else "0"
+
+    @property
     def inference(self) -> str:
         """How long inference took: ``sync`` if the world waited for it, else such as ``async 150 ms``."""
         return self.info.extra.get("inference") or SYNC

@@ -6,7 +6,8 @@ import argparse
 from itertools import combinations
 from pathlib import Path
 
-from dynahoi_lerobot.evaluate.compare import CROSSABLE, unequal_conditions
+from dynahoi_lerobot.evaluate.compare import CROSSABLE, command_distances_cm, compare, unequal_conditions
+from dynahoi_lerobot.evaluate.intervals import bootstrap
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.foundation.arguments import path
@@ -36,5 +37,11 @@ def run(args: argparse.Namespace) -> int:
     for name in CROSSABLE:
         if any(name in unequal_conditions(a, b, args.across) for a, b in combinations(results, 2)):
             print(f"evaluations with different {name} are not paired; --across {name} pairs them")
+    for a, b in combinations(results, 2):
+        if not unequal_conditions(a, b, args.across) and len(apart := command_distances_cm(a, b)):
+            loc, (low, high) = compare(a.rows, b.rows, "S_loc", allow_version_mismatch=True), bootstrap(apart)
+            points = f"S_loc {100 * loc.difference:+.1f} [{100 * loc.low:+.1f}, {100 * loc.high:+.1f}] points"
+            commands = f"commands {apart.mean():.2f} [{low:.2f}, {high:.2f}] cm apart"
+            print(f"{a.folder} minus {b.folder}, {len(apart)} episodes: {points}, {commands}")
     print(f"report: {page}")
     return 0

@@ -3,10 +3,18 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from dynahoi_lerobot.evaluate.compare import Comparison, compare_results, paired_values, unequal_conditions
+from dynahoi_lerobot.evaluate.compare import (
+    Comparison,
+    command_distances_cm,
+    compare,
+    paired_values,
+    unequal_conditions,
+)
+from dynahoi_lerobot.evaluate.intervals import bootstrap
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary
 from dynahoi_lerobot.evaluate.table import LABELS, columns_for, heading, labels, printed_parts
 from dynahoi_lerobot.metrics import METRICS
@@ -14,6 +22,8 @@ from dynahoi_lerobot.report.entries import Entry
 
 COMPARED = ("S_hold", "S_loc", "S_joint", "E_loc")
 """Metrics of the paired comparisons; those without pairs are omitted."""
+
+COMMANDS = "Mean distance of the palm positions that they commanded in the same frames [cm]."
 
 SIGNIFICANT = 0.05
 
@@ -83,7 +93,9 @@ def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) ->
 
     Only evaluations under equal conditions are paired, except for those that are compared, ``across``.
     """
-    tables = [_matrix(entries, name, across) for name in COMPARED]
+    cells = {f"{heading(name)}: row minus column.": partial(_compared, name=name) for name in COMPARED}
+    cells[COMMANDS] = _commands_apart
+    tables = [_matrix(entries, caption, cell, across) for caption, cell in cells.items()]
     return [table for table in tables if table is not None]
 
 
@@ -138,25 +150,33 @@ def _stratum_table(entry: Entry, stratum: str) -> Table:
     return Table(entry.label, (stratum, "n", *map(heading, names)), rows)
 
 
-def _matrix(entries: Sequence[Entry], name: str, across: Collection[str]) -> Table | None:
-    cells = [[_compared(row, column, name, across) for column in entries] for row in entries]
+def _matrix(
+    entries: Sequence[Entry], caption: str, compared: Callable[[Entry, Entry], Cell], across: Collection[str]
+) -> Table | None:
+    def cell(row: Entry, column: Entry) -> Cell:
+        if unequal := unequal_conditions(row.results, column.results, across):
+            return Cell("–", f"other {' and '.join(unequal)}")
+        return Cell("–") if row is column else compared(row, column)
+
+    cells = [[cell(row, column) for column in entries] for row in entries]
     if not any(cell.key is not None for line in cells for cell in line):
         return None
     rows = tuple((Cell(entry.label), *line) for entry, line in zip(entries, cells, strict=True))
-    caption = f"{heading(name)}: row minus column."
-    return Table(caption, ("row − column", *(entry.label for entry in entries)), rows)
+    return Table(caption, ("row, column", *(entry.label for entry in entries)), rows)
 
 
-def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> Cell:
-    if unequal := unequal_conditions(row.results, column.results, across):
-        return Cell("–", f"other {' and '.join(unequal)}")
-    if row is column:
+def _commands_apart(row: Entry, column: Entry) -> Cell:
+    apart = command_distances_cm(row.results, column.results)
+    if len(apart) == 0:
         return Cell("–")
+    mean, (low, high) = float(apart.mean()), bootstrap(apart)
+    return Cell(f"{mean:.2f}", f"[{low:.2f}, {high:.2f}] n = {len(apart)}", mean)
+
+
+def _compared(row: Entry, column: Entry, name: str) -> Cell:
     if len(paired_values(row.results.rows, column.results.rows, name)) == 0:
         return Cell("–")
-    result = compare_results(
-        row.results, column.results, name, across=across, allow_version_mismatch=True
-    )  # asked for, if they differ
+    result = compare(row.results.rows, column.results.rows, name, allow_version_mismatch=True)  # or read_entries refused
     estimate = Estimate(result.difference, result.low, result.high, METRICS[name].unit, result.n)
     difference, ends = printed_parts(estimate)
     p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"

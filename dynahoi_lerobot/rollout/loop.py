@@ -96,6 +96,7 @@ def make_batch(recipe: Recipe, size: int, threads: int = 0, *, environment_state
         renderer=recipe.renderer,
         threads=threads,
         disturbance_m=recipe.disturbance_m,
+        render_noise=recipe.render_noise,
         environment_state=environment_state,
     )
 

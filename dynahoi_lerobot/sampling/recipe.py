@@ -32,6 +32,7 @@ from dynahoi_lerobot.sampling.salt import check_salt, sealed, stream_label
 MIN_HOLD_FRAMES = 12
 """The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
 MAX_DISTURBANCE_M = 0.2
+MAX_RENDER_NOISE = 64
 ACTOR = re.compile(r"[a-z0-9_]+@[0-9a-f]{16}")
 
 
@@ -58,6 +59,7 @@ class Recipe:
             average two thirds of those show an object that is already held, of which a training set needs few.
         disturbance_m: standard deviation of the disturbance that is injected into the palm's commands [m]; see
             ``world.disturbance``.
+        render_noise: greatest change of a pixel's value, of 255, as between two renderers; drawn anew for every image.
         salt: goes into the random numbers besides split and seed; empty for the public episodes. See ``salt``.
         keep_failures: whether to record the expert's last attempt, with ``success`` false, where all of them failed;
             otherwise another episode takes its place.
@@ -82,6 +84,7 @@ class Recipe:
     renderer: str = DEFAULT_RENDERER
     hold_frames: int | None = None
     disturbance_m: float = 0.0
+    render_noise: int = 0
     salt: str = field(default="", repr=False)
     keep_failures: bool = False
     actor: str = ""
@@ -115,6 +118,8 @@ class Recipe:
             raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")
         if not 0 <= self.disturbance_m <= MAX_DISTURBANCE_M:
             raise ValueError(f"disturbance_m must be 0 to {MAX_DISTURBANCE_M} m, got {self.disturbance_m}")
+        if not 0 <= self.render_noise <= MAX_RENDER_NOISE:
+            raise ValueError(f"render_noise must be 0 to {MAX_RENDER_NOISE} levels of 255, got {self.render_noise}")
         if self.hold_frames is not None and self.hold_frames < MIN_HOLD_FRAMES:
             raise ValueError(f"hold_frames must be at least {MIN_HOLD_FRAMES}, or null, got {self.hold_frames}")
         self._check_actor()

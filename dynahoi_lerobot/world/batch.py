@@ -66,6 +66,7 @@ class WorldBatch(ObservedWorlds):
         renderer: str = DEFAULT_RENDERER,
         threads: int = 0,
         disturbance_m: float = 0.0,
+        render_noise: int = 0,
         environment_state: bool = False,
     ) -> None:
         """Allocate ``size`` worlds.
@@ -80,6 +81,7 @@ class WorldBatch(ObservedWorlds):
             renderer: one of the renderers.
             threads: for physics, 0 for all cores; without influence on the result.
             disturbance_m: spread of the disturbance injection [m].
+            render_noise: greatest change of a pixel's value, of 255.
             environment_state: whether observations hold the simulator's truth.
 
         Raises:
@@ -104,6 +106,7 @@ class WorldBatch(ObservedWorlds):
         self._disturbance = DisturbanceInjection(size, disturbance_m)
         self.cameras = Cameras(self.scene, self._batch, image_size, renderer, self._update_kinematics)
         self._views, self._environment_state = (EGO_CAMERA, *views), environment_state
+        self._render_noise = render_noise
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self.commanded, self.executed = np.zeros((2, size, HAND_DOF))

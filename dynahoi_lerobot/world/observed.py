@@ -17,7 +17,7 @@ from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.servo import Servo
 from dynahoi_lerobot.scene.world_fields import WorldFields
-from dynahoi_lerobot.world.cameras import Cameras
+from dynahoi_lerobot.world.cameras import Cameras, with_render_noise
 from dynahoi_lerobot.world.fingertips import Fingertips
 from dynahoi_lerobot.world.latency import CommandLatency
 from dynahoi_lerobot.world.physics import Physics
@@ -47,6 +47,7 @@ class ObservedWorlds:
     _latency: CommandLatency
     _views: Sequence[str]
     _environment_state: bool
+    _render_noise: int
     _origin: np.ndarray
 
     @property
@@ -126,7 +127,7 @@ class ObservedWorlds:
         """
         sensed = self.rule.uses_contact_sensors
         return Observation(
-            images={view: self.cameras.render(self._seeing(ids), view) for view in self._views} if images else {},
+            images={view: self._render(view, self._seeing(ids)) for view in self._views} if images else {},
             state=self.state.astype(np.float32),
             fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
             phase=one_hot_phase(self.accepting),
@@ -134,6 +135,16 @@ class ObservedWorlds:
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
             environment_state=self._truth() if self._environment_state else None,
         )
+
+    def _render(self, view: str, ids: np.ndarray) -> np.ndarray:
+        """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are drawn."""
+        images = self.cameras.render(ids, view)
+        if self._render_noise:
+            images = images.copy()
+            for i in ids:
+                if (spec := self.specs[i]) is not None:
+                    images[i] = with_render_noise(images[i], self._render_noise, spec.seed, self.frame[i], view)
+        return images
 
     def _truth(self) -> np.ndarray:
         """(N, 13) float32 pose [m, 1] and velocity [m/s, rad/s] of the targets."""
