@@ -11,7 +11,7 @@ import math
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -105,13 +105,16 @@ def described_folder(path: str) -> Path:
     return _download(path, ["*.json"])
 
 
-def load_policy(folder: Path, device: str | None = None, settings: Sequence[str] = ()) -> tuple[Any, Any, Any]:
+def load_policy(
+    folder: Path, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
+) -> tuple[Any, Any, Any]:
     """Return the policy, preprocessor and postprocessor of a checked folder, loaded by LeRobot.
 
     Args:
         folder: of ``checked_folder``.
         device: torch device, the policy's own if None.
         settings: overrides of its config, ``KEY=VALUE`` each.
+        trust: let a repository that its config names run code, if the user says so.
 
     Raises:
         PolicyError: if LeRobot cannot load it, or its weights are not exactly those of its policy.
@@ -123,9 +126,11 @@ def load_policy(folder: Path, device: str | None = None, settings: Sequence[str]
     shapes = _stored_shapes(folder / WEIGHTS)
     overrides = {"device_processor": {"device": str(config.device)}}
     try:
-        with _bounded(shapes, folder):
+        with _bounded(shapes, folder), nullcontext() if trust else _no_questions():
             policy = get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
-        before, after = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
+            before, after = make_pre_post_processors(
+                config, pretrained_path=str(folder), preprocessor_overrides=overrides
+            )
     except PolicyError:
         raise
     except Exception as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
@@ -145,23 +150,28 @@ def trained_for(folder: Path) -> dict[str, Any]:
     The image size is that of the config's camera. The others come from the ``env`` of ``train_config.json``, or else
     from the recipe of the dataset that it names, if that is on this machine.
     """
-    config, training = (_optional_json(folder / name) for name in (CONFIG, TRAINING))
-    env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
+    config, training = (_read_object(file) if (file := folder / name).is_file() else {} for name in (CONFIG, TRAINING))
+    env, root = _inner(training, "env"), _inner(training, "dataset").get("root")
     rules = env if env.get("type") == "dynahoi" else _recipe_of(root)
     told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
-    camera = (config.get("input_features") or {}).get(CAMERA_KEY)
-    return told | ({"image_size": int(camera["shape"][-1])} if camera else {})
+    shape = _inner(config, "input_features", CAMERA_KEY).get("shape")
+    size = shape[-1] if isinstance(shape, list) and shape else None
+    return told | ({"image_size": size} if isinstance(size, int) else {})
 
 
-def _recipe_of(root: str | None) -> dict[str, Any]:
+def _inner(content: Any, *keys: str) -> dict[str, Any]:
+    """Return the object below ``keys``, an empty one if there is none."""
+    for key in keys:
+        content = content.get(key) if isinstance(content, dict) else None
+    return content if isinstance(content, dict) else {}
+
+
+def _recipe_of(root: Any) -> dict[str, Any]:
+    """Return the recipe of the dataset in ``root``, as far as there is one."""
     try:
-        return Manifest.read(Path(root)).provenance["recipe"] if root else {}
-    except (OSError, ValueError, KeyError):
+        return _inner(Manifest.read(Path(root)).provenance, "recipe") if isinstance(root, str) and root else {}
+    except (OSError, ValueError):
         return {}
-
-
-def _optional_json(file: Path) -> dict[str, Any]:
-    return _read_object(file) if file.is_file() else {}
 
 
 def _download(repository: str, patterns: list[str], revision: str | None = None) -> Path:
@@ -198,6 +208,8 @@ def _findings(folder: Path) -> Iterator[str]:
     """Yield what could run code, or read files outside the folder, while the checkpoint is loaded."""
     boundary = _boundary(folder)
     for file in sorted(folder.rglob("*")):
+        if not file.name.isprintable():  # results name the weights that they are of
+            raise PolicyError(f"{folder} holds a file whose name cannot be printed: {file.name!r}")
         if not _resolved(file).is_relative_to(boundary):
             yield f"{file} is a link that leads out of the checkpoint"
         elif file.is_dir():
@@ -350,6 +362,18 @@ def _bounded(shapes: Mapping[str, tuple[int, ...]], folder: Path) -> Iterator[No
     finally:
         for hook in hooks:
             hook.remove()
+
+
+@contextmanager
+def _no_questions() -> Iterator[None]:
+    """Answer nothing when transformers asks on the terminal whether to run the code of a repository, which is a no."""
+    answers = sys.stdin
+    with open(os.devnull) as nothing:
+        sys.stdin = nothing
+        try:
+            yield
+        finally:
+            sys.stdin = answers
 
 
 def _check_fit(state: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], folder: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -21,11 +21,10 @@ from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.actors import VLM, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.arguments import add_arguments
 from dynahoi_lerobot.evaluate.gif import episode_gif
-from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
-from dynahoi_lerobot.evaluate.run_info import WEIGHTS, command_line
+from dynahoi_lerobot.evaluate.results import WEIGHTS, ResultsRecorder, RunInfo, command_line
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.features import ENVIRONMENT_STATE
-from dynahoi_lerobot.foundation.working_folder import exclusive
+from dynahoi_lerobot.foundation.working_folder import working_folder
 from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.loop import evaluate, make_batch
@@ -73,8 +72,8 @@ def run(args: argparse.Namespace) -> int:
             WEIGHTS: dict(actor.weights),
         },
     )
-    with _claimed(args.out):
-        recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
+    with working_folder(args.out, info.task()) if args.out else nullcontext():
+        recorder = ResultsRecorder.resume(args.out) if args.out else ResultsRecorder()
         specs = _specs(args, recipe, recorder)
         args.batch_size = _batch_size(args, inference)
         for episodes in _played(args, recipe, actor, specs):
@@ -87,19 +86,8 @@ def run(args: argparse.Namespace) -> int:
     if args.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
     if args.per_kind:
-        print("\n" + stratum_table(results))
+        print("\n" + stratum_table(results).as_text())
     return 0
-
-
-@contextmanager
-def _claimed(out: Path | None) -> Iterator[None]:
-    """Hold the lock of the result folder, if there is one."""
-    if out is None:
-        yield
-        return
-    out.mkdir(parents=True, exist_ok=True)
-    with exclusive(out):
-        yield
 
 
 def _real_time(actor: Actor, inference: Inference) -> Actor:
@@ -150,8 +138,6 @@ def _vlm(args: argparse.Namespace) -> Agent:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
     control = control_class_of(args.control_class or DEFAULT_CONTROL_CLASS)
     prompt = Prompt(args.prompt, CAPTURES[args.capture].palm_speed_m_s(control))
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
     audit = args.out / "vlm.jsonl" if args.out else None
     client = VlmClient(
         args.model,
@@ -209,7 +195,6 @@ def _reported(episodes: Iterator[Episode], progress: tqdm, out: Path | None, gif
     for episode in islice(episodes, gifs):
         progress.update()
         if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
             episode_gif(out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
         yield replace(episode, images={})
     for episode in episodes:

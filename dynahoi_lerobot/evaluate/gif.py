@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.atomic import write_atomically
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
+from dynahoi_lerobot.foundation.output import write_atomically
 
 if TYPE_CHECKING:
     from PIL import Image

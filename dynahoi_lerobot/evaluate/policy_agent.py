@@ -45,7 +45,7 @@ class PolicyAgent(ChunkAgent):
         self.name = path
         folder = checked_folder(path, trust=trust)
         _register_plugins()
-        self._policy, self._before, self._after = load_policy(folder, device, settings)
+        self._policy, self._before, self._after = load_policy(folder, device, settings, trust=trust)
         self.weights, self.trained_for = folder_weights(folder), trained_for(folder)
         self._chunk: Any = None
         inputs = self._policy.config.input_features

@@ -1,8 +1,9 @@
-"""Refuse unwritable output places before the work starts."""
+"""What is written and printed: places refused before the work starts, files written whole, text that is only text."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 MAX_NAME_BYTES = 180
@@ -30,3 +31,29 @@ def check_output(path: Path) -> None:
             break
     if place != path and not place.is_dir():
         raise ValueError(f"{path} cannot be made: {place} is a file")
+
+
+def write_atomically(writers: Mapping[Path, Callable[[Path], object]]) -> None:
+    """Write every file under a temporary name, and rename them only when all are complete and on the disk.
+
+    Args:
+        writers: for each path, a function that writes the file to the path it is given. The files are renamed in this
+            order, so the presence of the last implies that of the others. Folders are made.
+    """
+    drafts = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in writers}
+    try:
+        for path, write in writers.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(drafts[path])
+            with drafts[path].open("rb") as draft:
+                os.fsync(draft.fileno())
+        for path, draft in drafts.items():
+            draft.replace(path)
+    finally:
+        for draft in drafts.values():
+            draft.unlink(missing_ok=True)
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with whatever a terminal would obey, such as escapes and line ends, written out."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.results import Results, write_results
+from dynahoi_lerobot.evaluate.results import Results, RunInfo, write_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.synthetic import synthetic_episode
 
@@ -50,18 +50,19 @@ def play(
         )
 
 
-def example_run(folder: Path, policy: str, skill: float, count: int = 44, **options: object) -> Results:
-    """Write the result folder of a made-up policy."""
-    capture = str(options.pop("capture", "attach"))
-    benchmark = str(options.pop("benchmark", BENCHMARK.version))
-    return write_results(
-        folder,
-        play(count, skill, capture, benchmark=benchmark),
-        policy=policy,
-        split="test_small",
-        capture=capture,
-        command=str(options.pop("command", f"dynahoi evaluate --policy {policy} --split test_small")),
-        fingerprint="f00dcafe",
-        extra=options,
-        benchmark=benchmark,
-    )
+def example_run(
+    folder: Path,
+    policy: str,
+    skill: float,
+    count: int = 44,
+    *,
+    capture: str = "attach",
+    benchmark: str = BENCHMARK.version,
+    command: str = "",
+    rules: dict[str, str] | None = None,
+    **extra: object,
+) -> Results:
+    """Write the result folder of a made-up policy; ``rules`` are changes of ``EpisodeMeta``."""
+    command = command or f"dynahoi evaluate --policy {policy} --split test_small"
+    info = RunInfo(policy, "test_small", capture, command, "f00dcafe", extra, benchmark)
+    return write_results(folder, play(count, skill, capture, benchmark=benchmark, **rules or {}), info)
