@@ -17,9 +17,10 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 LABEL_PX, COLUMNS = 12, 4
 JPEG_QUALITY = 85
@@ -36,7 +37,7 @@ def main() -> None:
     args = parser.parse_args()
     recipe = Recipe(split="test", image_size=args.tile_px)
     specs = one_episode_per_kind(recipe, args.motions)
-    episodes = list(evaluate(make_batch(recipe, min(11, len(specs))), EXPERTS["intercept"](), specs, images=True))
+    episodes = list(evaluate(WorldBatch(recipe, min(11, len(specs))), EXPERTS["intercept"](), specs, images=True))
     episodes.sort(key=lambda episode: (episode.meta.category, episode.meta.motion))
     strips = [_strip(episode) for episode in episodes]
     strips += [Image.new("RGB", strips[0].size)] * (-len(strips) % COLUMNS)

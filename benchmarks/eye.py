@@ -23,11 +23,11 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.foundation.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.onpolicy.snapshots import Snapshots, snapshots
-from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 TINY = {"pictures": 32, "episodes": 2, "batch_size": 16}
 EDGES_M = (0.0, 0.06, 0.10, 0.15, 0.25, 0.40, 0.60, np.inf)
@@ -65,7 +65,7 @@ def main() -> None:
 
 def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], camera: str) -> Iterator[Snapshots]:
     """Let a policy play each episode in a world of its own, and yield what it sees while it acts."""
-    batch = make_batch(recipe, len(specs), threads=1)
+    batch = WorldBatch(recipe, len(specs), threads=1)
     session = Session(batch, record_images=False)
     session.begin(np.arange(len(specs)), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
     policy.reset(len(specs))

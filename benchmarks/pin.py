@@ -22,10 +22,11 @@ from support.options import benchmark_parser, write_numbers
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import SingleWorldExpert, WorldView
 from dynahoi_lerobot.foundation.conventions import PALM_DOF
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 DIGESTS = Path(__file__).parents[1] / "tests" / "sampling" / "benchmark_digests.json"
 TRAIN_SEEDS = 220
@@ -117,7 +118,7 @@ def picture_digests(
     recipe = Recipe(split=split, image_size=PICTURE_PX)
     first = PICTURED_EPISODES * BENCHMARK.streams.index(split)
     specs = sample_specs(recipe, range(first, first + count), threads=threads)
-    episodes = evaluate(make_batch(recipe, batch_size, threads), Closing(), specs, images=True)
+    episodes = evaluate(WorldBatch(recipe, batch_size, threads), Closing(), specs, images=True)
     pixels = {f"{split}/{episode.meta.seed}": episode.images["ego"][::PICTURE_STRIDE] for episode in episodes}
     return {name: hashlib.sha256(pixels[name].tobytes()).hexdigest()[:16] for name in sorted(pixels)}
 

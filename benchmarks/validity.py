@@ -59,7 +59,7 @@ def main() -> None:
 
 def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> dict[str, Rate]:
     """Play one baseline in one control class; print and return its rates, also of each category and object."""
-    batch = WorldBatch(min(WORLDS, len(specs)), control_class=control, hand=hand)
+    batch = WorldBatch(Recipe(control_class=control, hand=hand), min(WORLDS, len(specs)))
     episodes = list(evaluate(batch, EXPERTS[name](), specs))
     rates = {
         "S_loc": rate([e.first_localized is not None for e in episodes]),

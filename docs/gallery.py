@@ -18,11 +18,12 @@ from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 IMAGES = Path(__file__).parent / "images"
 CAUGHT, MISSED = 90, 74  # seeds of `test`
@@ -37,7 +38,7 @@ def catch() -> None:
     recipe = Recipe(split="test", image_size=PLAYED_PX)
     specs = sample_specs(recipe, [CAUGHT, MISSED])
     tracker = make_actor("checkpoints/tracker_standard")
-    played = evaluate(make_batch(recipe, len(specs)), tracker, specs)
+    played = evaluate(WorldBatch(recipe, len(specs)), tracker, specs)
     logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed) for episode in played}
     episodes = replay(replace(recipe, image_size=SHOWN_PX), [logs[CAUGHT], logs[MISSED]])
     for episode in episodes:
@@ -51,7 +52,7 @@ def motions() -> None:
         kinds = [kind for kind in BENCHMARK.splits["test"].motions if MOTIONS[kind].category == category]
         recipe = Recipe(split="test", image_size=KIND_PX)
         specs = [sample_specs(replace(recipe, motions=(kind,)), [seed])[0] for seed, kind in enumerate(kinds)]
-        played = evaluate(make_batch(recipe, len(specs)), EXPERTS[recipe.expert](), specs, images=True)
+        played = evaluate(WorldBatch(recipe, len(specs)), EXPERTS[recipe.expert](), specs, images=True)
         episodes = sorted(played, key=lambda episode: kinds.index(episode.meta.motion))
         write_gif(IMAGES / f"{category}.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
 

@@ -204,7 +204,7 @@ def image_feature(view: str, image_size: int) -> Feature:
 
 
 def frame_features(
-    image_size: int | None,
+    image_size: int,
     views: Sequence[str] = (),
     *,
     contact_sensors: bool = False,
@@ -215,14 +215,14 @@ def frame_features(
     """Return the columns of the frame table, in the dataset's order.
 
     Args:
-        image_size: side of the images [px]; None leaves all of them out.
+        image_size: side of the images [px]; 0 for no camera.
         views: the views besides ``ego``.
         contact_sensors: whether the capture rule ``uses_contact_sensors``.
         on_policy: whether a teacher labels what somebody else does.
         environment_state: whether policies are given the simulator's truth.
         privileged: False leaves out the privileged columns that the episode table can hold, see ``moved_features``.
     """
-    images = () if image_size is None else tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views))
+    images = tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views) if image_size)
     sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
     asked = (f for f in sensed if environment_state or not f.on_request)
     held = (f for f in asked if on_policy or not f.on_policy)

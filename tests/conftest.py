@@ -13,9 +13,10 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.dataset.episodes import write
 from tests.menagerie import write_menagerie
 
@@ -42,7 +43,7 @@ def specs() -> list[EpisodeSpec]:
 @pytest.fixture(scope="session")
 def expert_episodes(specs: list[EpisodeSpec]) -> list[Episode]:
     """The expert's evaluation on ``specs``, in their order, without images."""
-    episodes = evaluate(make_batch(TEST, 22, threads=1), EXPERTS["intercept"](), specs)
+    episodes = evaluate(WorldBatch(TEST, 22, threads=1), EXPERTS["intercept"](), specs)
     return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 

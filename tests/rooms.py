@@ -49,17 +49,26 @@ def room_of(module: str) -> str:
 def imports() -> Iterator[tuple[str, str]]:
     """Yield (importing, imported) module of every import within the core.
 
-    Imports inside functions count, and so do modules that are imported by name, as the commands are.
+    Imports inside functions count, and so do modules that are imported by name, as the commands are. Imports for type
+    checkers alone do not.
     """
     for path in sorted(PACKAGE.rglob("*.py")):
         module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in _run_time_nodes(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module:
                 yield module, node.module
             elif isinstance(node, ast.Import):
                 yield from ((module, alias.name) for alias in node.names)
             elif isinstance(node, ast.Constant) and _is_module(node.value):
                 yield module, str(node.value)
+
+
+def _run_time_nodes(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield all nodes of a module that are not below ``if TYPE_CHECKING``."""
+    for node in ast.iter_child_nodes(tree):
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            yield node
+            yield from _run_time_nodes(node)
 
 
 def room_imports() -> dict[str, set[str]]:

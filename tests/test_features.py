@@ -79,7 +79,7 @@ def two_more(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("two_more")
 def test_one_entry_is_enough_for_spaces_config_recording_dataset_and_reader(tmp_path: Path) -> None:
     kept = []
-    env = DynahoiVectorEnv(1, kind="constant", images=False, image_size=16, on_episode=kept.append)
+    env = DynahoiVectorEnv(1, kind="constant", image_size=0, on_episode=kept.append)
     observation, _ = env.reset(seed=0)
     while not kept:
         assert env.observation_space.contains(observation)

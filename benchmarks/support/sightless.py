@@ -12,6 +12,7 @@ from torch import nn
 from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
 
 WORLDS = 64
@@ -102,7 +103,7 @@ _SCALE = np.array([POINT_SCALE_M] * 3 + [TIME_SCALE_S])
 
 
 def _first_observation(specs: Sequence[EpisodeSpec]) -> Observation:
-    batch = WorldBatch(len(specs))
+    batch = WorldBatch(Recipe(), len(specs))
     batch.reset(range(len(specs)), specs)
     return batch.observe(images=False)
 

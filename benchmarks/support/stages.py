@@ -22,7 +22,7 @@ from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.rollout import loop as rollout
-from dynahoi_lerobot.rollout.loop import make_batch, record
+from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -42,7 +42,7 @@ STAGE_FUNCTIONS = {
 
 def stages_alone(image_size: int) -> dict[str, float]:
     """Return frames/s of physics, rendering and encoding, each alone on all cores."""
-    batch = make_batch(Recipe(split="test", image_size=image_size), WORLDS)
+    batch = WorldBatch(Recipe(split="test", image_size=image_size), WORLDS)
     batch.reset(range(WORLDS), sample_specs(Recipe(split="test"), range(WORLDS)))
     images = batch.cameras.render()
     rates = {

@@ -38,7 +38,7 @@ class StraightforwardEnv(gym.Env):
 
     def __init__(self, image_size: int = 128, split: str = "test") -> None:
         self.recipe = Recipe(split=split, image_size=image_size)
-        self._writer = WorldBatch(1, threads=1)  # writes an episode's numbers into a model
+        self._writer = WorldBatch(Recipe(), 1, threads=1)  # writes an episode's numbers into a model
         self._scene, self._servo = self._writer.scene, self._writer.servo
         self.model = self._writer._batch.get_model(0)
         self.data = mujoco.MjData(self.model)

@@ -18,18 +18,15 @@ from vla_eval.benchmarks.base import StepBenchmark, StepResult, repeat_last_hold
 from vla_eval.specs import DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.env.late_env import LateVectorEnv
 from dynahoi_lerobot.env.vector_env import ONE_EPISODE_OPTION
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.stepwise_inference import QueuedPolicy, StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import seed_stream
 
 LONGEST_FRAMES = 256
 
@@ -48,48 +45,36 @@ class DynahoiBenchmark(StepBenchmark):
     def __init__(
         self,
         *,
-        split: str = "test_small",
-        image_size: int = 224,
         kinds: list[str] | None = None,
-        capture: str = "attach",
-        protocol: str = DEFAULT_PROTOCOL,
-        control_class: str = DEFAULT_CONTROL_CLASS,
         send_state: bool = True,
         inference: str = SYNC,
         latency_ms: float = 0.0,
         n_action_steps: int = 1,
+        **fields: Any,
     ) -> None:
         """Configure the benchmark.
 
         Args:
-            split: ``test``, ``test_small``, ``val`` or ``ood_*``.
-            image_size: side of the images [px].
             kinds: names of the motions; all of the split if None.
-            capture, protocol, control_class: see ``Recipe``.
             send_state: whether observations contain the hand's state.
             inference, latency_ms: ``async`` and how long an inference of the server takes [ms], see `Inference`.
             n_action_steps: how many actions of a chunk the server hands out before it infers again.
+            fields: of the ``Recipe``, such as ``image_size``; the split is ``test_small`` by default.
 
         Raises:
-            ValueError: for a timing that there is not, or that cannot be had with such a server.
+            ValueError: for an unknown field or value, or a timing that cannot be had with such a server.
         """
         super().__init__()
         timing, server = Inference(inference, latency_ms), QueuedPolicy("the model server", n_action_steps)
         self._inference = None if inference == SYNC else StepwiseInference(server, timing)
-        self._split, self._kinds, self._send_state = split, kinds, send_state
-        self._options: dict[str, Any] = {
-            "split": split,
-            "image_size": image_size,
-            "capture": capture,
-            "protocol": protocol,
-            "control_class": control_class,
-        }
+        self._recipe = Recipe(split="test_small").changed(**fields)
+        self._kinds, self._send_state = kinds, send_state
         self._env: LateVectorEnv | None = None
         self._episode: Episode | None = None
 
     def get_tasks(self) -> list[Task]:
         """Return one task per motion, in suites by category."""
-        kinds = self._kinds or Recipe(split=seed_stream(self._split)).motion_names
+        kinds = self._kinds or self._recipe.motion_names
         return [{"name": kind, "suite": MOTIONS[kind].category} for kind in kinds]
 
     def reset(self, task: Task) -> dict[str, Any]:
@@ -97,7 +82,7 @@ class DynahoiBenchmark(StepBenchmark):
         if self._env is None or self._env.kind != task["name"]:
             self.cleanup()
             self._env = LateVectorEnv(
-                1, kind=task["name"], on_episode=self._keep, inference=self._inference, **self._options
+                1, recipe=self._recipe, kind=task["name"], on_episode=self._keep, inference=self._inference
             )
         self._episode = None
         observation, _ = self._env.reset(seed=[int(task.get("episode_idx", 0))], options={ONE_EPISODE_OPTION: True})

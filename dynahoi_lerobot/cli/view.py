@@ -11,23 +11,23 @@ import numpy as np
 
 from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.actors import add_trust_argument, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.actors import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.foundation.arguments import path, whole
-from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
+from dynahoi_lerobot.foundation.arguments import add_field_arguments, given_fields, path, whole
+from dynahoi_lerobot.foundation.conventions import DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.phase import is_acting
-from dynahoi_lerobot.protocol import PROTOCOLS
 from dynahoi_lerobot.renderers.camera_views import VIEWS
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import kind_seeds, seed_stream
+from dynahoi_lerobot.sampling.splits import kind_seeds
+from dynahoi_lerobot.world.batch import WorldBatch
 
-DEFAULT_IMAGE_SIZE = 256
-"""Side of newly rendered images [px]."""
+RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views", "motions", "environment_state"))
+"""Fields of the recipe that are options of the command, with ``--motion``."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,18 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--split", default="test", help="with --motion: train, val, test or one of the ood_ splits")
     parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint or a baseline")
-    parser.add_argument(
-        "--capture", default="attach", help="with --motion: capture rule, attach, attach_lenient or contact"
-    )
-    parser.add_argument(
-        "--control-class", help="with --motion: unlimited, standard or late; the policy's own by default"
-    )
-    parser.add_argument(
-        "--protocol",
-        help=f"with --motion: {', '.join(PROTOCOLS)}; the policy's own by default",
-    )
     add_trust_argument(parser)
-    parser.add_argument("--image-size", type=int, help="image size [px]")
+    notes = dict.fromkeys(TRAINED_FOR, "what the policy was trained for by default")
+    add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **notes)
     parser.add_argument("--view", default="ego", choices=VIEWS, help="camera and modality")
     parser.add_argument("--out", type=path, default=Path("episode.gif"), help="output: .gif, .mp4 or .html")
 
@@ -79,24 +70,20 @@ def run(args: argparse.Namespace) -> int:
 
 def _played(args: argparse.Namespace) -> Clip:
     """Play a new episode with the policy or expert."""
-    actor = make_actor(args.policy, args.capture, trust=args.trust)
+    given = given_fields(args, RECIPE_OPTIONS)
+    actor = make_actor(args.policy, given.get("capture", Recipe.capture), trust=args.trust)
     views = {*actor.views, args.view} - {"ego"}
-    recipe = Recipe(
-        split=seed_stream(args.split),
-        views=tuple(sorted(views)),
-        capture=args.capture,
-        **playing_rules(args, actor, DEFAULT_IMAGE_SIZE),
-    )
     if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it
-        recipe = replace(recipe, motions=(args.motion,))
-    known = kind_seeds(recipe, args.split, args.motion)
+        given["motions"] = (args.motion,)
+    recipe = Recipe(split=args.split, views=tuple(sorted(views)), **playing_rules(given, actor))
+    known = kind_seeds(recipe, args.motion)
     if args.seed >= len(known):
         raise ValueError(
             f"split {args.split!r} has {len(known)} episodes of motion {args.motion!r}, so --seed must be 0 to "
             f"{len(known) - 1}, got {args.seed}"
         )
     spec = sample_specs(recipe, [known[args.seed]])[0]
-    episode = next(evaluate(make_batch(recipe, 1), actor, [spec], images=True))
+    episode = next(evaluate(WorldBatch(recipe, 1), actor, [spec], images=True))
     return _clip(episode, args.view, episode.meta.agent)
 
 
@@ -110,13 +97,15 @@ def _replayed(args: argparse.Namespace) -> Clip:
     if recipe.fingerprint() != results.info.fingerprint:
         print("other code produced these results: the replay may differ from the evaluated episode")
     index = seeds.index(args.seed)
-    size = DEFAULT_IMAGE_SIZE if args.image_size is None else args.image_size
+    size = recipe.image_size or DEFAULT_IMAGE_SIZE_PX if args.image_size is None else args.image_size
     shown = replace(recipe, image_size=size, views=() if args.view == "ego" else (args.view,))
     (episode,) = replay(shown, [results.log(index)])
     return _clip(episode, args.view, results.info.policy)
 
 
 def _clip(episode: Episode, view: str, agent: str) -> Clip:
+    if view not in episode.images:
+        raise ValueError("a clip needs images, and --image-size is 0")
     return Clip(episode.images[view], f"{agent}: {episode.meta.task} {episode.stage}", phases_of(episode))
 
 

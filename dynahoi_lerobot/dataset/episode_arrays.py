@@ -44,7 +44,7 @@ def content_values(table: pa.Table, known: Container[str] = ()) -> dict[str, Any
     Raises:
         KeyError: if a column is missing that every dataset has.
     """
-    every, present = frame_features(None, contact_sensors=True, on_policy=True), table.column_names
+    every, present = frame_features(0, contact_sensors=True, on_policy=True), table.column_names
     held = (feature for feature in every if feature.key in present or not feature.optional)
     read = (feature for feature in held if not feature.derived and feature.name not in known)
     return {feature.name: _value(feature, column_array(table, feature.key)) for feature in read}
@@ -73,7 +73,7 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
 
 
 def _held(episode: Episode) -> list[Feature]:
-    every = frame_features(None, contact_sensors=True, on_policy=True)
+    every = frame_features(0, contact_sensors=True, on_policy=True)
     return [feature for feature in every if getattr(episode, feature.name) is not None]
 
 

@@ -19,11 +19,12 @@ from dynahoi_lerobot.doctor.parts import Fact
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import EGO_VIEW, HAND_DOF
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import LIBRARIES
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 REFERENCE = Path(__file__).with_suffix(".npz")
 RECIPE = Recipe(split="test", image_size=32)
@@ -68,7 +69,7 @@ class Reference:
 def play(count: int = EPISODES) -> Reference:
     """Play the first ``count`` episodes on this machine."""
     specs = sample_specs(RECIPE, range(count), threads=0)
-    played = evaluate(make_batch(RECIPE, min(count, 22)), EXPERTS[RECIPE.expert](), specs, images=True)
+    played = evaluate(WorldBatch(RECIPE, min(count, 22)), EXPERTS[RECIPE.expert](), specs, images=True)
     shown = tqdm(played, total=count, desc="reference", unit="episode", disable=None)
     episodes = sorted(shown, key=lambda episode: episode.meta.seed)
     return Reference(

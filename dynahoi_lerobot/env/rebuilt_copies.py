@@ -4,21 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-RECIPE_OPTIONS = (
-    "image_size",
-    "views",
-    "appearance",
-    "protocol",
-    "control_class",
-    "capture",
-    "hand",
-    "renderer",
-    "instructions",
-    "salt",
-)
-"""Arguments of the constructor that are fields of a ``Recipe``."""
-OWN_OPTIONS = ("num_envs", "kind", "split", "render_mode", "reward", "environment_state")
-"""Arguments that are attributes of the environment; ``images``, ``threads`` and ``on_episode`` are private ones."""
+OWN_OPTIONS = ("num_envs", "recipe", "kind", "render_mode", "reward")
+"""Arguments that are attributes of the environment; ``threads`` and ``on_episode`` are private ones."""
 
 
 class RebuiltCopies:
@@ -31,15 +18,13 @@ class RebuiltCopies:
 
     recipe: Any
     spec: Any
-    _images: bool
     _threads: int
     _on_episode: Any
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy is made from: the constructor's arguments."""
-        options = {name: getattr(self.recipe, name) for name in RECIPE_OPTIONS}
-        options |= {name: getattr(self, name) for name in OWN_OPTIONS}
-        options |= {"images": self._images, "threads": self._threads, "on_episode": self._on_episode}
+        options = {name: getattr(self, name) for name in OWN_OPTIONS}
+        options |= {"threads": self._threads, "on_episode": self._on_episode}
         return {"options": options, "spec": self.spec}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

@@ -12,22 +12,19 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from dynahoi_lerobot.agent import Observation
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.env.checks import RENDER_MODES, check_open, check_render_mode, check_seed, episode_numbers
 from dynahoi_lerobot.env.rebuilt_copies import RebuiltCopies
 from dynahoi_lerobot.env.rewards import SPARSE, check_reward
 from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisodes
 from dynahoi_lerobot.env.shared_attributes import SharedAttributes
 from dynahoi_lerobot.env.spaces import as_gym, observation_space
-from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW, SEED_LIMIT
-from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
-from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import kind_seed, seed_stream
+from dynahoi_lerobot.sampling.splits import kind_seed
+from dynahoi_lerobot.world.batch import WorldBatch
 
+DEFAULT_RECIPE = Recipe(split="test")
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
 """Reset option: play one episode in every world, then stand still until the next reset."""
 
@@ -80,61 +77,33 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
         self,
         num_envs: int = 1,
         *,
+        recipe: Recipe = DEFAULT_RECIPE,
         kind: str | None = None,
-        split: str = "test",
-        image_size: int = 128,
-        images: bool = True,
-        views: Sequence[str] = (),
-        appearance: Sequence[str] = (),
-        protocol: str = DEFAULT_PROTOCOL,
-        control_class: str = DEFAULT_CONTROL_CLASS,
-        capture: str = "attach",
-        hand: str = "",
-        renderer: str = DEFAULT_RENDERER,
-        instructions: str = "mixed",
-        salt: str = "",
-        environment_state: bool = False,
         reward: str = SPARSE,
         threads: int = 0,
         render_mode: str | None = "rgb_array",
         on_episode: EpisodeListener | None = None,
+        **fields: Any,
     ) -> None:
-        """Allocate ``num_envs`` worlds that play episodes of ``split``.
+        """Allocate ``num_envs`` worlds that play episodes of a recipe.
 
         Args:
             num_envs: N.
-            kind: play this kind of motion only; None for all.
-            split: ``train``, ``val``, ``test``, ``test_small`` or ``ood_*``.
-            image_size: side of the images [px].
-            images: whether observations contain images; without them nothing is rendered.
-            views: views besides ``ego``, such as ``side``; see `renderers/camera_views.py`.
-            appearance, protocol, control_class, capture, hand, renderer, instructions, salt: see ``Recipe``.
-            environment_state: whether observations contain the simulator's truth, for state-only baselines.
+            recipe: rules of the episodes; by default the default rules on split ``test``.
+            kind: play this kind of motion only; None for all of the recipe.
             reward: ``sparse`` or ``dense``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
+            fields: of the recipe, which they change, such as ``split="val"`` or ``image_size=96``; see ``Recipe``.
 
         Raises:
             ValueError: for an unknown name or a value out of range, naming those allowed.
         """
-        self.num_envs, self.kind, self.split, self.render_mode = num_envs, kind, split, render_mode
-        self.recipe = Recipe(
-            split=seed_stream(split),
-            image_size=image_size,
-            views=tuple(views),
-            appearance=tuple(appearance),
-            protocol=protocol,
-            control_class=control_class,
-            capture=capture,
-            hand=hand,
-            renderer=renderer,
-            instructions=instructions,
-            salt=salt,
-            motions=() if kind is None or kind in Recipe(split=seed_stream(split)).motion_names else (kind,),
-        )
-        self._images, self._threads, self._on_episode, self.reward = images, threads, on_episode, reward
-        self.environment_state = environment_state
+        self.num_envs, self.kind, self.render_mode = num_envs, kind, render_mode
+        played = recipe.changed(**fields)
+        self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
+        self._threads, self._on_episode, self.reward = threads, on_episode, reward
         self._allocate()
 
     def _allocate(self) -> None:
@@ -142,7 +111,7 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
         check_render_mode(self.render_mode)
         check_reward(self.reward)
         n = self.num_envs
-        self._batch = make_batch(self.recipe, n, self._threads, environment_state=self.environment_state)
+        self._batch = WorldBatch(self.recipe, n, self._threads)
         self._set_spaces()
         self._episodes = RunningEpisodes(self._batch, self._on_episode, self.reward)
         self._ended, self._numbers = np.zeros(n, bool), np.zeros(n, int)
@@ -150,12 +119,7 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
 
     def _set_spaces(self) -> None:
         """Derive the spaces from the feature table and the hand's limits."""
-        image_size, contact_sensors = self.recipe.image_size, self._batch.rule.uses_contact_sensors
-        size = image_size if self._images else None
-        features = frame_features(
-            size, self.recipe.views, contact_sensors=contact_sensors, environment_state=self.environment_state
-        )
-        self.single_observation_space = observation_space(features)
+        self.single_observation_space = observation_space(self.recipe.features())
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -231,10 +195,10 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
 
     def _begin(self, ids: np.ndarray) -> None:
         """Begin episode ``self._numbers[i]`` in each world ``i`` of ``ids``."""
-        seeds = [kind_seed(self.recipe, self.split, self.kind, int(self._numbers[i])) for i in ids]
+        seeds = [kind_seed(self.recipe, self.kind, int(self._numbers[i])) for i in ids]
         specs = sample_specs(self.recipe, seeds, threads=max(1, self._threads))
         self._episodes.begin_specs(ids, specs)
 
     def _observe(self, ending: np.ndarray | None = None) -> dict[str, Any]:
         """Return what is seen now; worlds ``ending`` (n,) show their last frame, those that ended before are black."""
-        return as_gym(self._episodes.observe(images=self._images, ending=ending))
+        return as_gym(self._episodes.observe(ending=ending))

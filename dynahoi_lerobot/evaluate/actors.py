@@ -8,13 +8,14 @@ from typing import Any
 
 from dynahoi_lerobot.agent import Actor
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
 
 VLM = "vlm"
 """Name of the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
+
+TRAINED_FOR = ("control_class", "protocol", "image_size")
+"""Fields of a recipe that a policy may say it was trained for."""
 
 EXPERT_ALIAS = "expert"
 """Name of the capture rule's own expert: ``intercept`` under attach, ``match`` under contact."""
@@ -56,15 +57,10 @@ def add_trust_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def playing_rules(args: argparse.Namespace, actor: Actor, image_size: int) -> dict[str, Any]:
-    """Return ``control_class``, ``protocol`` and ``image_size`` [px] to play under; print those of the policy.
-
-    What the command line leaves open is what the policy was trained for, or else the default.
-    """
-    defaults = {"control_class": DEFAULT_CONTROL_CLASS, "protocol": DEFAULT_PROTOCOL, "image_size": image_size}
-    given = {name: getattr(args, name) for name in defaults if getattr(args, name) is not None}
+def playing_rules(given: dict[str, Any], actor: Actor) -> dict[str, Any]:
+    """Return fields of the recipe to play by: those ``given``, and what the actor was trained for, which is printed."""
     trained = {name: value for name, value in actor.trained_for.items() if name not in given}
     if trained:
         told = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in trained.items())
         print(f"{actor.name} plays as it was trained: {told}")
-    return defaults | trained | given
+    return trained | given

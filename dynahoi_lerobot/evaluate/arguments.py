@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 
-from dynahoi_lerobot.evaluate.actors import add_trust_argument
+from dynahoi_lerobot.evaluate.actors import TRAINED_FOR, add_trust_argument
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.arguments import names, number, path, whole
-from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS
+from dynahoi_lerobot.foundation.arguments import add_field_arguments, number, path, whole
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC
-from dynahoi_lerobot.sampling.recipe import MAX_RENDER_NOISE
-from dynahoi_lerobot.sampling.salt import add_salt_argument
+from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.splits import SMALL_TEST
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
+
+RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views"))
+"""Fields of the recipe that are options of the command; the policy decides the views."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,38 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=whole(0, 2**32 - 1),
         help="with --replay: draws the same episodes as the run that printed it",
     )
-    parser.add_argument(
-        "--motions", type=names, default=(), help="comma-separated motions; all of the split by default"
-    )
-    parser.add_argument("--capture", default="attach", help="capture rule: attach, attach_lenient or contact")
-    parser.add_argument(
-        "--control-class",
-        help="hand limits: unlimited, standard or late; by default those the policy was trained for, or standard",
-    )
-    parser.add_argument("--hand", default="", help="hand model; the capture rule's own by default")
-    parser.add_argument(
-        "--protocol",
-        help="; ".join(f"{protocol.name}: {protocol.meaning}" for protocol in PROTOCOLS.values())
-        + f"; by default the one the policy was trained for, or {DEFAULT_PROTOCOL}",
-    )
-    parser.add_argument(
-        "--objects", type=names, default=(), help="comma-separated objects; all of the split by default"
-    )
-    parser.add_argument(
-        "--appearance",
-        type=names,
-        default=(),
-        help="comma-separated: what is randomised beyond the training distribution",
-    )
-    parser.add_argument(
-        "--render-noise",
-        type=whole(0, MAX_RENDER_NOISE),
-        default=0,
-        metavar="LEVELS",
-        help="change every value of every image by at most so many of 255 levels, as renderers differ; 0 by default",
-    )
-    add_salt_argument(parser)
-    parser.add_argument("--image-size", type=int, help="side of the images [px]; the policy's own by default")
+    notes = dict.fromkeys(TRAINED_FOR, "what the policy was trained for by default")
+    notes |= {"environment_state": "results are then marked as privileged"}
+    add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **notes)
     parser.add_argument(
         "--batch-size",
         type=whole(1, 4096),
@@ -83,11 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare what concerns LeRobot policies and vision-language models."""
     parser.add_argument("--device", help="torch device of the policy")
-    parser.add_argument(
-        "--environment-state",
-        action="store_true",
-        help="let the policy read observation.environment_state, the truth; its results are marked as privileged",
-    )
     add_trust_argument(parser)
     parser.add_argument(
         "--set",

@@ -14,32 +14,31 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.agent import Actor, Agent, ChunkAgent
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
+from dynahoi_lerobot.control_class import control_class_of
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.actors import VLM, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.arguments import add_arguments
+from dynahoi_lerobot.evaluate.arguments import RECIPE_OPTIONS, add_arguments
 from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import WEIGHTS, ResultsRecorder, RunInfo, command_line
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.features import ENVIRONMENT_STATE
+from dynahoi_lerobot.foundation.arguments import given_fields
 from dynahoi_lerobot.foundation.working_folder import working_folder
 from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import stream_label, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
+from dynahoi_lerobot.sampling.splits import split_seeds
 from dynahoi_lerobot.vlm.prompt import Prompt
+from dynahoi_lerobot.world.batch import WorldBatch
 
 __all__ = ["add_arguments", "run"]
-
-DEFAULT_IMAGE_SIZE = 128
-"""Side of the images [px] for experts and for policies that do not say theirs."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -59,8 +58,8 @@ def run(args: argparse.Namespace) -> int:
     recipe = _recipe(args, actor)
     info = RunInfo(
         actor.name if args.policy == VLM else args.policy,
-        stream_label(args.split, args.salt),
-        args.capture,
+        stream_label(args.split, recipe.salt),
+        recipe.capture,
         command_line(without_salt(sys.argv)),
         recipe.fingerprint(),
         {
@@ -112,7 +111,7 @@ def _actor(args: argparse.Namespace) -> Actor:
     actor = (
         _vlm(args)
         if args.policy == VLM and not args.set
-        else make_actor(args.policy, args.capture, args.device, args.set, trust=args.trust)
+        else make_actor(args.policy, args.capture or Recipe.capture, args.device, args.set, trust=args.trust)
     )
     if actor.sees_environment_state and not args.environment_state:
         raise ValueError(
@@ -136,8 +135,8 @@ def _vlm(args: argparse.Namespace) -> Agent:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
     if args.protocol and protocol_of(args.protocol).blind_control:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
-    control = control_class_of(args.control_class or DEFAULT_CONTROL_CLASS)
-    prompt = Prompt(args.prompt, CAPTURES[args.capture].palm_speed_m_s(control))
+    control = control_class_of(args.control_class or Recipe.control_class)
+    prompt = Prompt(args.prompt, CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control))
     audit = args.out / "vlm.jsonl" if args.out else None
     client = VlmClient(
         args.model,
@@ -151,18 +150,8 @@ def _vlm(args: argparse.Namespace) -> Agent:
 
 
 def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
-    return Recipe(
-        split=seed_stream(args.split),
-        motions=args.motions,
-        objects=args.objects,
-        capture=args.capture,
-        hand=args.hand,
-        views=actor.views,
-        appearance=args.appearance,
-        render_noise=args.render_noise,
-        salt=args.salt,
-        **playing_rules(args, actor, DEFAULT_IMAGE_SIZE),
-    )
+    given = given_fields(args, RECIPE_OPTIONS)
+    return Recipe(split=args.split, views=actor.views, **playing_rules(given, actor))
 
 
 def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) -> list[EpisodeSpec]:
@@ -181,7 +170,7 @@ def _played(
     """Play the episodes ``specs`` and yield them batch by batch, without images."""
     if not specs:
         return
-    batch = make_batch(recipe, min(args.batch_size, len(specs)), environment_state=actor.sees_environment_state)
+    batch = WorldBatch(recipe, min(args.batch_size, len(specs)))
     gifs = args.gifs if args.out else 0
     with tqdm(total=len(specs), desc=f"{args.policy} on {args.split}", unit="episode") as progress:
         for start in range(0, len(specs), args.batch_size):

@@ -29,7 +29,7 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import seal, split_of, stream_label
-from dynahoi_lerobot.sampling.splits import seed_stream, split_seeds
+from dynahoi_lerobot.sampling.splits import split_seeds
 
 SAME, DIFFERS = 0, 1
 TOLERANCE = 1e-5
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         ValueError: if the results are of another salt.
     """
     results = read_results(args.replay)
-    recipe = open_recipe(results, args.salt)
+    recipe = open_recipe(results, args.salt or "")
     for name, digest in results.digests.items():
         print(f"sha256 {digest}  {results.folder / name}")
     for name, (value, rule) in (changed_rules(results) | _unseen_rules(results)).items():
@@ -107,7 +107,7 @@ def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
-    rules = Recipe(split=seed_stream(split_of(info.split)), capture=info.capture, control_class=results.control_class)
+    rules = Recipe(split=split_of(info.split), capture=info.capture, control_class=results.control_class)
     played = asdict(results.recipe())
     return {name: (played[name], value) for name, value in asdict(rules).items() if played[name] != value}
 
@@ -132,7 +132,7 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
         yield f"the results were made by {_otherwise(results)} ({info.fingerprint}, here is {here})"
     if info.benchmark != BENCHMARK.version:
         yield f"the results are of version {info.benchmark} of the benchmark, here is {BENCHMARK.version}"
-    if recipe.split != seed_stream(split) or recipe.capture != info.capture:
+    if recipe.split != split or recipe.capture != info.capture:
         played = f"{recipe.split} under {recipe.capture}"
         yield f"metrics.json names split {info.split} and capture rule {info.capture}, but its recipe plays {played}"
     if info.split != (label := stream_label(split, recipe.salt)):

@@ -1,11 +1,14 @@
-"""Argument types that several commands share."""
+"""Command-line arguments: the types that several commands share, and options derived from a dataclass."""
 
 from __future__ import annotations
 
-from argparse import ArgumentTypeError
-from collections.abc import Callable
+import inspect
+import re
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, get_type_hints
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -45,3 +48,43 @@ def _reader[N: (int, float)](convert: Callable[[str], N], noun: str, low: N, hig
         raise ArgumentTypeError(f"must be {noun} from {low} to {high}, got {text or 'nothing'}")
 
     return read
+
+
+def add_field_arguments(parser: ArgumentParser, cls: type, fields: Iterable[str], **notes: str) -> None:
+    """Declare an option for each of some ``fields`` of a dataclass: ``--control-class`` for ``control_class``.
+
+    Type and help come from the dataclass and the ``Attributes`` of its docstring. Options that are not given are None.
+
+    Args:
+        parser: where to declare them.
+        cls: the dataclass, whose fields are strings, numbers, flags or tuples of strings.
+        fields: their names.
+        notes: what this command adds to the help of a field.
+    """
+    hints, docs = get_type_hints(cls), field_docs(cls)
+    for name in fields:
+        option, text = "--" + name.replace("_", "-"), "; ".join(filter(None, (docs[name], notes.get(name))))
+        text = text.replace("%", "%%")
+        if hints[name] is bool:
+            parser.add_argument(option, action="store_true", default=None, help=text)
+        else:
+            parser.add_argument(option, type=_parser_of(hints[name]), help=text)
+
+
+def given_fields(args: Namespace, fields: Iterable[str]) -> dict[str, Any]:
+    """Return those of the ``fields`` of a dataclass that the command line gives."""
+    return {name: value for name in fields if (value := getattr(args, name, None)) is not None}
+
+
+def field_docs(cls: type) -> dict[str, str]:
+    """Return what the ``Attributes`` section of a dataclass's docstring says of each field, on one line."""
+    section = (inspect.getdoc(cls) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    entries = re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", section, re.MULTILINE)
+    return {name: " ".join(text.replace("``", "").split()).removesuffix(".") for name, text in entries}
+
+
+def _parser_of(hint: Any) -> Callable[[str], Any]:
+    """Return what turns the text of an option into a value of a field's type."""
+    if hint == tuple[str, ...]:
+        return names
+    return next(kind for kind in (int, float, str) if hint in (kind, kind | None))

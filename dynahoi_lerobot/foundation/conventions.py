@@ -47,6 +47,9 @@ HAND_DOF = PALM_DOF + FINGER_DOF
 EGO_VIEW = "ego"
 """The view of the camera that is fixed to the hand; the camera in the model has the same name."""
 
+DEFAULT_IMAGE_SIZE_PX = 128
+"""Side of the square images where nothing is said [px]."""
+
 PALM_AXES = ("palm_x", "palm_y", "palm_z")
 JOINT_NAMES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("base", "middle", "tip"))
 HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import replace
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,15 @@ from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.features import FRAMES
-from dynahoi_lerobot.foundation.arguments import names, number, path
+from dynahoi_lerobot.foundation.arguments import add_field_arguments, given_fields, number, path
 from dynahoi_lerobot.foundation.output import check_output
 from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
-from dynahoi_lerobot.sampling.salt import add_salt_argument
+from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 
+RECIPE_OPTIONS = tuple(entry.name for entry in fields(Recipe) if entry.name not in ("actor", "teacher_share"))
+"""Fields of the recipe that options of the command override; on-policy recordings have options of their own."""
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 LONGEST_VIDEO_S = 1e9
 """No dataset is longer."""
@@ -34,22 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--recipe", type=path, help="YAML file; the options below override it")
     parser.add_argument("--episodes", type=int, required=True, help="number of episodes")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
-    parser.add_argument("--image-size", type=int, help="image size [px]; 0 for no camera")
-    parser.add_argument("--views", type=names, help="comma-separated further views, such as side,ego_depth")
-    parser.add_argument(
-        "--appearance", type=names, help="what to randomise: materials, lights, specular, transparency, distractors"
-    )
-    parser.add_argument("--motions", type=names, help="comma-separated motions")
-    parser.add_argument("--objects", type=names, help="comma-separated objects")
-    parser.add_argument("--capture", help="capture rule: attach, attach_lenient or contact")
-    parser.add_argument("--control-class", help="limits of the hand: standard, late or unlimited")
-    add_salt_argument(parser)
-    parser.add_argument("--keep-failures", action="store_true", help="also store episodes that the expert fails")
-    parser.add_argument(
-        "--environment-state",
-        action="store_true",
-        help="store the target's true pose and velocity as observation.environment_state",
-    )
+    add_field_arguments(parser, Recipe, RECIPE_OPTIONS)
     parser.add_argument(
         "--privileged-columns",
         default=FRAMES,
@@ -80,7 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=path, help="also write the summary to this file")
 
 
-def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any = None, runtime: str = "") -> int:
+def run(
+    args: argparse.Namespace, *, record: Record | None = None, recipe: Recipe | None = None, runtime: str = ""
+) -> int:
     """Generate a dataset and print a JSON summary.
 
     Args:
@@ -95,13 +84,13 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     try:
         check_output(args.root)
         complete = args.root.exists()
-        plan = _plan(args, recipe if recipe is not None else load_recipe(args.recipe), runtime)
+        plan = _plan(args, recipe or load_recipe(args.recipe), runtime)
         if args.executor is not None:
-            executor = _executor(args, plan, record or _record(plan, args.cpus_per_task))
+            executor = _executor(args, plan, record or _record(args.cpus_per_task))
             if args.dry_run or not executor.run():
                 print(executor.describe())
                 return 0
-        recorder = record or _record(plan, 0 if args.workers == 1 else 1)
+        recorder = record or _record(0 if args.workers == 1 else 1)
         manifest = _generate(plan, args, recorder)
         if complete:
             _say(f"{args.root} was already complete and agrees with its manifest", 0)
@@ -120,51 +109,25 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
     return 0
 
 
-def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan:
-    changes: dict[str, Any] = {}
-    if args.image_size:
-        changes["image_size"] = args.image_size
-    lists = ("views", "appearance", "motions", "objects")
-    changes |= {name: getattr(args, name) for name in lists if getattr(args, name)}
-    if args.salt:
-        changes["salt"] = args.salt
-    if args.control_class:
-        changes["control_class"] = args.control_class
-    if args.keep_failures:
-        changes["keep_failures"] = True
-    if args.capture:
-        changes |= {"capture": args.capture, "hand": "", "expert": ""}
+def _plan(args: argparse.Namespace, recipe: Recipe, runtime: str) -> GenerationPlan:
     return GenerationPlan(
-        replace(recipe, **changes),
+        recipe.changed(**given_fields(args, RECIPE_OPTIONS)),
         args.episodes,
         args.seed,
-        args.image_size != 0,
         Encoding(args.codec, args.crf, args.preset, args.gop),
         shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
         FileLimits(video_s=args.video_seconds),
         runtime=runtime,
-        environment_state=args.environment_state,
         privileged_columns=args.privileged_columns,
         subtasks=args.subtasks,
     )
 
 
-def load_recipe(path: Path | None) -> Any:
-    """Return the recipe in a file, or the default recipe.
-
-    Raises:
-        ValueError: as ``sampling.recipe.load_recipe`` does.
-    """
-    from dynahoi_lerobot.sampling import recipe
-
-    return recipe.Recipe() if path is None else recipe.load_recipe(path)
-
-
-def _record(plan: GenerationPlan, threads: int) -> Record:
+def _record(threads: int) -> Record:
     """Return the expert's recorder; ``threads`` (0: all cores) share the worlds of one process."""
     from dynahoi_lerobot.rollout.loop import record
 
-    return partial(record, threads=threads, images=plan.camera)
+    return partial(record, threads=threads)
 
 
 def _executor(args: argparse.Namespace, plan: GenerationPlan, record: Record) -> Executor:

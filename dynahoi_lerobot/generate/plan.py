@@ -7,28 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
-from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import FRAMES, PRIVILEGED_PLACES, frame_features
+from dynahoi_lerobot.features import FRAMES, PRIVILEGED_PLACES
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
-from dynahoi_lerobot.sampling.salt import sealed
-
-
-class Recipe(Protocol):
-    """What generation needs to know of a recipe, a frozen dataclass."""
-
-    image_size: int
-    views: tuple[str, ...]
-    capture: str
-
-    @property
-    def on_policy(self) -> bool:
-        """Whether a teacher labels what somebody else does."""
-        ...
 
 
 class Record(Protocol):
@@ -71,13 +57,11 @@ class GenerationPlan:
         recipe: what to play.
         episodes: how many to store.
         seed: the first episode's seed.
-        camera: whether to store pictures, of the recipe's size.
-        encoding: how to store them.
+        encoding: how to store images.
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
         runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
-        environment_state: whether to store the simulator's truth as ``observation.environment_state``.
         privileged_columns: where the privileged columns are, in the table of ``frames`` or of ``episodes``.
         subtasks: whether to store subtasks as LeRobot's column for language.
     """
@@ -85,13 +69,11 @@ class GenerationPlan:
     recipe: Recipe
     episodes: int
     seed: int = 0
-    camera: bool = True
     encoding: Encoding = field(default_factory=Encoding)
     shard_episodes: int = LARGEST_SHARD
     limits: FileLimits = field(default_factory=FileLimits)
     code: str = field(default_factory=code_fingerprint)
     runtime: str = ""
-    environment_state: bool = False
     privileged_columns: str = FRAMES
     subtasks: bool = False
 
@@ -112,27 +94,13 @@ class GenerationPlan:
         if self.privileged_columns not in PRIVILEGED_PLACES:
             allowed = " or ".join(PRIVILEGED_PLACES)
             raise ValueError(f"the place of privileged columns is {self.privileged_columns!r}; it must be {allowed}")
-        size = self.image_size
-        if size is not None and (size < 16 or (size % 2 and self.encoding.make_codec().is_video)):
-            raise ValueError(f"the image size is {size} pixels; it must be an even number from 16")
-
-    @property
-    def image_size(self) -> int | None:
-        """Side of the pictures [pixels], None without a camera."""
-        return self.recipe.image_size if self.camera else None
+        if (size := self.recipe.image_size) % 2 and self.encoding.make_codec().is_video:
+            raise ValueError(f"the image size is {size} pixels; videos need an even number")
 
     @property
     def features(self) -> tuple[Feature, ...]:
         """The columns of the dataset's frame table."""
-        contact_sensors = CAPTURES[self.recipe.capture].uses_contact_sensors
-        return frame_features(
-            self.image_size,
-            self.recipe.views,
-            contact_sensors=contact_sensors,
-            on_policy=self.recipe.on_policy,
-            environment_state=self.environment_state,
-            privileged=self.privileged_columns == FRAMES,
-        )
+        return self.recipe.features(privileged=self.privileged_columns == FRAMES)
 
     @property
     def shards(self) -> int:
@@ -148,16 +116,14 @@ class GenerationPlan:
     def identity(self) -> dict[str, Any]:
         """Return everything that decides the dataset's bytes, as JSON values."""
         content = {
-            "recipe": sealed(asdict(self.recipe)),  # type: ignore[call-overload]
+            "recipe": self.recipe.stored(),
             "episodes": self.episodes,
             "seed": self.seed,
-            "camera": self.camera,
             "encoding": asdict(self.encoding),
             "limits": asdict(self.limits),
             "shard_episodes": self.shard_episodes,
             "code": self.code,
             "runtime": self.runtime,
-            "environment_state": self.environment_state,
             "privileged_columns": self.privileged_columns,
             "subtasks": self.subtasks,
         }

@@ -19,7 +19,6 @@ from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
 from dynahoi_lerobot.onpolicy.rounds import play_round
 from dynahoi_lerobot.onpolicy.run_folder import RunFolder
 from dynahoi_lerobot.onpolicy.student import Learner
-from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -46,7 +45,7 @@ class Dagger:
         self.round, self.processor_s = 0, 0.0
         self._rng = np.random.default_rng(recipe.seed)
         self._curriculum = Curriculum(recipe, self._rng)
-        self._batch = make_batch(recipe.episodes, recipe.worlds, recipe.threads)
+        self._batch = WorldBatch(recipe.episodes, recipe.worlds, recipe.threads)
         self._folder = RunFolder(recipe.out, {})
         if state := self._folder.restore():
             self._resume(state)
@@ -100,7 +99,7 @@ class Dagger:
         found: list[Episode] = []
         for first in range(0, len(specs), self.recipe.worlds):
             some = specs[first : first + self.recipe.worlds]
-            batch: WorldBatch = make_batch(episodes, len(some), self.recipe.threads)
+            batch: WorldBatch = WorldBatch(episodes, len(some), self.recipe.threads)
             rng = np.random.default_rng(0)
             student = acting_student(self.learner, self.recipe.inference, rng)
             found += play_round(batch, student, some, rng).episodes

@@ -12,7 +12,7 @@ from dynahoi_lerobot.foundation.arguments import number
 from dynahoi_lerobot.generate import command
 from dynahoi_lerobot.onpolicy.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.rollout.on_policy import MakeAgent, record_on_policy
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 
 TEACHER_SHARE = 0.15
 """Share of the episodes that the teacher leads beside a policy, where nothing is said."""
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         PolicyError: if the policy cannot be loaded or, without ``--trust``, could run code.
         ValueError: for any other bad argument.
     """
-    recipe = command.load_recipe(args.recipe)
+    recipe = load_recipe(args.recipe)
     if args.actor is not None:
         return _run_policy(args, recipe)
     if recipe.actor:
@@ -69,4 +69,4 @@ def _run_policy(args: argparse.Namespace, recipe: Recipe) -> int:
 def _record(args: argparse.Namespace, make_agent: MakeAgent | None) -> partial[Any]:
     """Return the recorder; one process uses all cores for physics."""
     threads = 0 if args.workers == 1 else 1
-    return partial(record_on_policy, make_agent=make_agent, threads=threads, images=args.image_size != 0)
+    return partial(record_on_policy, make_agent=make_agent, threads=threads)

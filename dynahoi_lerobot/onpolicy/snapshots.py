@@ -12,7 +12,6 @@ from dynahoi_lerobot.control_class import CONTROL_CLASSES
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
-from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -81,7 +80,7 @@ class PictureStream:
 
     @cached_property
     def _batch(self) -> WorldBatch:
-        return make_batch(self._recipe.episodes, self._recipe.batch_size, threads=1)
+        return WorldBatch(self._recipe.episodes, self._recipe.batch_size, threads=1)
 
     @cached_property
     def specs(self) -> list[EpisodeSpec]:
@@ -104,7 +103,7 @@ def snapshots(
         rng: source of every draw.
         camera: whose pictures these are, ``ego`` or ``side``.
     """
-    yield from _shown(make_batch(recipe, size, threads=1), specs, camera, rng)
+    yield from _shown(WorldBatch(recipe, size, threads=1), specs, camera, rng)
 
 
 def _shown(

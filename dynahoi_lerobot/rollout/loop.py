@@ -34,7 +34,12 @@ def play(
         actor: who moves the hands.
         jobs: consumed lazily.
         images: whether to record images even if the actor asks for none.
+
+    Raises:
+        ValueError: if the actor needs images and the recipe has no camera.
     """
+    if actor.sees_images and not batch.recipe.image_size:
+        raise ValueError(f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera")
     session, waiting = Session(batch), iter(jobs)
     while True:
         if not (actor.has_memory and session.playing.size):
@@ -49,7 +54,7 @@ def play(
 
 
 def record(
-    recipe: Recipe, seeds: Sequence[int], *, batch_size: int = DEFAULT_BATCH, threads: int = 0, images: bool = True
+    recipe: Recipe, seeds: Sequence[int], *, batch_size: int = DEFAULT_BATCH, threads: int = 0
 ) -> Iterator[Episode]:
     """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are left out.
 
@@ -57,11 +62,11 @@ def record(
 
     Each is a function of (recipe, seed): batch size and threads do not matter.
     """
-    batch = make_batch(recipe, min(batch_size, max(1, len(seeds))), threads)
+    batch = WorldBatch(recipe, min(batch_size, max(1, len(seeds))), threads)
     finished: dict[int, Episode] = {}
     next_index = 0
     expert, jobs = EXPERTS[recipe.expert](), _fresh_jobs(recipe, seeds, threads)
-    for job, episode in _play_with_retries(batch, expert, jobs, images):
+    for job, episode in _play_with_retries(batch, expert, jobs, images=True):
         finished[job.index] = episode
         while next_index in finished:
             ready = finished.pop(next_index)
@@ -80,29 +85,12 @@ def evaluate(
     An expert that may try again does so here as well; ``meta.attempts`` says how often it had to.
     """
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
-    for _, episode in _play_with_retries(batch, actor, jobs, images):
+    for _, episode in _play_with_retries(batch, actor, jobs, images=images):
         yield episode
 
 
-def make_batch(recipe: Recipe, size: int, threads: int = 0, *, environment_state: bool = False) -> WorldBatch:
-    """Return a batch that plays ``recipe``; ``environment_state`` shows policies the simulator's truth."""
-    return WorldBatch(
-        size,
-        capture=recipe.capture,
-        control_class=recipe.control_class,
-        hand=recipe.hand,
-        image_size=recipe.image_size,
-        views=recipe.views,
-        renderer=recipe.renderer,
-        threads=threads,
-        disturbance_m=recipe.disturbance_m,
-        render_noise=recipe.render_noise,
-        environment_state=environment_state,
-    )
-
-
 def _play_with_retries(
-    batch: WorldBatch, actor: Actor, fresh: Iterator[Job], images: bool
+    batch: WorldBatch, actor: Actor, fresh: Iterator[Job], *, images: bool
 ) -> Iterator[tuple[Job, Episode]]:
     """Play jobs as ``play`` does, but those that fail again, for as long as the actor may retry."""
     jobs = _Jobs(fresh)

@@ -15,7 +15,7 @@ from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import Teacher
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
-from dynahoi_lerobot.rollout.loop import make_batch, sample_shortened
+from dynahoi_lerobot.rollout.loop import sample_shortened
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -53,7 +53,7 @@ class Lead:
 
 
 def record_on_policy(
-    recipe: Recipe, seeds: Sequence[int], *, make_agent: MakeAgent | None, threads: int = 0, images: bool = True
+    recipe: Recipe, seeds: Sequence[int], *, make_agent: MakeAgent | None, threads: int = 0
 ) -> Iterator[Episode]:
     """Yield the episodes of ``seeds`` in their order, those that the policy fails included.
 
@@ -62,27 +62,23 @@ def record_on_policy(
         seeds: of the episodes; what a policy does may depend, in the last bit, on which are played in a group.
         make_agent: returns the policy that the recipe names; None if the teacher leads all.
         threads: for physics, 0 for all cores; without influence on the result.
-        images: whether to record images.
     """
     for first in range(0, len(seeds), GROUP):
         specs = sample_shortened(recipe, seeds[first : first + GROUP], threads)
         agent = None if make_agent is None else make_agent(seeds[first])
-        yield from play_on_policy(make_batch(recipe, len(specs), threads), agent, specs, recipe, images=images)
+        yield from play_on_policy(WorldBatch(recipe, len(specs), threads), agent, specs)
 
 
-def play_on_policy(
-    batch: WorldBatch, agent: Agent | None, specs: Sequence[EpisodeSpec], recipe: Recipe, *, images: bool = True
-) -> list[Episode]:
+def play_on_policy(batch: WorldBatch, agent: Agent | None, specs: Sequence[EpisodeSpec]) -> list[Episode]:
     """Play one episode in every world of a batch; return the labelled recordings, in the order of ``specs``.
 
     Args:
-        batch: the worlds.
+        batch: the worlds; their recipe names the teacher and the policy, and the share that the former leads.
         agent: moves the hands where the teacher does not lead; None if it leads all.
         specs: an episode for each world.
-        recipe: names the teacher and the policy, and says in which share the former leads.
-        images: whether to record images.
     """
-    session, teacher = Session(batch, record_images=images), recipe.teacher()
+    recipe = batch.recipe
+    session, teacher = Session(batch), recipe.teacher()
     session.begin(np.arange(batch.size), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
     if agent is not None:
         agent.reset(batch.size)
@@ -90,7 +86,7 @@ def play_on_policy(
     led = np.array([lead.led for lead in leads])
     played: dict[int, Episode] = {}
     while session.playing.size:
-        observation = session.observe(images=images or (agent is not None and agent.sees_images))
+        observation = session.observe()
         labels = _labels(batch, teacher, observation) | {"intervention": led}
         stray = np.stack([disturbance(lead.rng) for lead in leads])
         commands = labels["action"] + stray

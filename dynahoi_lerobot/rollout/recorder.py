@@ -61,7 +61,7 @@ CONTACTS = ("finger_force_n", "palm_force_n", "others")
 
 def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
     """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
-    features = frame_features(None, contact_sensors=batch.rule.uses_contact_sensors)
+    features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
     columns |= {name: measure(batch) for name, measure in MEASURED.items()}
     return columns | {name: getattr(batch.contacts, name).copy() for name in CONTACTS}

@@ -11,10 +11,11 @@ import numpy as np
 
 from dynahoi_lerobot.agent import Agent, Observation
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.rollout.loop import Job, make_batch, play, record, sample_shortened
+from dynahoi_lerobot.rollout.loop import Job, play, record, sample_shortened
 from dynahoi_lerobot.rollout.on_policy import play_on_policy
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 Resimulate = Callable[[int], Episode | None]
 """Makes the episode of a seed again, from nothing but its recipe; None if the expert does not manage it."""
@@ -56,22 +57,21 @@ class Player(Agent):
         return np.stack(commands).astype(np.float64)
 
 
-def simulator(recipe: dict[str, Any], *, images: bool) -> Resimulate:
+def simulator(recipe: dict[str, Any]) -> Resimulate:
     """Return a function that makes the expert's episodes of a recipe again.
 
     Args:
         recipe: the recipe as the manifest keeps it.
-        images: whether to render.
     """
     played = draccus.decode(Recipe, recipe)
 
     def resimulate(seed: int) -> Episode | None:
-        return next(record(played, [seed], images=images), None)
+        return next(record(played, [seed]), None)
 
     return resimulate
 
 
-def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode], *, images: bool) -> Resimulate:
+def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode]) -> Resimulate:
     """Return a function that makes on-policy recordings again: by the executed commands where the policy led.
 
     All else is computed anew, the teacher's labels included, and where it leads its commands, too.
@@ -79,13 +79,12 @@ def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode], *, ima
     Args:
         recipe: what was recorded.
         stored: returns the recording of a seed.
-        images: whether to render.
     """
 
     def resimulate(seed: int) -> Episode:
         specs = sample_shortened(recipe, [seed], threads=1)
         player = Player([ActionLog(seed, stored(seed).executed)])
-        (episode,) = play_on_policy(make_batch(recipe, 1, threads=1), player, specs, recipe, images=images)
+        (episode,) = play_on_policy(WorldBatch(recipe, 1, threads=1), player, specs)
         return episode
 
     return resimulate
@@ -99,7 +98,7 @@ def replay(
     Args:
         recipe: what was played.
         logs: one an episode; all are played side by side.
-        images: whether to render.
+        images: whether to record images.
         as_evaluated: whether an episode ends when an evaluation ends it, before a log that goes on and after one that
             stops; by default it ends with its log.
     """
@@ -109,5 +108,5 @@ def replay(
         replace(Job.evaluation(i, spec), attempt=log.attempt, **end)
         for i, (spec, log, end) in enumerate(zip(specs, logs, ends, strict=True))
     ]
-    played = play(make_batch(recipe, len(logs)), Player(logs), jobs, images=images)
+    played = play(WorldBatch(recipe, len(logs)), Player(logs), jobs, images=images)
     return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]

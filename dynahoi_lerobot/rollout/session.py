@@ -55,7 +55,7 @@ class Session:
         self.batch.reset(ids, [job.spec for job in jobs], [job.attempt for job in jobs])
         self._recorders.update((int(i), WorldRecorder(job)) for i, job in zip(ids, jobs, strict=True))
 
-    def observe(self, *, images: bool, ending: np.ndarray | None = None) -> Observation:
+    def observe(self, *, images: bool = True, ending: np.ndarray | None = None) -> Observation:
         """Return what is seen of all worlds; only worlds that play, and ``ending`` (n,), are rendered."""
         shown = self.playing if ending is None else np.union1d(self.playing, ending)
         self.observation = self.batch.observe(images=images, ids=shown)

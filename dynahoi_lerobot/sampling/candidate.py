@@ -61,7 +61,7 @@ class Candidate:
         if not 0 <= seed <= MAX_SEED:
             raise ValueError(f"a seed must be 0 to {MAX_SEED}, got {seed}")
         names = recipe.motion_names
-        rng = np.random.default_rng([zlib.crc32(recipe.split.encode()), seed, *salt_words(recipe.salt)])
+        rng = np.random.default_rng([zlib.crc32(recipe.stream.encode()), seed, *salt_words(recipe.salt)])
         candidate = cls(recipe, seed, MOTIONS[names[seed % len(names)]], rng)
         candidate.draw_timing()
         return candidate

@@ -17,6 +17,9 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import Teacher
+from dynahoi_lerobot.feature import Feature
+from dynahoi_lerobot.features import frame_features
+from dynahoi_lerobot.foundation.conventions import DEFAULT_IMAGE_SIZE_PX
 from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
@@ -33,40 +36,44 @@ MIN_HOLD_FRAMES = 12
 """The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
 MAX_DISTURBANCE_M = 0.2
 MAX_RENDER_NOISE = 64
+IMAGE_SIZES_PX = (16, 1024)
+RECORDING = ("expert", "hold_frames", "disturbance_m", "keep_failures", "actor", "teacher_share")
+"""Fields that matter only where a dataset is recorded."""
 ACTOR = re.compile(r"[a-z0-9_]+@[0-9a-f]{16}")
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What episodes to generate or to play.
+    """What episodes to generate or to play: every rule of an episode, from the command line to the world.
+
+    The lines below are also the help of the command-line options that are named after the fields.
 
     Attributes:
-        split: seed stream, one of ``BENCHMARK.streams``.
-        motions: kinds of motion that take turns; empty for those of the split. A registered motion that is not part of
-            the benchmark is played only if it is named here.
-        objects: objects to draw from; likewise.
-        protocol: see `protocol.py`.
-        control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``.
-        capture: name of the capture rule.
-        hand: name of the hand; empty for the default of the capture rule.
-        expert: name of the expert that demonstrates; empty for the default of the capture rule.
-        instructions: whether instructions name the motion: ``reveal``, ``neutral`` or ``mixed``.
-        appearance: names of the randomisations of appearance to apply, see ``randomization.RANDOMIZATIONS``.
-        image_size: side of the square camera images [px].
-        views: names of further camera views besides the hand's, of the same size; see ``renderers.views``.
-        renderer: name of the renderer.
-        hold_frames: frames to record after the intercept; None for all of the L frames drawn for the episode. On
-            average two thirds of those show an object that is already held, of which a training set needs few.
-        disturbance_m: standard deviation of the disturbance that is injected into the palm's commands [m]; see
-            ``world.disturbance``.
-        render_noise: greatest change of a pixel's value, of 255, as between two renderers; drawn anew for every image.
-        salt: goes into the random numbers besides split and seed; empty for the public episodes. See ``salt``.
-        keep_failures: whether to record the expert's last attempt, with ``success`` false, where all of them failed;
-            otherwise another episode takes its place.
-        actor: the policy that moves the hand while the expert labels what it does, as `onpolicy.actor.actor_name` names
-            it by type and content of its checkpoint; empty if the expert demonstrates. Its failures are always kept.
-        teacher_share: share of the episodes that the expert leads, disturbed, in an on-policy recording; without an
-            actor 1 makes such recordings, and 0 ordinary ones.
+        split: train, val, test, test_small or one of the ood_ splits; it decides the seed stream.
+        motions: comma-separated kinds of motion that take turns; those of the split by default. A registered motion
+            that is not part of the benchmark is played only if it is named here.
+        objects: comma-separated objects to draw from; those of the split by default.
+        protocol: what the hand may see and when: observe_before_act, direct_act, observe_then_blind or occluded.
+        control_class: limits of the hand and latency of its commands: unlimited, standard or late.
+        capture: capture rule: attach, attach_lenient or contact.
+        hand: hand model; the capture rule's own by default.
+        expert: expert that demonstrates; the capture rule's own by default.
+        instructions: whether instructions name the motion: reveal, neutral or mixed.
+        appearance: comma-separated randomizations beyond the training distribution: materials, lights, specular,
+            transparency, distractors.
+        image_size: side of the square images [px]; 0 for no camera.
+        views: comma-separated views besides ego, the hand's camera, such as side or ego_depth.
+        renderer: renderer of the images.
+        hold_frames: frames to record after the intercept; all frames drawn for the episode by default.
+        disturbance_m: standard deviation of the disturbance injected into the palm's commands [m].
+        render_noise: change every value of every image by at most so many of 255 levels, as renderers differ.
+        salt: secret text that gives other episodes of the same benchmark; only a hash is stored.
+        environment_state: show the simulator's truth as observation.environment_state, the target's pose and velocity.
+        keep_failures: also store episodes that the expert fails, instead of drawing others in their place.
+        actor: policy that moves the hand while the expert labels its states, TYPE@HASH of its checkpoint; empty if the
+            expert demonstrates. Its failures are always kept.
+        teacher_share: share of the episodes that the expert leads, disturbed, in an on-policy recording; 1 needs no
+            actor.
     """
 
     split: str = "train"
@@ -79,13 +86,14 @@ class Recipe:
     expert: str = ""
     instructions: str = "mixed"
     appearance: tuple[str, ...] = ()
-    image_size: int = 128
+    image_size: int = DEFAULT_IMAGE_SIZE_PX
     views: tuple[str, ...] = ()
     renderer: str = DEFAULT_RENDERER
     hold_frames: int | None = None
     disturbance_m: float = 0.0
     render_noise: int = 0
     salt: str = field(default="", repr=False)
+    environment_state: bool = False
     keep_failures: bool = False
     actor: str = ""
     teacher_share: float = 0.0
@@ -97,7 +105,7 @@ class Recipe:
             ValueError: naming the value received and the ones allowed.
         """
         for value, allowed, noun in (
-            (self.split, BENCHMARK.streams, "split"),
+            (self.split, tuple(BENCHMARK.splits), "split"),
             (self.protocol, tuple(PROTOCOLS), "protocol"),
             (self.control_class, tuple(CONTROL_CLASSES), "control class"),
             (self.instructions, INSTRUCTION_STYLES, "instructions"),
@@ -114,8 +122,9 @@ class Recipe:
         check_salt(self.salt)
         check_appearance(self.appearance)
         check_views(self.views)
-        if not 16 <= self.image_size <= 1024:
-            raise ValueError(f"image_size must be 16 to 1024 pixels, got {self.image_size}")
+        low, high = IMAGE_SIZES_PX
+        if self.image_size and not low <= self.image_size <= high:
+            raise ValueError(f"image_size must be {low} to {high} pixels, or 0 for no camera, got {self.image_size}")
         if not 0 <= self.disturbance_m <= MAX_DISTURBANCE_M:
             raise ValueError(f"disturbance_m must be 0 to {MAX_DISTURBANCE_M} m, got {self.disturbance_m}")
         if not 0 <= self.render_noise <= MAX_RENDER_NOISE:
@@ -123,6 +132,11 @@ class Recipe:
         if self.hold_frames is not None and self.hold_frames < MIN_HOLD_FRAMES:
             raise ValueError(f"hold_frames must be at least {MIN_HOLD_FRAMES}, or null, got {self.hold_frames}")
         self._check_actor()
+
+    @property
+    def stream(self) -> str:
+        """Seed stream of the split; ``test_small`` shares that of ``test``."""
+        return self._split.stream
 
     @property
     def motion_names(self) -> list[str]:
@@ -144,12 +158,40 @@ class Recipe:
 
     @property
     def split_label(self) -> str:
-        """What episodes say of their split: its name, and digits that identify the salt if there is one."""
-        return stream_label(self.split, self.salt)
+        """What episodes say of their split: the stream's name, and digits that identify the salt if there is one."""
+        return stream_label(self.stream, self.salt)
 
     def stored(self) -> dict[str, Any]:
         """Return the values as datasets and results hold them: of the salt only a hash."""
         return sealed(dataclasses.asdict(self))
+
+    def changed(self, **changes: Any) -> Recipe:
+        """Return the recipe with other values; with another capture rule come its hand and expert.
+
+        Raises:
+            ValueError: for an unknown field, or as the constructor.
+        """
+        known = [entry.name for entry in dataclasses.fields(self)]
+        if unknown := [name for name in changes if name not in known]:
+            raise ValueError(f"a recipe has no {unknown[0]!r}; its fields: {', '.join(known)}")
+        if changes.get("capture", self.capture) != self.capture:
+            changes = {"hand": "", "expert": ""} | changes
+        return dataclasses.replace(self, **{k: tuple(v) if isinstance(v, list) else v for k, v in changes.items()})
+
+    def features(self, *, privileged: bool = True) -> tuple[Feature, ...]:
+        """Return the columns of the frame table of its episodes, in the dataset's order.
+
+        Args:
+            privileged: False leaves out the privileged columns that the episode table can hold.
+        """
+        return frame_features(
+            self.image_size,
+            self.views,
+            contact_sensors=CAPTURES[self.capture].uses_contact_sensors,
+            on_policy=self.on_policy,
+            environment_state=self.environment_state,
+            privileged=privileged,
+        )
 
     @property
     def on_policy(self) -> bool:
@@ -215,12 +257,18 @@ class Recipe:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def load_recipe(path: Path) -> Recipe:
-    """Read a recipe from YAML.
+PLAYING = tuple(entry.name for entry in dataclasses.fields(Recipe) if entry.name not in RECORDING)
+"""Fields that matter whoever plays."""
+
+
+def load_recipe(path: Path | None) -> Recipe:
+    """Read a recipe from YAML; the default recipe for None.
 
     Raises:
         ValueError: if the file does not exist, is refused by ``read_yaml`` or holds an unknown key or value.
     """
+    if path is None:
+        return Recipe()
     if not os.path.isfile(path):  # unlike Path.is_file, False for names that no file can have
         raise ValueError(f"there is no recipe at {path}")
     values = read_yaml(path)

@@ -7,7 +7,6 @@ each other and are never mixed with those of the public stream.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -24,11 +23,6 @@ JOINT = "+"
 PUBLIC = "none"
 OPTION = "--salt"
 HIDDEN = "(hidden)"
-
-
-def add_salt_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--salt``."""
-    parser.add_argument(OPTION, default="", help="secret: other episodes of the same benchmark; only a hash is stored")
 
 
 def check_salt(salt: str) -> None:

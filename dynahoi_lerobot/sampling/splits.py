@@ -22,42 +22,31 @@ def split_seeds(split: str) -> range:
     return range(BENCHMARK.splits[split].size or 0)
 
 
-def seed_stream(split: str) -> str:
-    """Return the seed stream of a split; ``test_small`` shares that of ``test``.
-
-    Raises:
-        ValueError: for an unknown split.
-    """
-    if split not in BENCHMARK.splits:
-        raise ValueError(f"unknown split {split!r}; known: {', '.join(BENCHMARK.splits)}")
-    return BENCHMARK.splits[split].stream
-
-
-def kind_seed(recipe: Recipe, split: str, kind: str | None, number: int) -> int:
-    """Return the seed of the ``number``-th episode of ``kind`` in a split, or of any kind if None.
+def kind_seed(recipe: Recipe, kind: str | None, number: int) -> int:
+    """Return the seed of the ``number``-th episode of ``kind`` in the recipe's split, or of any kind if None.
 
     A split of fixed size wraps around: n consecutive numbers, wherever they begin, are n different episodes as long as
     the split has that many of the kind.
 
     Raises:
-        ValueError: if the recipe has no episodes of ``kind``, for an unknown split, or for a number that is negative or
-            not below ``SEED_LIMIT``.
+        ValueError: if the recipe has no episodes of ``kind``, or for a number that is negative or not below
+            ``SEED_LIMIT``.
     """
     if not 0 <= number < SEED_LIMIT:
         raise ValueError(f"episodes are numbered 0 to {SEED_LIMIT - 1}, got {number}")
-    seeds = kind_seeds(recipe, split, kind)
+    seeds = kind_seeds(recipe, kind)
     return seeds[number % len(seeds)]
 
 
-def kind_seeds(recipe: Recipe, split: str, kind: str | None) -> range:
-    """Return the seeds of all episodes of ``kind`` in a split, in order, or of any kind if None.
+def kind_seeds(recipe: Recipe, kind: str | None) -> range:
+    """Return the seeds of all episodes of ``kind`` in the recipe's split, in order, or of any kind if None.
 
     Raises:
-        ValueError: if the recipe has no episodes of ``kind``, or for an unknown split.
+        ValueError: if the recipe has no episodes of ``kind``.
     """
     names = recipe.motion_names
     if kind is not None and kind not in names:
-        raise ValueError(f"split {split!r} has no episodes of motion {kind!r}; it has: {', '.join(names)}")
+        raise ValueError(f"split {recipe.split!r} has no episodes of motion {kind!r}; it has: {', '.join(names)}")
     first, step = (0, 1) if kind is None else (names.index(kind), len(names))
-    last = first + step * SEED_LIMIT if split == "train" else split_seeds(split).stop
+    last = first + step * SEED_LIMIT if recipe.split == "train" else split_seeds(recipe.split).stop
     return range(first, last, step)

@@ -13,7 +13,7 @@ from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_histogram
 from dynahoi_lerobot.dataset.statistics import picture_histogram, sampled_frames
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.feature import IMAGE_PREFIX
-from dynahoi_lerobot.features import CAMERA_KEY, episode_features
+from dynahoi_lerobot.features import episode_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.verify.checks.base import CheckedDataset, Finding, stratified
 
@@ -74,11 +74,10 @@ def _refusal(dataset: CheckedDataset) -> str | None:
 def _simulator(dataset: CheckedDataset) -> Resimulate:
     from dynahoi_lerobot.rollout.replay import on_policy_simulator, simulator  # compile the scene
 
-    images, recipe = CAMERA_KEY in dataset.features, dataset.recipe
-    if recipe is None or not recipe.on_policy:
-        return simulator(dataset.manifest.provenance["recipe"], images=images)
+    if (recipe := dataset.recipe) is None or not recipe.on_policy:
+        return simulator(dataset.manifest.provenance["recipe"])
     place = {row["seed"]: index for index, row in enumerate(dataset.rows)}
-    return on_policy_simulator(recipe, lambda seed: dataset.episode(place[seed], images=False), images=images)
+    return on_policy_simulator(recipe, lambda seed: dataset.episode(place[seed], images=False))
 
 
 def _values(made: Episode, stored: Episode) -> Iterator[str]:

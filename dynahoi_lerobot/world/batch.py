@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
+from dynahoi_lerobot.control_class import control_class_of
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
-from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, SpeedLimits, check_command
 from dynahoi_lerobot.scene.target_drive import drive_for
@@ -26,6 +25,9 @@ from dynahoi_lerobot.world.latency import CommandLatency
 from dynahoi_lerobot.world.observed import ObservedWorlds
 from dynahoi_lerobot.world.physics import Physics
 from dynahoi_lerobot.world.target import Targets
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.sampling.recipe import Recipe
 
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
 
@@ -40,6 +42,7 @@ class WorldBatch(ObservedWorlds):
     underneath keeps the world frame; this class converts.
 
     Attributes:
+        recipe: rules of the episodes.
         size: N.
         scene: the compiled model and where things are in it.
         rule: the capture rule.
@@ -54,47 +57,25 @@ class WorldBatch(ObservedWorlds):
         executed: (N, 18) what the servos were last told: the command that was due, cut to the speed limits, disturbed.
     """
 
-    def __init__(
-        self,
-        size: int,
-        *,
-        capture: str = "attach",
-        control_class: str = DEFAULT_CONTROL_CLASS,
-        hand: str = "capsule",
-        image_size: int = 128,
-        views: Sequence[str] = (),
-        renderer: str = DEFAULT_RENDERER,
-        threads: int = 0,
-        disturbance_m: float = 0.0,
-        render_noise: int = 0,
-        environment_state: bool = False,
-    ) -> None:
+    def __init__(self, recipe: Recipe, size: int, threads: int = 0) -> None:
         """Allocate ``size`` worlds.
 
         Args:
+            recipe: rules of the episodes that are played; their motions, objects and seeds do not matter here.
             size: N.
-            capture: the capture rule.
-            control_class: limits of the hand and latency of its commands.
-            hand: the hand.
-            image_size: side of the images [px].
-            views: what is rendered besides the hand's camera, see `renderers/camera_views.py`.
-            renderer: one of the renderers.
             threads: for physics, 0 for all cores; without influence on the result.
-            disturbance_m: spread of the disturbance injection [m].
-            render_noise: greatest change of a pixel's value, of 255.
-            environment_state: whether observations hold the simulator's truth.
 
         Raises:
             ValueError: if ``size`` is not positive or a name is unknown.
         """
         if size < 1:
             raise ValueError(f"a batch needs at least 1 world, got {size}")
-        self.size = size
-        self.scene: Scene = compile_scene(hand)
-        self.rule = CAPTURES[capture]()
+        self.recipe, self.size = recipe, size
+        self.scene: Scene = compile_scene(recipe.hand)
+        self.rule = CAPTURES[recipe.capture]()
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
-        self.control = control_class_of(control_class)
+        self.control = control_class_of(recipe.control_class)
         self.palm_speed_m_s = self.rule.palm_speed_m_s(self.control)
         by_axis = self.rule.gantry_speed_m_s is not None
         limits = SpeedLimits(self.palm_speed_m_s, self.control.joint_speed_rad_s, by_axis)
@@ -103,10 +84,8 @@ class WorldBatch(ObservedWorlds):
         self._targets = Targets(self.scene, self._fields, size)
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
-        self._disturbance = DisturbanceInjection(size, disturbance_m)
-        self.cameras = Cameras(self.scene, self._batch, image_size, renderer, self._update_kinematics)
-        self._views, self._environment_state = (EGO_CAMERA, *views), environment_state
-        self._render_noise = render_noise
+        self._disturbance = DisturbanceInjection(size, recipe.disturbance_m)
+        self.cameras = Cameras(self.scene, self._batch, recipe.image_size, recipe.renderer, self._update_kinematics)
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self.commanded, self.executed = np.zeros((2, size, HAND_DOF))

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from mujoco.batch import Batch
 
+from dynahoi_lerobot.foundation.conventions import DEFAULT_IMAGE_SIZE_PX
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.camera_views import VIEWS
@@ -38,14 +39,14 @@ class Cameras:
         Args:
             scene: what the worlds share.
             batch: the worlds.
-            image_size: side of the images [px].
+            image_size: side of the images [px]; 0 for the default, where images are drawn only on demand.
             renderer: one of the renderers.
             update_kinematics: recomputes the poses of all worlds; a new renderer asks the batch for further ones.
 
         Raises:
             UnknownNameError: if there is no such renderer.
         """
-        self.image_size = image_size
+        self.image_size = image_size or DEFAULT_IMAGE_SIZE_PX
         self._scene, self._batch, self._update_kinematics = scene, batch, update_kinematics
         self._renderer_class = RENDERERS[renderer]
         self._renderers: dict[str, Renderer] = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from dynahoi_lerobot.agent import Observation, WorldState
 from dynahoi_lerobot.captures.base import CaptureRule
 from dynahoi_lerobot.control_class import ControlClass
 from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import PALM_DOF
+from dynahoi_lerobot.foundation.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
@@ -23,6 +23,9 @@ from dynahoi_lerobot.world.latency import CommandLatency
 from dynahoi_lerobot.world.physics import Physics
 from dynahoi_lerobot.world.target import Targets
 
+if TYPE_CHECKING:
+    from dynahoi_lerobot.sampling.recipe import Recipe
+
 TOUCH_M = 0.005
 """A fingertip this close touches the target: the sphere-overlap test of Appendix "Data collection"."""
 
@@ -30,6 +33,7 @@ TOUCH_M = 0.005
 class ObservedWorlds:
     """The half of a `WorldBatch` that changes nothing; attributes and frames are described there."""
 
+    recipe: Recipe
     size: int
     scene: Scene
     rule: CaptureRule
@@ -45,9 +49,6 @@ class ObservedWorlds:
     _physics: Physics
     _fingertips: Fingertips
     _latency: CommandLatency
-    _views: Sequence[str]
-    _environment_state: bool
-    _render_noise: int
     _origin: np.ndarray
 
     @property
@@ -117,33 +118,34 @@ class ObservedWorlds:
             return self.contacts.finger_force_n > 0
         return self.tip_distance() <= TOUCH_M
 
-    def observe(self, *, images: bool, ids: np.ndarray | None = None) -> Observation:
+    def observe(self, *, images: bool = True, ids: np.ndarray | None = None) -> Observation:
         """Return what a policy may see.
 
         Args:
-            images: whether to render the views; without, they cost nothing.
+            images: whether to render the views of the recipe; without, they cost nothing.
             ids: the worlds to render (default: all); the images of the others are black, as are those of worlds in the
                 control phase of a protocol with ``blind_control``.
         """
         sensed = self.rule.uses_contact_sensors
+        views = (EGO_VIEW, *self.recipe.views) if images and self.recipe.image_size else ()
         return Observation(
-            images={view: self._render(view, self._seeing(ids)) for view in self._views} if images else {},
+            images={view: self._render(view, self._seeing(ids)) for view in views},
             state=self.state.astype(np.float32),
             fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
             phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
-            environment_state=self._truth() if self._environment_state else None,
+            environment_state=self._truth() if self.recipe.environment_state else None,
         )
 
     def _render(self, view: str, ids: np.ndarray) -> np.ndarray:
         """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are drawn."""
-        images = self.cameras.render(ids, view)
-        if self._render_noise:
+        images, levels = self.cameras.render(ids, view), self.recipe.render_noise
+        if levels:
             images = images.copy()
             for i in ids:
                 if (spec := self.specs[i]) is not None:
-                    images[i] = with_render_noise(images[i], self._render_noise, spec.seed, self.frame[i], view)
+                    images[i] = with_render_noise(images[i], levels, spec.seed, self.frame[i], view)
         return images
 
     def _truth(self) -> np.ndarray:

@@ -13,7 +13,8 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LENIENT_RADIUS_M
 from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.captures.test_attach import passing
 from tests.world.playing import SMALL
 
@@ -35,7 +36,7 @@ class Fist(Expert):
 def played(spec: EpisodeSpec, capture: str, miss_m: float) -> Episode:
     """A fist at home, and a target that passes ``miss_m`` in front of it at 1 m/s."""
     passes = passing(spec, 1.0, miss_m, (spec.window_frames + ARRIVAL) * CONTROL_DT)
-    batch = make_batch(replace(SMALL, capture=capture), 1, threads=1)
+    batch = WorldBatch(replace(SMALL, capture=capture), 1, threads=1)
     return next(evaluate(batch, Fist(), [passes]))
 
 
@@ -62,7 +63,7 @@ def test_the_radius_is_one_unit(specs: list[EpisodeSpec], miss_m: float, caught:
 def test_the_expert_closes_before_it_comes_within_ten_centimetres(specs: list[EpisodeSpec]):
     gap_m = [np.linalg.norm(spec.oracle_path[spec.window_frames] - spec.home_pos_w) for spec in specs]
     near = [spec for spec, gap in zip(specs, gap_m, strict=True) if 0.14 < gap < 0.2]
-    batch = make_batch(replace(SMALL, capture="attach_lenient"), len(near), threads=1)
+    batch = WorldBatch(replace(SMALL, capture="attach_lenient"), len(near), threads=1)
     episodes = list(evaluate(batch, EXPERTS["intercept"](), near))
     assert len(episodes) >= 3
     assert all(episode.success for episode in episodes)

@@ -14,7 +14,7 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.rollout.loop import make_batch, play
+from dynahoi_lerobot.rollout.loop import play
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
@@ -42,7 +42,7 @@ def flying(
 
 
 def begin(spec: EpisodeSpec) -> WorldBatch:
-    batch = make_batch(RECIPE, 1, threads=1)
+    batch = WorldBatch(RECIPE, 1, threads=1)
     batch.reset([0], [spec])
     return batch
 
@@ -110,7 +110,7 @@ def test_a_touched_pendulum_loses_its_string():
 
 
 def caught(specs: list[EpisodeSpec], size: int = 8, threads: int = 1) -> list:
-    batch = make_batch(RECIPE, size, threads)
+    batch = WorldBatch(RECIPE, size, threads)
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
     return [episode for _, episode in sorted(play(batch, EXPERTS["match"](), jobs), key=lambda pair: pair[0].index)]
 
@@ -138,7 +138,7 @@ def test_the_expert_moves_alike_in_any_batch(every_kind: list[EpisodeSpec]):
 
 
 def test_a_hand_that_stays_open_holds_nothing(every_kind: list[EpisodeSpec]):
-    batch = make_batch(RECIPE, 8, 1)
+    batch = WorldBatch(RECIPE, 8, 1)
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(every_kind[:8]))
     assert not any(episode.success for _, episode in play(batch, EXPERTS["hold"](), jobs))
 

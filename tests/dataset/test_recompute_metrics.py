@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,11 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch, record
+from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests import recompute_metrics
 from tests.dataset.episodes import write
 
@@ -38,15 +40,16 @@ POSITION_ERROR_M = 3e-6
 @pytest.fixture(scope="module", params=RECIPES)
 def recorded(request, tmp_path_factory) -> tuple[Path, list[Episode]]:
     """A generated dataset with failures, and the same episodes as they were played."""
-    recipe, root = RECIPES[request.param], tmp_path_factory.mktemp(request.param) / "d"
+    recipe = replace(RECIPES[request.param], image_size=0)
+    root = tmp_path_factory.mktemp(request.param) / "d"
     kept: dict[int, Episode] = {}
 
     def remember(recipe: Recipe, seeds):
-        for episode in record(recipe, seeds, images=False):
+        for episode in record(recipe, seeds):
             kept[episode.meta.seed] = episode
             yield episode
 
-    manifest = generate(GenerationPlan(recipe, KINDS, camera=False), root, record=remember)
+    manifest = generate(GenerationPlan(recipe, KINDS), root, record=remember)
     return root, [kept[seed] for seed in manifest.seeds]
 
 
@@ -94,6 +97,6 @@ def test_where_the_privileged_columns_are_makes_no_difference(tmp_path) -> None:
 @pytest.mark.parametrize("baseline", ["pursuit", "hold"])
 def test_evaluated_episodes_give_the_same_metrics(tmp_path, baseline) -> None:
     specs = sample_specs(Recipe(split="test"), range(KINDS))
-    episodes = list(evaluate(make_batch(Recipe(split="test"), KINDS), EXPERTS[baseline](), specs))
+    episodes = list(evaluate(WorldBatch(Recipe(split="test"), KINDS), EXPERTS[baseline](), specs))
     write_episodes(tmp_path / "d", episodes)
     assert_same(tmp_path / "d", episodes)

@@ -13,19 +13,21 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
 from dynahoi_lerobot.sampling.splits import kind_seed
+from dynahoi_lerobot.world.batch import WorldBatch
 
 SMALL = {"image_size": 16}
+BLIND = SMALL | {"image_size": 0}
 
 
 def made(kind: str, **options) -> gym.Env:
     register_envs()
     split = "ood_motion" if kind in BENCHMARK.splits["ood_motion"].motions else "test"
-    return gym.make(f"dynahoi/{kind}-v0", split=split, **SMALL, **options)
+    return gym.make(f"dynahoi/{kind}-v0", **{"split": split, **SMALL, **options})
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -35,7 +37,7 @@ def test_gymnasiums_checker_finds_nothing() -> None:
 
 @pytest.mark.parametrize("kind", MOTIONS.names())
 def test_every_kind_of_motion_is_an_id_whose_observations_are_in_its_space(kind: str) -> None:
-    env = made(kind, images=False)
+    env = made(kind, image_size=0)
     for observation in (env.reset(seed=3)[0], env.step(env.action_space.sample())[0]):
         assert env.observation_space.contains(observation)
     spec = env.unwrapped._vector._batch.specs[0]
@@ -52,7 +54,7 @@ def follow_expert(env: DynahoiVectorEnv, steps: int) -> list[tuple]:
 
 
 def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None:
-    env = DynahoiVectorEnv(2, kind="constant", images=False, **SMALL)
+    env = DynahoiVectorEnv(2, kind="constant", **BLIND)
     env.reset(seed=[0, 1], options={"lerobot_new_rollout": True})
     results = follow_expert(env, env._max_episode_steps)
     terminated = np.stack([r[2] for r in results])
@@ -67,7 +69,7 @@ def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None
 
 
 def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_the_last() -> None:
-    env = DynahoiVectorEnv(1, kind="vertical_circle", images=False, **SMALL)
+    env = DynahoiVectorEnv(1, kind="vertical_circle", **BLIND)
     observation, _ = env.reset(seed=[0])
     spec = env._batch.specs[0]
     assert spec is not None
@@ -78,7 +80,7 @@ def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_
 
 
 def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
-    env = DynahoiVectorEnv(1, kind="constant", images=False, **SMALL)
+    env = DynahoiVectorEnv(1, kind="constant", **BLIND)
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     env.reset(seed=[0])
     first = env._batch.specs[0]
@@ -95,7 +97,7 @@ def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
 
 
 def test_one_episode_mode_freezes_finished_worlds() -> None:
-    env = DynahoiVectorEnv(1, kind="constant", images=False, **SMALL)
+    env = DynahoiVectorEnv(1, kind="constant", **BLIND)
     env.reset(seed=[0], options={"lerobot_new_rollout": True})
     while not follow_expert(env, 1)[0][2][0]:
         pass
@@ -115,22 +117,22 @@ def test_the_terminal_observation_shows_the_last_frame_also_in_one_episode_mode(
 
 
 def test_seeds_number_the_episodes_of_kind_and_split() -> None:
-    env = DynahoiVectorEnv(3, kind="lob", split="test_small", images=False, **SMALL)
+    env = DynahoiVectorEnv(3, kind="lob", split="test_small", **BLIND)
     env.reset(seed=4)
     names = Recipe(split="test").motion_names
     expected = [names.index("lob") + 22 * (number % 5) for number in (4, 5, 6)]
     assert [spec.seed for spec in env._batch.specs if spec is not None] == expected
-    assert [kind_seed(Recipe(split="test"), "test_small", "lob", n) for n in (4, 5, 6)] == expected
+    assert [kind_seed(Recipe(split="test_small"), "lob", n) for n in (4, 5, 6)] == expected
 
 
 def test_env_and_rollout_play_the_same_episode() -> None:
     kept = []
-    env = DynahoiVectorEnv(1, images=False, on_episode=kept.append, **SMALL)
+    env = DynahoiVectorEnv(1, on_episode=kept.append, **BLIND)
     env.reset(seed=[7])
     while not kept:
         follow_expert(env, 1)
     recipe = Recipe(split="test", **SMALL)
-    (episode,) = evaluate(make_batch(recipe, 1), Intercept(), [sample_spec(recipe, 7)])
+    (episode,) = evaluate(WorldBatch(recipe, 1), Intercept(), [sample_spec(recipe, 7)])
     np.testing.assert_allclose(kept[0].state, episode.state, atol=1e-6)  # the env's actions were rounded to float32
     assert kept[0].stage == episode.stage == "captured"
 
@@ -148,7 +150,7 @@ def test_env_and_rollout_play_the_same_episode() -> None:
     ],
 )
 def test_bad_actions_are_refused_and_nothing_moves(action: np.ndarray, words: str) -> None:
-    env = DynahoiVectorEnv(1, images=False, **SMALL)
+    env = DynahoiVectorEnv(1, **BLIND)
     env.reset(seed=[0])
     before = env._batch._batch.state.copy()
     with pytest.raises(ValueError, match="action") as error:
@@ -158,14 +160,14 @@ def test_bad_actions_are_refused_and_nothing_moves(action: np.ndarray, words: st
 
 
 def test_direct_act_has_no_window() -> None:
-    env = DynahoiEnv(kind="struck", protocol="direct_act", images=False, **SMALL)
+    env = DynahoiEnv(kind="struck", protocol="direct_act", **BLIND)
     observation, _ = env.reset(seed=0)
     assert observation["phase"].tolist() == [0.0, 1.0]
     assert env._vector._batch.specs[0].window_frames == 0
 
 
 def test_without_images_nothing_is_rendered() -> None:
-    env = DynahoiVectorEnv(1, images=False, **SMALL)
+    env = DynahoiVectorEnv(1, **BLIND)
     observation, _ = env.reset(seed=[0])
     assert "pixels" not in observation
     assert not env._batch.cameras._renderers
@@ -174,7 +176,7 @@ def test_without_images_nothing_is_rendered() -> None:
 def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:
     kept = []
     contact = {"capture": "contact", "on_episode": kept.append}
-    env = DynahoiVectorEnv(1, kind="constant", images=False, image_size=32, **contact)
+    env = DynahoiVectorEnv(1, kind="constant", image_size=0, **contact)
     observation, _ = env.reset(seed=[0])
     assert observation["touch"].shape == (1, 5)
     expert, strongest = EXPERTS["match"](), 0.0
@@ -187,5 +189,5 @@ def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:
     assert strongest > 1.0
     assert kept[0].stage == "held"
     assert info["is_success"][0]
-    plain = DynahoiVectorEnv(1, kind="constant", images=False, image_size=32)
+    plain = DynahoiVectorEnv(1, kind="constant", image_size=0)
     assert "touch" not in plain.reset(seed=[0])[0]

@@ -18,9 +18,10 @@ from lerobot_policy_tracker import TrackerConfig
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.rollout.inference import Inference
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 FEATURES = {
     "input_features": {
@@ -75,7 +76,7 @@ def assert_same_as_with_whole_chunks(policy: Path, found: Results) -> None:
     agent = RealTimeAgent(PolicyAgent(str(policy)), Inference("async", 150.0))
     recipe = found.recipe()
     played = evaluate(
-        make_batch(recipe, 2, threads=1), agent, sample_specs(recipe, sorted(row["seed"] for row in found.rows))
+        WorldBatch(recipe, 2, threads=1), agent, sample_specs(recipe, sorted(row["seed"] for row in found.rows))
     )
     expected = {episode.meta.seed: episode.action for episode in played}
     assert len(expected) == 2

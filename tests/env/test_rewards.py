@@ -11,7 +11,7 @@ from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.phase import is_acting
 
-SMALL = {"kind": "constant", "images": False, "threads": 1}
+SMALL = {"kind": "constant", "image_size": 0, "threads": 1}
 
 
 def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

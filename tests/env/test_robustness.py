@@ -60,7 +60,7 @@ def test_a_copy_plays_what_the_original_plays(make: Callable, copied: Callable) 
 @pytest.mark.parametrize("copied", COPIES)
 def test_a_copy_of_a_made_env_keeps_its_id_and_its_wrappers(copied: Callable) -> None:
     register_envs()
-    env = gym.make("dynahoi/ramp-v0", image_size=16, images=False)
+    env = gym.make("dynahoi/ramp-v0", image_size=0)
     twin = copied(env)
     assert twin.spec.id == env.spec.id == "dynahoi/ramp-v0"
     assert_same(env.reset(seed=2)[0], twin.reset(seed=2)[0])
@@ -102,15 +102,15 @@ def test_unknown_render_modes_are_refused(make: Callable, mode: str) -> None:
 @ENVS
 @pytest.mark.parametrize("seed", [-1, 1.5, "3", 2**40, True, np.float64(2.0)])
 def test_seeds_are_whole_numbers_below_two_to_the_forty(make: Callable, seed: Any) -> None:
-    env = make(images=False)
+    env = make(image_size=0)
     with pytest.raises(ValueError, match=r"a seed must be an integer from 0 to 2\^40 - 1, got"):
         env.reset(seed=seed)
     with pytest.raises(ValueError, match=r"a seed must be an integer from 0 to 2\^40 - 1, got"):
-        vector(images=False).reset(seed=[0, seed])
+        vector(image_size=0).reset(seed=[0, seed])
 
 
 def test_a_batch_takes_one_seed_for_each_world_of_any_kind_of_integer() -> None:
-    env = vector(images=False)
+    env = vector(image_size=0)
     for seed in (4, np.int64(4), [4, 5], np.array([4, 5]), (4, 5)):
         env.reset(seed=seed)
         assert env._numbers.tolist() == [4, 5]

@@ -15,8 +15,9 @@ from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.phase import is_acting
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.world.batch import WorldBatch
 
 
 def mean(episodes: list[Episode], metric: str) -> float:
@@ -25,7 +26,7 @@ def mean(episodes: list[Episode], metric: str) -> float:
 
 
 def play_all(name: str, specs: list[EpisodeSpec]) -> list[Episode]:
-    return list(evaluate(make_batch(Recipe(image_size=32), 22, threads=1), EXPERTS[name](), specs))
+    return list(evaluate(WorldBatch(Recipe(image_size=32), 22, threads=1), EXPERTS[name](), specs))
 
 
 def test_the_expert_catches_everything_at_the_first_attempt(expert_episodes: list[Episode]):
@@ -38,7 +39,7 @@ def test_the_expert_catches_everything_at_the_first_attempt(expert_episodes: lis
 
 def test_the_expert_plans_each_episode_anew(specs: list[EpisodeSpec]):
     """Episodes come and go, and later ones may lie where earlier ones lay in memory."""
-    batch, busy = make_batch(Recipe(image_size=32), 1, threads=1), EXPERTS["intercept"]()
+    batch, busy = WorldBatch(Recipe(image_size=32), 1, threads=1), EXPERTS["intercept"]()
     for spec in specs[:22]:
         batch.reset([0], [replace(spec)])
         while not batch.acting.all():
@@ -99,7 +100,7 @@ def test_knowing_the_velocity_is_worth_less_than_knowing_the_motion(specs: list[
 
 @pytest.mark.parametrize("name", EXPERTS.names())
 def test_every_expert_is_deterministic_and_commands_every_joint(name: str, specs: list[EpisodeSpec]):
-    batch = make_batch(Recipe(image_size=32), 4, threads=1)
+    batch = WorldBatch(Recipe(image_size=32), 4, threads=1)
     batch.reset(range(3), specs[:3])
     for _ in range(specs[0].window_frames + 3):
         world = batch.world_state(batch.observe(images=False))
@@ -112,7 +113,7 @@ def test_every_expert_is_deterministic_and_commands_every_joint(name: str, specs
 
 @pytest.mark.parametrize("control_class", CONTROL_CLASSES)
 def test_the_expert_catches_everything_in_every_control_class(control_class: str, specs: list[EpisodeSpec]):
-    batch = make_batch(Recipe(image_size=32, control_class=control_class), 22, threads=1)
+    batch = WorldBatch(Recipe(image_size=32, control_class=control_class), 22, threads=1)
     episodes = list(evaluate(batch, EXPERTS["intercept"](), specs))
     assert [episode.stage for episode in episodes] == ["captured"] * len(specs)
     assert {episode.meta.control_class for episode in episodes} == {control_class}
@@ -122,7 +123,7 @@ def test_the_expert_catches_everything_in_every_control_class(control_class: str
 
 
 def test_the_expert_recovers_from_disturbances(specs: list[EpisodeSpec]):
-    batch = make_batch(Recipe(image_size=32, disturbance_m=0.03), 22, threads=1)
+    batch = WorldBatch(Recipe(image_size=32, disturbance_m=0.03), 22, threads=1)
     episodes = list(evaluate(batch, EXPERTS["intercept"](), specs))
     lost = [episode.meta.motion for episode in episodes if not episode.success]
     assert len(lost) <= 0.1 * len(episodes)

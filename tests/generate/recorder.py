@@ -11,16 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
 from tests.dataset.episodes import varied_episode
 
 
 @dataclass(frozen=True)
-class FakeRecipe:
+class FakeRecipe(Recipe):
     image_size: int = 16
-    views: tuple[str, ...] = ()
-    capture: str = "attach"
-    on_policy: bool = False
     name: str = "fake"
     miss_every: int = 0
     """Every first draw that this divides is missed by the expert; 0 for none."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -90,8 +91,8 @@ def test_datasets_with_and_without_failures_merge(kept, tmp_path):
 
 
 def test_all_attempts_at_a_failed_episode_are_told(tmp_path):
-    recipe = Recipe(capture="contact", disturbance_m=0.12, motions=("bounce", "struck"), keep_failures=True)
-    generate(GenerationPlan(recipe, 8, camera=False), tmp_path / "d", record=lambda *a: record(*a, images=False))
+    recipe = Recipe(capture="contact", image_size=0, motions=("bounce", "struck"), keep_failures=True)
+    generate(GenerationPlan(replace(recipe, disturbance_m=0.12), 8), tmp_path / "d", record=record)
     attempts = episode_table(tmp_path / "d")["stats/attempt_success"].map(list).tolist()
     assert [False] * 4 in attempts, "the expert begins four times"
     assert all(not any(tries[:-1]) for tries in attempts)

@@ -3,7 +3,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-from functools import partial
 
 import numpy as np
 import pytest
@@ -63,10 +62,10 @@ def test_bad_input_is_one_sentence(words, sentence, capsys):
 
 
 def test_a_replay_compares_what_the_expert_commands(tmp_path):
-    recipe = Recipe(motions=("constant",))
-    plan = GenerationPlan(recipe, 1, camera=False)
-    generate(plan, tmp_path / "d", record=partial(record, images=False))
-    replay = simulator(plan.identity()["recipe"], images=False)
+    recipe = Recipe(motions=("constant",), image_size=0)
+    plan = GenerationPlan(recipe, 1)
+    generate(plan, tmp_path / "d", record=record)
+    replay = simulator(plan.identity()["recipe"])
 
     def edited(seed):
         episode = replay(seed)

@@ -12,11 +12,12 @@ from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import FINGERS, HAND_NAMES
 from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT, SharpaHand, menagerie_model_path
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch, record
+from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene import scene
 from dynahoi_lerobot.scene.scene import compile_scene
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.menagerie import ARMATURE, TORQUE_NM
 
 RECIPE = Recipe(split="test", hand="sharpa", image_size=32)
@@ -57,8 +58,8 @@ def test_fingers_close_around_the_grasp_and_further_around_less() -> None:
 
 
 def test_the_expert_catches_every_kind_with_it_and_policies_see_the_same() -> None:
-    bundled = make_batch(Recipe(split="test", image_size=32), 22)
-    batch = make_batch(RECIPE, 22)
+    bundled = WorldBatch(Recipe(split="test", image_size=32), 22)
+    batch = WorldBatch(RECIPE, 22)
     episodes = list(evaluate(batch, EXPERTS["intercept"](), sample_specs(RECIPE, range(22))))
     assert [episode.stage for episode in episodes] == ["captured"] * 22
     for name in ("state", "fingertips", "phase"):
@@ -67,7 +68,7 @@ def test_the_expert_catches_every_kind_with_it_and_policies_see_the_same() -> No
 
 
 def test_it_is_seen() -> None:
-    batch = make_batch(RECIPE, 1)
+    batch = WorldBatch(RECIPE, 1)
     batch.reset([0], sample_specs(RECIPE, [0]))
     shown = batch.cameras.segmentation()
     assert np.isin(shown, batch.scene.hand_geoms).mean() > 0.03

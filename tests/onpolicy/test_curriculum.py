@@ -12,8 +12,9 @@ from dynahoi_lerobot.experts.hold import Hold
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.onpolicy.curriculum import Curriculum
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.world.batch import WorldBatch
 
 KINDS = ("lob", "vertical")
 
@@ -35,7 +36,7 @@ def test_kinds_that_fail_come_more_often():
     some = curriculum()
     lobs, verticals = some.episodes(0)[::2], some.episodes(0)[1::2]
     assert len(set(some.failure_rates().values())) == 1
-    batch = make_batch(Recipe(), 2, threads=1)
+    batch = WorldBatch(Recipe(), 2, threads=1)
     for _ in range(20):
         some.note([*evaluate(batch, Hold(), lobs), *evaluate(batch, Intercept(), verticals)])
     rates = some.failure_rates()
@@ -47,7 +48,7 @@ def test_kinds_that_fail_come_more_often():
 
 def test_what_is_known_of_kinds_survives_a_restart():
     some, other = curriculum(), curriculum()
-    some.note(evaluate(make_batch(Recipe(), 2, threads=1), Hold(), some.episodes(0)[:2]))
+    some.note(evaluate(WorldBatch(Recipe(), 2, threads=1), Hold(), some.episodes(0)[:2]))
     assert other.failure_rates() != some.failure_rates()
     other.load_state_dict(some.state_dict())
     assert other.failure_rates() == some.failure_rates()

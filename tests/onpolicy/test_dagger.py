@@ -16,9 +16,10 @@ from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.onpolicy import dagger
 from dynahoi_lerobot.onpolicy.run_folder import LOG
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 RECIPES = Path(__file__).parents[2] / "recipes" / "train"
 TINY_EYE = {"channels": 8, "fovea": 12, "embedding": 4}
@@ -80,7 +81,7 @@ def test_the_checkpoint_acts_as_any_lerobot_policy_does(finished: Path):
 def assert_acts(checkpoint: Path, *views: str) -> None:
     agent, recipe = PolicyAgent(str(checkpoint)), Recipe(split="val", image_size=32, views=views)
     assert agent.views == views
-    (episode,) = evaluate(make_batch(recipe, 1, threads=1), agent, sample_specs(recipe, [0]))
+    (episode,) = evaluate(WorldBatch(recipe, 1, threads=1), agent, sample_specs(recipe, [0]))
     assert len(episode) > episode.meta.window_frames
 
 

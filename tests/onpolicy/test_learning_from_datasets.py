@@ -20,9 +20,10 @@ from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.onpolicy.test_dagger import tiny_recipe
 
 ACT = ("--policy.chunk_size=4", "--policy.n_action_steps=1", "--policy.dim_model=16", "--policy.n_heads=2")
@@ -56,7 +57,7 @@ def test_act_with_the_stock_features_learns_from_it_and_acts(
     assert set(config["output_features"]) == {"action"}, "what was executed is not to be learned"
     assert all(key.startswith("observation.") for key in config["input_features"])
     specs = sample_specs(Recipe(split="val", image_size=32), [0])
-    (episode,) = evaluate(make_batch(Recipe(image_size=32), 1, threads=1), PolicyAgent(str(checkpoint)), specs)
+    (episode,) = evaluate(WorldBatch(Recipe(image_size=32), 1, threads=1), PolicyAgent(str(checkpoint)), specs)
     assert len(episode) > episode.meta.window_frames
 
 

@@ -14,9 +14,9 @@ from lerobot_policy_tracker.backbones.eye import EyeBackbone
 
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
 from dynahoi_lerobot.onpolicy.snapshots import PictureStream, snapshots
-from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 RECIPE = Recipe(image_size=64)
 SPECS = sample_specs(RECIPE, range(8))
@@ -42,7 +42,7 @@ def test_the_eye_has_the_geometry_of_the_camera(camera: str):
     """A target that is posed where the eye's geometry puts (u, v) is drawn around that point of the image."""
     eye = EyeBackbone(16, camera=camera)
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
-    batch = make_batch(RECIPE, len(wanted), threads=1)
+    batch = WorldBatch(RECIPE, len(wanted), threads=1)
     batch.reset(np.arange(len(wanted)), SPECS[: len(wanted)])
     state = batch.state + np.eye(18)[2] * 0.05
     place = eye.camera.origin(torch.from_numpy(state[:, :3])) + eye.camera.place(wanted)
@@ -57,7 +57,7 @@ def test_the_eye_has_the_geometry_of_the_camera(camera: str):
 
 def test_fingers_move_between_some_pictures_and_some_come_twice(monkeypatch: pytest.MonkeyPatch):
     placed: list[np.ndarray] = []
-    batch = make_batch(RECIPE, 32, threads=1)
+    batch = WorldBatch(RECIPE, 32, threads=1)
     place = type(batch).place
     monkeypatch.setattr(type(batch), "place", lambda self, hand, pose: (placed.append(hand), place(self, hand, pose)))
     shown = list(islice(snapshots(RECIPE, SPECS, 32, np.random.default_rng(0)), 8))

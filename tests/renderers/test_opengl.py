@@ -10,7 +10,6 @@ import pytest
 
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.renderers import opengl
-from dynahoi_lerobot.rollout.loop import make_batch
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -45,7 +44,7 @@ def plain(spec: EpisodeSpec) -> EpisodeSpec:
 
 def batch_of(renderer: str, specs: list[EpisodeSpec]) -> WorldBatch:
     """Return a batch at the end of the fourth frame of ``specs``."""
-    batch = make_batch(Recipe(image_size=SIZE, renderer=renderer), len(specs), threads=1)
+    batch = WorldBatch(Recipe(image_size=SIZE, renderer=renderer), len(specs), threads=1)
     batch.reset(range(len(specs)), specs)
     for _ in range(4):
         batch.step(batch.executed)

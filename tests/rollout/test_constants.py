@@ -17,7 +17,7 @@ from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.constants import camera_pose, episode_constants, intrinsics
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.scene.scene import compile_scene
@@ -55,7 +55,7 @@ def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(hand: str, camer
 def test_a_point_appears_where_pose_and_intrinsics_project_it(specs: list[EpisodeSpec], camera: str):
     """The target's middle among its pixels, in every world that shows more than 30 of them."""
     size, shown = 128, 0
-    batch = WorldBatch(len(specs), image_size=size, views=("side",))
+    batch = WorldBatch(Recipe(image_size=size, views=("side",)), len(specs))
     batch.reset(range(len(specs)), specs)
     fx, fy, cx, cy = intrinsics(batch.scene.model, camera, size)
     pose = camera_pose(batch.scene.model, camera)
@@ -76,7 +76,7 @@ def test_a_point_appears_where_pose_and_intrinsics_project_it(specs: list[Episod
 
 
 def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
-    batch = WorldBatch(len(specs))
+    batch = WorldBatch(Recipe(), len(specs))
     batch.reset(range(len(specs)), specs)
     fields, scene = batch._fields.fields, batch.scene
     for i, spec in enumerate(specs):
@@ -97,7 +97,7 @@ def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
 def test_the_hand_does_what_the_expert_planned_first(specs: list[EpisodeSpec], control):
     """The palm leaves home at the planned speed, and has the target when the lead time is over."""
     chosen = specs[:22]
-    batch = make_batch(Recipe(split="test", control_class=control.name), len(chosen))
+    batch = WorldBatch(Recipe(split="test", control_class=control.name), len(chosen))
     for episode in evaluate(batch, EXPERTS["intercept"](), chosen):
         speed, lead_s = episode.first_plan
         start = episode.meta.window_frames
@@ -112,7 +112,7 @@ def test_the_hand_does_what_the_expert_planned_first(specs: list[EpisodeSpec], c
 
 
 def test_policies_plan_nothing(specs: list[EpisodeSpec]):
-    (episode,) = evaluate(make_batch(Recipe(split="test"), 1), EXPERTS["hold"](), specs[:1])
+    (episode,) = evaluate(WorldBatch(Recipe(split="test"), 1), EXPERTS["hold"](), specs[:1])
     assert episode.first_plan.tolist() == [0.0, 0.0]
 
 

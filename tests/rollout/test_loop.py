@@ -12,14 +12,16 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch, play, record
+from dynahoi_lerobot.rollout.loop import evaluate, play, record
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import digest
 
-QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=32)
+QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=0)
+SEEING = replace(QUICK, image_size=32)
 SEEDS = (0, 1, 2, 5, 4, 10)
 ALLOWED = {"images", "state", "fingertips", "phase", "tasks", "touch", "environment_state"}
 
@@ -67,26 +69,26 @@ class Remembering(Agent):
 def clumsy(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     EXPERTS.names()  # so that the registry is complete before one is added
     monkeypatch.setitem(EXPERTS._entries, "clumsy", Clumsy)
-    return Recipe(split=QUICK.split, motions=QUICK.motions, image_size=32, expert="clumsy")
+    return Recipe(split=QUICK.split, motions=QUICK.motions, image_size=0, expert="clumsy")
 
 
 @pytest.mark.parametrize("batch_size", [1, 3, 32])
 def test_failed_attempts_are_retried_and_successes_come_in_the_order_of_the_seeds(clumsy: Recipe, batch_size: int):
-    episodes = list(record(clumsy, SEEDS, batch_size=batch_size, threads=1, images=False))
+    episodes = list(record(clumsy, SEEDS, batch_size=batch_size, threads=1))
     assert [(e.meta.seed, e.meta.attempts) for e in episodes] == [(0, 1), (1, 2), (5, 3), (4, 2), (10, 1)]
     assert all(episode.success for episode in episodes)
 
 
 def test_recordings_are_the_same_whatever_the_batch():
-    one_by_one = record(QUICK, range(6), batch_size=1, threads=1, images=False)
-    together = record(QUICK, range(6), batch_size=4, threads=2, images=False)
+    one_by_one = record(QUICK, range(6), batch_size=1, threads=1)
+    together = record(QUICK, range(6), batch_size=4, threads=2)
     recordings = [[digest(episode) for episode in episodes] for episodes in (one_by_one, together)]
     assert recordings[0] == recordings[1]
     assert len(recordings[0]) == 6
 
 
 def test_recordings_have_the_stated_length_and_images():
-    for episode in record(QUICK, range(3), threads=1):
+    for episode in record(SEEING, range(3), threads=1):
         assert len(episode) == episode.meta.length_frames
         assert list(episode.images) == ["ego"]
         assert episode.images["ego"].shape == (len(episode), 32, 32, 3)
@@ -94,8 +96,8 @@ def test_recordings_have_the_stated_length_and_images():
 
 
 def test_a_short_hold_ends_the_same_episodes_early():
-    whole = list(record(QUICK, range(6), threads=1, images=False))
-    short = list(record(replace(QUICK, hold_frames=12), range(6), threads=1, images=False))
+    whole = list(record(QUICK, range(6), threads=1))
+    short = list(record(replace(QUICK, hold_frames=12), range(6), threads=1))
     assert any(len(a) < len(b) for a, b in zip(short, whole, strict=True))
     for a, b in zip(short, whole, strict=True):
         assert a.success
@@ -106,9 +108,9 @@ def test_a_short_hold_ends_the_same_episodes_early():
 
 @pytest.mark.parametrize("batch_size", [1, 4])
 def test_pushes_move_the_hand_and_not_what_is_recorded_as_its_command(batch_size: int):
-    plain = list(record(QUICK, range(6), threads=1, images=False))
-    pushed = list(record(replace(QUICK, disturbance_m=0.02), range(6), batch_size=batch_size, threads=1, images=False))
-    reference = record(replace(QUICK, disturbance_m=0.02), range(6), batch_size=3, threads=1, images=False)
+    plain = list(record(QUICK, range(6), threads=1))
+    pushed = list(record(replace(QUICK, disturbance_m=0.02), range(6), batch_size=batch_size, threads=1))
+    reference = record(replace(QUICK, disturbance_m=0.02), range(6), batch_size=3, threads=1)
     farthest_m = []
     for a, b, c in zip(plain, pushed, reference, strict=True):
         window, intercept = b.meta.window_frames, b.meta.intercept_frame
@@ -124,14 +126,14 @@ def test_pushes_move_the_hand_and_not_what_is_recorded_as_its_command(batch_size
 
 def test_a_pushed_episode_plays_again_from_its_commands():
     recipe = replace(QUICK, disturbance_m=0.02)
-    (episode,) = record(recipe, [3], threads=1, images=False)
+    (episode,) = record(recipe, [3], threads=1)
     (again,) = replay(recipe, [ActionLog(3, episode.action)], images=False)
     np.testing.assert_allclose(again.state, episode.state, atol=1e-6)
 
 
 @pytest.mark.parametrize("batch_size", [1, 32])
 def test_a_retry_still_fits_a_short_hold(clumsy: Recipe, batch_size: int):
-    episodes = record(replace(clumsy, hold_frames=12), SEEDS, batch_size=batch_size, threads=1, images=False)
+    episodes = record(replace(clumsy, hold_frames=12), SEEDS, batch_size=batch_size, threads=1)
     assert [(e.meta.seed, e.meta.attempts) for e in episodes] == [(0, 1), (1, 2), (5, 3), (4, 2), (10, 1)]
 
 
@@ -141,7 +143,7 @@ def test_nothing_to_record_is_nothing():
 
 def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(specs: list[EpisodeSpec]):
     agent = Remembering()
-    batch = make_batch(QUICK, 3, threads=1)
+    batch = WorldBatch(QUICK, 3, threads=1)
     jobs = (Job(i, spec, frames) for i, (spec, frames) in enumerate(zip(specs, (12, 10, 14, 9, 11), strict=False)))
     played = dict(play(batch, agent, jobs))
     assert agent.resets == [3, 3], "five jobs in three worlds are two groups"
@@ -157,7 +159,7 @@ def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(sp
 @pytest.mark.parametrize("sees_images", [False, True])
 def test_an_agent_is_shown_observations_and_nothing_else(specs: list[EpisodeSpec], sees_images: bool):
     agent = Remembering(sees_images=sees_images)
-    episodes = list(evaluate(make_batch(QUICK, 2, threads=1), agent, specs[:2]))
+    episodes = list(evaluate(WorldBatch(SEEING, 2, threads=1), agent, specs[:2]))
     assert {field.name for field in fields(Observation)} == ALLOWED
     for shown in agent.shown[0]:
         assert type(shown) is Observation
@@ -171,7 +173,7 @@ def test_an_agent_is_shown_observations_and_nothing_else(specs: list[EpisodeSpec
 
 
 def test_an_agent_cannot_change_the_world_through_what_it_is_shown(specs: list[EpisodeSpec]):
-    batch = make_batch(QUICK, 1, threads=1)
+    batch = WorldBatch(SEEING, 1, threads=1)
     batch.reset([0], specs[:1])
     before = batch._batch.state.copy()
     observation = batch.observe(images=True)
@@ -182,8 +184,8 @@ def test_an_agent_cannot_change_the_world_through_what_it_is_shown(specs: list[E
 
 
 def test_what_an_agent_does_in_one_world_is_nothing_to_another(specs: list[EpisodeSpec]):
-    alone = [digest(e) for e in evaluate(make_batch(QUICK, 1, threads=1), Remembering(), specs[:3])]
-    together = evaluate(make_batch(QUICK, 3, threads=1), Remembering(), specs[:3])
+    alone = [digest(e) for e in evaluate(WorldBatch(QUICK, 1, threads=1), Remembering(), specs[:3])]
+    together = evaluate(WorldBatch(QUICK, 3, threads=1), Remembering(), specs[:3])
     assert sorted(alone) == sorted(digest(e) for e in together)
 
 
@@ -199,7 +201,7 @@ class Closing(Expert):
 
 def test_a_palm_whose_fingers_close_stands_still():
     specs = sample_specs(QUICK, SEEDS[:3])
-    for episode in evaluate(make_batch(QUICK, 3), Closing(), specs):
+    for episode in evaluate(WorldBatch(QUICK, 3), Closing(), specs):
         assert np.abs(np.diff(episode.joints, axis=0)).max() > 0.1
         assert METRICS["Q_smooth"](episode) == 1.0
         assert METRICS["Q_line"](episode) == 0.0
@@ -208,10 +210,10 @@ def test_a_palm_whose_fingers_close_stands_still():
 @pytest.mark.parametrize(("spare", "localized"), [(0, True), (-1, False)])
 def test_the_outcome_of_the_last_of_l_steps_counts(spare: int, localized: bool):
     spec = sample_specs(QUICK, SEEDS[:1])[0]
-    (first,) = evaluate(make_batch(QUICK, 1), Intercept(), [spec])
+    (first,) = evaluate(WorldBatch(QUICK, 1), Intercept(), [spec])
     assert first.first_localized is not None
     short = replace(spec, length_frames=first.first_localized - spec.window_frames + spare)
-    (episode,) = evaluate(make_batch(QUICK, 1), Intercept(), [short])
+    (episode,) = evaluate(WorldBatch(QUICK, 1), Intercept(), [short])
     assert METRICS["S_loc"](episode) == float(localized)
     assert METRICS["R_time"](episode) == 0.0, "the last moment is no better than never"
     assert len(episode) == short.window_frames + short.length_frames + 1

@@ -12,10 +12,10 @@ import sys
 import pytest
 
 PLAY = """
-from dynahoi_lerobot.doctor.reference import EXPERTS, RECIPE, _digest, evaluate, make_batch, sample_specs
+from dynahoi_lerobot.doctor.reference import EXPERTS, RECIPE, WorldBatch, _digest, evaluate, sample_specs
 
 specs = sample_specs(RECIPE, range(44), threads=1)
-played = evaluate(make_batch(RECIPE, 22), EXPERTS[RECIPE.expert](), specs)
+played = evaluate(WorldBatch(RECIPE, 22), EXPERTS[RECIPE.expert](), specs)
 for episode in sorted(played, key=lambda episode: episode.meta.seed):
     print(episode.meta.motion, _digest([episode.state, episode.action, episode.target_pose]))
 """

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.loop import make_batch, record
+from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 BAD_VALUES = [
     ({"split": "trian"}, "unknown split 'trian'; known: train, val, test"),
@@ -20,7 +21,7 @@ BAD_VALUES = [
     ({"instructions": "loud"}, "unknown instructions 'loud'; known: reveal, neutral, mixed"),
     ({"motions": ("lateral", "latteral")}, r"unknown motion 'latteral' \(did you mean 'lateral'\?\); known: acc"),
     ({"objects": ("bal",)}, r"unknown object 'bal' \(did you mean 'ball'\?\); known: ball, block"),
-    ({"image_size": 8}, "image_size must be 16 to 1024 pixels, got 8"),
+    ({"image_size": 8}, "image_size must be 16 to 1024 pixels, or 0 for no camera, got 8"),
     ({"hold_frames": 3}, "hold_frames must be at least 12, or null, got 3"),
     ({"disturbance_m": 0.5}, "disturbance_m must be 0 to 0.2 m, got 0.5"),
     ({"motions": ("helix",)}, "motion 'helix' is held out for split 'ood_motion', got split 'train'"),
@@ -58,7 +59,7 @@ def test_a_bad_value_is_named_with_those_allowed(values: dict, message: str):
 )
 def test_a_batch_refuses_names_it_does_not_know(name: str, message: str):
     with pytest.raises(ValueError, match=message):
-        make_batch(Recipe(**{name: "x"}), 1)
+        WorldBatch(Recipe(**{name: "x"}), 1)
 
 
 def test_an_unknown_expert_is_refused_before_anything_is_sampled():
@@ -69,7 +70,7 @@ def test_an_unknown_expert_is_refused_before_anything_is_sampled():
 @pytest.mark.parametrize("size", [0, -3])
 def test_a_batch_needs_a_world(size: int):
     with pytest.raises(ValueError, match=f"a batch needs at least 1 world, got {size}"):
-        make_batch(Recipe(), size)
+        WorldBatch(Recipe(), size)
 
 
 def test_a_negative_seed_is_refused():

@@ -106,7 +106,7 @@ def test_a_salt_that_can_be_guessed_is_refused_and_not_repeated():
 
 
 def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
-    env = DynahoiVectorEnv(1, images=False, salt=SALT)
+    env = DynahoiVectorEnv(1, image_size=0, salt=SALT)
     for one in (env, pickle.loads(pickle.dumps(env))):
         one.reset(seed=[5])
         spec = one._batch.specs[0]

@@ -13,12 +13,13 @@ from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions.launch import Box
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.fixture_clearance import box_distance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.screen import earliest_meeting, with_screen
 from dynahoi_lerobot.sampling.screen_clearance import apart
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 
 OCCLUDED = Recipe(split="test", image_size=16, protocol="occluded")
@@ -105,7 +106,7 @@ def test_boxes_are_apart_if_an_axis_separates_them(turn_rad: float, clear: bool)
 
 @pytest.mark.parametrize("control_class", ["standard", "late"])
 def test_the_expert_catches_every_target(occluded: list[EpisodeSpec], control_class: str):
-    batch = make_batch(replace(OCCLUDED, control_class=control_class), 22, threads=1)
+    batch = WorldBatch(replace(OCCLUDED, control_class=control_class), 22, threads=1)
     assert all(episode.success for episode in evaluate(batch, EXPERTS["intercept"](), occluded))
 
 

@@ -24,7 +24,7 @@ def many_specs() -> list[EpisodeSpec]:
 
 def localized_percent(name: str, control: str, specs: list[EpisodeSpec]) -> float:
     """Return S_loc of an expert or baseline [%]."""
-    episodes = list(evaluate(WorldBatch(WORLDS, control_class=control), EXPERTS[name](), specs))
+    episodes = list(evaluate(WorldBatch(Recipe(control_class=control), WORLDS), EXPERTS[name](), specs))
     assert len(episodes) == len(specs)
     return 100 * float(np.mean([episode.first_localized is not None for episode in episodes]))
 

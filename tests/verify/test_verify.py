@@ -41,7 +41,7 @@ def simulated(tmp_path_factory) -> Path:
 @pytest.fixture
 def replayed(simulated):
     """Returns the findings of a replay whose first episode was changed."""
-    honest = simulator(Manifest.read(simulated).provenance["recipe"], images=True)
+    honest = simulator(Manifest.read(simulated).provenance["recipe"])
 
     def run(**changes) -> list[str]:
         def dishonest(seed: int) -> Episode | None:

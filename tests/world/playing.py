@@ -12,7 +12,7 @@ import numpy as np
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.episode_spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -24,11 +24,10 @@ def world(
     specs: Sequence[EpisodeSpec],
     *,
     threads: int = 1,
-    image_size: int = 32,
     **options,
 ) -> WorldBatch:
-    """A batch with one world for each spec, at the start of its episode; ``options`` go to ``WorldBatch``."""
-    batch = WorldBatch(len(specs), threads=threads, image_size=image_size, **options)
+    """A batch with one world for each spec, at the start of its episode; ``options`` are fields of the recipe."""
+    batch = WorldBatch(SMALL.changed(**options), len(specs), threads)
     batch.reset(range(len(specs)), specs)
     return batch
 
@@ -56,7 +55,7 @@ def digest(episode: Episode) -> str:
 
 def digests(specs: Sequence[EpisodeSpec], size: int, threads: int = 1, *, images: bool = False) -> dict[int, str]:
     """Hash of the expert's evaluation of each seed, played ``size`` worlds at a time."""
-    batch = make_batch(SMALL, size, threads)
+    batch = WorldBatch(SMALL, size, threads)
     episodes = evaluate(batch, EXPERTS["intercept"](), specs, images=images)
     return {episode.meta.seed: digest(episode) for episode in episodes}
 

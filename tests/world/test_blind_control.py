@@ -9,9 +9,10 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 SEEING = Recipe(split="test", image_size=16, views=("side",))
 BLIND = replace(SEEING, protocol="observe_then_blind")
@@ -19,7 +20,7 @@ BLIND = replace(SEEING, protocol="observe_then_blind")
 
 def played(recipe: Recipe) -> list:
     specs = sample_specs(recipe, range(6))
-    episodes = evaluate(make_batch(recipe, 3), EXPERTS[recipe.expert](), specs, images=True)
+    episodes = evaluate(WorldBatch(recipe, 3), EXPERTS[recipe.expert](), specs, images=True)
     return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 

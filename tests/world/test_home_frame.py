@@ -55,7 +55,7 @@ def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]
 
 
 def test_the_action_space_does_not_tell_the_home_and_holds_every_reachable_command(specs: list[EpisodeSpec]):
-    env = DynahoiVectorEnv(4, images=False, split="test", image_size=32)
+    env = DynahoiVectorEnv(4, split="test", image_size=0)
     low, high = env.single_action_space.low, env.single_action_space.high
     np.testing.assert_array_equal(low[:PALM_DOF], -high[:PALM_DOF])
     bounds = []

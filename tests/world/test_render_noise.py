@@ -9,9 +9,10 @@ import pytest
 
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.loop import evaluate, make_batch
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 
 CLEAN = Recipe(split="test", image_size=16, views=("side",))
 NOISY = replace(CLEAN, render_noise=2)
@@ -19,7 +20,7 @@ NOISY = replace(CLEAN, render_noise=2)
 
 def played(recipe: Recipe, size: int = 2) -> list[Episode]:
     specs = sample_specs(recipe, range(3))
-    episodes = evaluate(make_batch(recipe, size), EXPERTS[recipe.expert](), specs, images=True)
+    episodes = evaluate(WorldBatch(recipe, size), EXPERTS[recipe.expert](), specs, images=True)
     return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 

@@ -16,9 +16,8 @@ from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
 PLAN = {
-    "recipe": dict, "episodes": int, "seed": int, "camera": bool, "encoding": dict, "limits": dict,
-    "shard_episodes": int, "code": str, "runtime": str, "environment_state": bool, "privileged_columns": str,
-    "subtasks": bool,
+    "recipe": dict, "episodes": int, "seed": int, "encoding": dict, "limits": dict, "shard_episodes": int,
+    "code": str, "runtime": str, "privileged_columns": str, "subtasks": bool,
 }  # fmt: skip
 """What ``generate`` writes into the manifest. A copy of some episodes has ``kept`` as well."""
 LIMITS = {"chunks_size": "chunk_files", "data_files_size_in_mb": "data_mb", "video_files_size_in_mb": "video_mb"}
@@ -95,8 +94,9 @@ def _yields(yields: dict[str, int], rows: list[EpisodeRow]) -> Iterator[str]:
 
 def _storage(dataset: CheckedDataset, plan: dict[str, Any]) -> Iterator[str]:
     """Yield where camera, encoding and file limits are not those of ``info.json``."""
-    if plan["camera"] != (CAMERA_KEY in dataset.features):
-        yield f"the manifest says camera {plan['camera']}; info.json has {', '.join(dataset.pictures) or 'no view'}"
+    size, camera = plan["recipe"].get("image_size"), dataset.features.get(CAMERA_KEY)
+    if size != (camera["shape"][0] if camera else 0):
+        yield f"the manifest says image_size {size}; info.json has {', '.join(dataset.pictures) or 'no view'}"
     for key, name in LIMITS.items():
         if "kept" not in dataset.manifest.provenance and plan["limits"].get(name) != dataset.info.get(key):
             yield f"info.json says {key} {dataset.info.get(key)}; the manifest says {plan['limits'].get(name)}"

@@ -68,7 +68,7 @@ class Schema(Check):
 
     def _features(self, dataset: CheckedDataset) -> Iterator[str]:
         camera = dataset.features.get(CAMERA_KEY)
-        size = None if camera is None else camera["shape"][0]
+        size = 0 if camera is None else camera["shape"][0]
         encoding = Encoding(codec="h264" if dataset.has_video else "images")
         contact_sensors = CAPTURES[dataset.rows[0]["capture"]].uses_contact_sensors
         on_policy = dataset.recipe.on_policy if dataset.recipe else EXECUTED in dataset.features
@@ -78,7 +78,7 @@ class Schema(Check):
             self._views(dataset),
             contact_sensors=contact_sensors,
             on_policy=on_policy,
-            environment_state=provenance.get("environment_state", ENVIRONMENT_STATE in stored),
+            environment_state=provenance.get("recipe", {}).get("environment_state", ENVIRONMENT_STATE in stored),
             privileged=provenance.get("privileged_columns", _place(stored)) == FRAMES,
         )
         subtasks = provenance.get("subtasks", LANGUAGE in stored)

@@ -10,8 +10,7 @@ import numpy as np
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.control_class import control_class_of
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.features import CAMERA_KEY
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.foundation.conventions import CONTROL_DT, DEFAULT_IMAGE_SIZE_PX
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.rollout.constants import camera_pose, intrinsics
@@ -36,8 +35,7 @@ class Setup(Check):
         if (recipe := dataset.recipe) is None:
             return
         where = f"episode {row['episode_index']}"
-        camera = dataset.features.get(CAMERA_KEY)
-        size = recipe.image_size if camera is None else camera["shape"][0]
+        size = recipe.image_size or DEFAULT_IMAGE_SIZE_PX
         known = _cameras(compile_scene(recipe.hand).model, size) | {"hand_limits": _limits(recipe)}
         for name, wanted in known.items():
             found = np.asarray(row[f"stats/{name}"], float)

@@ -3,84 +3,61 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import OBS_ENV_STATE
 
-from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.env.rewards import SPARSE, check_reward
 from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL
-from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS
+from dynahoi_lerobot.renderers import RENDERERS
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rollout.stepwise_inference import StepwiseInference
-from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import seed_stream
+from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from lerobot_env_dynahoi.command_line import new_results_folder, policy_rules
 from lerobot_env_dynahoi.played_policy import queued_policy
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
-DEFAULT_RULES = {"control_class": DEFAULT_CONTROL_CLASS, "protocol": DEFAULT_PROTOCOL, "image_size": 128}
-RECIPE_FIELDS = {field.name for field in fields(Recipe)}
-"""Fields of the config of these names go to the env."""
+RECIPE_FIELDS = tuple(name for name in PLAYING if name != "motions")
+"""Fields of the recipe that the config offers; its ``task`` names the motions."""
+RecipeFields = make_dataclass(
+    "RecipeFields", [(name, get_type_hints(Recipe)[name] | None, field(default=None)) for name in RECIPE_FIELDS]
+)
+"""These fields, None where nothing is said."""
 
 
 @EnvConfig.register_subclass("dynahoi")
 @dataclass
-class DynahoiEnvConfig(EnvConfig):
+class DynahoiEnvConfig(RecipeFields, EnvConfig):
     """Dynamic capture: one suite per category of motion, one task per kind.
+
+    The fields of `Recipe` that matter to a policy are fields here as well, such as ``split``, ``image_size``,
+    ``control_class`` and ``environment_state``. One that is None is as in the recipe by default; ``control_class``,
+    ``protocol`` and ``image_size`` are first of all what the policy of the command line was trained for. The split is
+    ``test``. A seed is the number of an episode within split and kind of motion; fixed splits wrap around.
 
     Attributes:
         task: one kind of motion, one category, several of either separated by commas, or None for all 22 kinds.
-        split: ``test``, ``test_small``, ``val``, ``ood_speed``, ``ood_object``, ``ood_motion`` or ``train``. A seed is
-            the number of an episode within split and kind of motion; fixed splits wrap around.
-        image_size: side of the square images [px]; by default what the policy of the command line was trained on, or
-            128.
-        views: views besides ``ego``, the hand's camera, such as ``side`` or ``ego_depth``.
-        appearance: what is randomised more strongly, such as ``lights`` or ``distractors``.
-        protocol: see `protocol.py`; by default that policy's own, or ``observe_before_act``.
-        control_class: limits of the hand and latency of its commands: ``unlimited``, ``standard`` or ``late``; by
-            default that policy's own, or ``standard``.
-        capture: capture rule, one of ``dynahoi list captures``.
-        hand: embodiment, one of ``dynahoi list hands``; the capture rule's own if empty.
-        renderer: one of ``dynahoi list renderers``.
-        instructions: ``reveal``, ``neutral`` or ``mixed``.
         inference: ``sync``, the world waits for the policy, or ``async``, its inferences take ``latency_ms``, one at a
             time (`stepwise_inference.py`).
         latency_ms: time from an observation to the chunk that answers it [ms].
         n_action_steps: the policy's, where LeRobot's command line does not name the policy; else leave it 0.
-        environment_state: whether policies see the simulator's truth, pose and velocity of the target, as
-            ``observation.environment_state``; results are then marked as privileged.
         reward: ``sparse`` or ``dense``, see `dynahoi_lerobot.env.rewards`.
         results_dir: where the metrics go; a new folder below ``dynahoi`` in LeRobot's ``--output_dir`` if None.
     """
 
     task: str | None = None
     fps: int = CONTROL_HZ
-    split: str = "test"
-    image_size: int = 0
-    views: tuple[str, ...] = ()
-    appearance: tuple[str, ...] = ()
-    protocol: str = ""
-    control_class: str = ""
-    capture: str = "attach"
-    hand: str = ""
-    renderer: str = DEFAULT_RENDERER
-    instructions: str = "mixed"
     inference: str = SYNC
     latency_ms: float = 0.0
     n_action_steps: int = 0
-    environment_state: bool = False
     reward: str = SPARSE
     results_dir: str | None = None
     features: dict[str, PolicyFeature] = field(default_factory=dict)
@@ -94,20 +71,16 @@ class DynahoiEnvConfig(EnvConfig):
         Raises:
             ValueError: for an unknown name, naming the ones there are.
         """
-        self._adopt_rules()
         recipe = self._recipe()
+        for name in RECIPE_FIELDS:
+            if name != "hand":  # which is the capture rule's where nothing is said
+                setattr(self, name, getattr(recipe, name))
         kinds_of(self.task, recipe.motion_names)
         _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
         check_reward(self.reward)
-        visible = frame_features(
-            self.image_size,
-            self.views,
-            contact_sensors=CAPTURES[self.capture].uses_contact_sensors,
-            environment_state=self.environment_state,
-        )
         shown = {
             feature.key if feature.is_image else feature.gym_key: feature
-            for feature in visible
+            for feature in recipe.features()
             if feature.gym_key is not None
         }
         self.features = {key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()}
@@ -116,7 +89,7 @@ class DynahoiEnvConfig(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the env."""
-        return {field.name: getattr(self, field.name) for field in fields(self) if field.name in RECIPE_FIELDS}
+        return {"recipe": self._recipe()}
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
         """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async.
@@ -129,27 +102,23 @@ class DynahoiEnvConfig(EnvConfig):
         kinds = kinds_of(self.task, recipe.motion_names)
         timing = Inference(self.inference, self.latency_ms)
         policy = None if timing.mode == SYNC else queued_policy(self.n_action_steps)
-        log = ResultsLog(self._results_folder(), self.split, recipe, timing.label, privileged=self.environment_state)
+        log = ResultsLog(self._results_folder(), recipe, timing.label)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
             stepwise = None if policy is None else StepwiseInference(policy, timing)
-            options = {"reward": self.reward, "environment_state": self.environment_state, "inference": stepwise}
-            options |= self.gym_kwargs
-            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, **options)
+            options: dict[str, Any] = {"reward": self.reward, "inference": stepwise}
+            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, recipe=recipe, **options)
         return suites
 
-    def _adopt_rules(self) -> None:
-        """Fill in what the config leaves open: what the policy was trained for, or else the defaults."""
-        trained = policy_rules(sys.argv)
-        adopted = [name for name in trained if not getattr(self, name)]
-        for name, value in (DEFAULT_RULES | trained).items():
-            setattr(self, name, getattr(self, name) or value)
-        if adopted:
-            print("playing as the policy was trained: " + ", ".join(f"{name} {trained[name]}" for name in adopted))
-
     def _recipe(self) -> Recipe:
-        return Recipe(**{**self.gym_kwargs, "split": seed_stream(self.split)})
+        """Return what is played: what is given, and else what the policy was trained for, which is printed."""
+        given = {name: value for name in RECIPE_FIELDS if (value := getattr(self, name)) is not None}
+        trained = {name: value for name, value in policy_rules(sys.argv).items() if name not in given}
+        if trained:
+            told = ", ".join(f"{name} {value}" for name, value in trained.items())
+            print(f"playing as the policy was trained: {told}")
+        return Recipe(split="test").changed(**trained | given)
 
     def _results_folder(self) -> Path:
         if self.results_dir is not None:

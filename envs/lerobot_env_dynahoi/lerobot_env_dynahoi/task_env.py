@@ -22,15 +22,9 @@ from lerobot_env_dynahoi.command_line import policy_name, policy_weights
 class ResultsLog:
     """Collects the finished episodes of all tasks of one evaluation and writes them as one result folder."""
 
-    def __init__(
-        self, folder: Path, split: str, recipe: Recipe, inference: str = "", *, privileged: bool = False
-    ) -> None:
-        """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends.
-
-        ``privileged`` says that the policy sees the simulator's truth.
-        """
-        self.folder, self._split, self._recipe, self._inference = folder, split, recipe, inference
-        self._privileged = privileged
+    def __init__(self, folder: Path, recipe: Recipe, inference: str = "") -> None:
+        """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends."""
+        self.folder, self._recipe, self._inference = folder, recipe, inference
         self._recorder = ResultsRecorder()
         self._known: set[tuple[str, int]] = set()
         self._unwritten = 0
@@ -53,12 +47,12 @@ class ResultsLog:
         extra = {
             "recipe": self._recipe.stored(),
             "inference": self._inference,
-            "privileged": self._privileged,
+            "privileged": self._recipe.environment_state,
             "surroundings": surroundings(),
             WEIGHTS: policy_weights(sys.argv),
         }
         name, command = policy_name(sys.argv), command_line(sys.argv)
-        info = RunInfo(name, self._split, self._recipe.capture, command, self._fingerprint, extra)
+        info = RunInfo(name, self._recipe.split, self._recipe.capture, command, self._fingerprint, extra)
         results = self._recorder.write(self.folder, info)
         self._unwritten = 0
         print(f"{results_table([results])}\nmetrics so far: {self.folder}", flush=True)

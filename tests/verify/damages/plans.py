@@ -6,7 +6,9 @@ from tests.verify.forgery import MANIFEST, Table, entry, plan
 
 PLANS: Table = {
     "fewer episodes planned": (plan(episodes=5), "default", "the plan draws 5 seeds"),
-    "no camera planned": (plan(camera=False), "default", "the manifest says camera False"),
+    "no camera planned": (
+        entry(MANIFEST, lambda m: m["provenance"]["recipe"].update(image_size=0)), "default", "says image_size 0"
+    ),
     "another rate factor": (
         entry(MANIFEST, lambda m: m["provenance"]["encoding"].update(crf=1)), "default", "the manifest's encoding gives"
     ),
