@@ -222,10 +222,14 @@ def _check_names(column: str, names: set[str | None]) -> None:
 
 
 def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
-    counts = {name: np.array([row[name] for row in rows], np.int64) for name in ARRAYS if name in COUNTS}
-    ends = np.cumsum([0, *map(len, actions)])
     with path.open("wb") as file:  # an open file, because numpy appends .npz to a path
-        np.savez(file, action=np.concatenate(list(actions)).reshape(-1, HAND_DOF), offsets=ends, **counts)
+        np.savez(
+            file,
+            action=np.concatenate(list(actions)).reshape(-1, HAND_DOF),
+            offsets=np.cumsum([0, *map(len, actions)]),
+            seed=np.array([row["seed"] for row in rows], np.int64),
+            window_frames=np.array([row["window_frames"] for row in rows], np.int64),
+        )
 
 
 def _read_actions(file: BytesIO, rows: Sequence[Row]) -> list[np.ndarray]:

@@ -148,10 +148,9 @@ def shown_metrics(entries: Sequence[Entry]) -> tuple[str, ...]:
 
 def printed(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
     """Return (K,) values and (2, K) distances to the interval's ends as printed: fractions in per cent, None as nan."""
-    known = [e if e is not None and e.value is not None else Estimate(np.nan, np.nan, np.nan, "", 0) for e in estimates]
-    value, low, high = np.array(
-        [np.multiply((e.value, e.low, e.high), 100 if e.unit == "fraction" else 1) for e in known], np.float64
-    ).T
+    rows = [(e.value, e.low, e.high) if e else (None,) * 3 for e in estimates]
+    scales = np.array([100 if e and e.unit == "fraction" else 1 for e in estimates])
+    value, low, high = np.array(rows, np.float64).reshape(-1, 3).T * scales  # None becomes nan
     return value, np.stack([value - low, high - value])
 
 
@@ -341,7 +340,7 @@ class Curve:
 
 def curves(
     entries: Sequence[Entry],
-    number: Callable[[Entry], object],
+    number: Callable[[Entry], Any],
     axis_label: str,
     group: Callable[[Entry], tuple[str, ...]],
 ) -> Figure | None:
@@ -489,9 +488,10 @@ def _sunburst(panel: Axes, rows: Sequence[Row]) -> None:
 def _shade(name: tuple[str, ...], leaves: Sequence[tuple[str, str, str]]) -> tuple:
     import matplotlib as mpl
 
-    siblings = list(dict.fromkeys(leaf[1] for leaf in leaves if leaf[0] == name[0]))
-    step = siblings.index(name[1]) / max(1, len(siblings) - 1) if len(name) > 1 else 0.5
-    return mpl.colormaps[TIER_MAPS.get(name[0], "Greys")](0.87 - 0.12 * len(name) - 0.2 * step)
+    tier, *within = name
+    siblings = list(dict.fromkeys(leaf[1] for leaf in leaves if leaf[0] == tier))
+    step = siblings.index(within[0]) / max(1, len(siblings) - 1) if within else 0.5
+    return mpl.colormaps[TIER_MAPS.get(tier, "Greys")](0.87 - 0.12 * len(name) - 0.2 * step)
 
 
 def _write(panel: Axes, middle_deg: float, name: tuple[str, ...], radius: float) -> None:

@@ -145,7 +145,7 @@ class ObservedWorlds:
             images = images.copy()
             for i in ids:
                 if (spec := self.specs[i]) is not None:
-                    images[i] = with_render_noise(images[i], levels, spec.seed, self.frame[i], view)
+                    images[i] = with_render_noise(images[i], levels, spec.seed, int(self.frame[i]), view)
         return images
 
     def _truth(self) -> np.ndarray:
