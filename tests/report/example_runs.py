@@ -36,9 +36,8 @@ def play(
         miss = 0.0 if rng.random() < skill else float(rng.uniform(0.03, 0.3))
         episode = synthetic_episode(seed, LENGTHS[seed % len(LENGTHS)], image_size, miss)
         category, kind = PAIRS[seed % len(PAIRS)]
-        meta = replace(
-            episode.meta, category=category, motion=kind, capture=capture, split="test_small", **meta_changes
-        )
+        changes = {"category": category, "motion": kind, "split": "test_small"} | meta_changes
+        meta = replace(episode.meta, capture=capture, **changes)
         travel = np.array([0.3, 0.1, 0.05], np.float32) * (0.1 + 0.4 * (seed % 5)) ** 1.5
         action = episode.action + rng.normal(0, 0.004 * (1.2 - skill), episode.action.shape).astype(np.float32)
         stage = episode.stage
@@ -65,4 +64,4 @@ def example_run(
     """Write the result folder of a made-up policy; ``rules`` are changes of ``EpisodeMeta``."""
     command = command or f"dynahoi evaluate --policy {policy} --split test_small"
     info = RunInfo(policy, "test_small", capture, command, "f00dcafe", extra, benchmark)
-    return write_results(folder, play(count, skill, capture, benchmark=benchmark, **rules or {}), info)
+    return write_results(folder, play(count, skill, capture, benchmark=benchmark, **(rules or {})), info)
