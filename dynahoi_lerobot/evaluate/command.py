@@ -137,14 +137,13 @@ def _vlm(args: argparse.Namespace) -> Agent:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
     control = control_class_of(args.control_class or Recipe.control_class)
     prompt = Prompt(args.prompt, CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control))
-    audit = args.out / "vlm.jsonl" if args.out else None
     client = VlmClient(
         args.model,
         args.base_url,
         timeout_s=args.request_timeout,
         prices=tuple(args.prices),
         prompt=prompt,
-        audit=audit,
+        log=args.out / "vlm.jsonl" if args.out else None,
     )
     return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
 
