@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.actors import make_actor
+from dynahoi_lerobot.evaluate.arguments import make_actor
 from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW

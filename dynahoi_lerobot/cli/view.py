@@ -11,7 +11,7 @@ import numpy as np
 
 from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.actors import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.foundation.arguments import add_field_arguments, given_fields, path, whole

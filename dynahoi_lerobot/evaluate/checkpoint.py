@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+import reprlib
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -19,6 +21,7 @@ from typing import Any
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.features import CAMERA_KEY
 from dynahoi_lerobot.foundation.digest import sha256
+from dynahoi_lerobot.foundation.output import printable
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
@@ -53,11 +56,16 @@ STEPS: dict[str, frozenset[str]] = {
 }
 """Processor steps that a checkpoint may name without ``--trust``, with the keys that their configs may have."""
 
+STEP_KEYS = frozenset({"registry_name", "class", "config", "state_file"})
+
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
 """Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints have none."""
 LARGEST_JSON = 2**25
-LARGEST_NUMBER = 10**7
-"""In ``config.json``, besides seeds and the settings of optimizers and schedulers."""
+LARGEST_NUMBER, MOST_FRAMES = 10**7, 1000
+"""In ``config.json``, besides seeds and the settings of optimizers and schedulers; an episode has a third of so many
+frames, and a policy keeps the images of those that it remembers."""
+FRAMES = re.compile(r"frames|horizon|stride|reach|decisions|chunk_size|(obs|action)_steps")
+"""In the names of settings that count frames."""
 UNBOUNDED_KEYS = ("optimizer_", "scheduler_", "noise_seed", "seed")
 SPARE = 4
 """How many times the weights of its file a policy may make while it is built: some drop layers or tie weights."""
@@ -196,12 +204,16 @@ def _check_files(folder: Path, trust: bool) -> None:
         raise PolicyError(
             f"{folder} holds no policy (no {CONFIG})" + (f"; did you mean {nested[-1]}?" if nested else "")
         )
-    for finding in _findings(folder):
-        if not trust:
-            raise UntrustedCheckpointError(
-                f"{finding}; give --trust only if you would run a program from the same source"
-            )
-        print(f"--trust: {finding}", file=sys.stderr)
+    try:
+        findings = list(_findings(folder))
+    except RecursionError as error:
+        raise PolicyError(f"{folder} holds a JSON file that is nested too deep") from error
+    if findings and not trust:
+        raise UntrustedCheckpointError(
+            f"{findings[0]}; give --trust only if you would run a program from the same source"
+        )
+    for finding in findings:
+        print(f"--trust: {printable(finding)}", file=sys.stderr)
 
 
 def _findings(folder: Path) -> Iterator[str]:
@@ -260,11 +272,9 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
     if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
         raise PolicyError(f"{file} holds no list of processor steps")
     for step in steps:
-        name, config, state = (
-            step.get("registry_name", step.get("class")),
-            step.get("config", {}),
-            step.get("state_file"),
-        )
+        name, config = step.get("registry_name", step.get("class")), step.get("config", {})
+        if surplus := sorted(step.keys() - STEP_KEYS):
+            yield f"gives the step {name!r} the entry {surplus[0]!r}, which LeRobot does not know"
         if not isinstance(config, dict):
             raise PolicyError(f"{file} gives the step {name!r} the config {config!r}, which is no mapping")
         known = STEPS.get(step["registry_name"]) if isinstance(step.get("registry_name"), str) else None
@@ -272,7 +282,7 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
             yield f"names the processor step {name!r}, which is not on the list of steps known to be safe"
         elif surplus := sorted(config.keys() - known):
             yield f"gives the step {name!r} the key {surplus[0]!r}, which is not on the list of its keys"
-        if state is not None and (not isinstance(state, str) or Path(state).name != state):
+        if (state := step.get("state_file")) is not None and (not isinstance(state, str) or Path(state).name != state):
             yield f"names the state file {state!r}, which is not inside the checkpoint"
 
 
@@ -286,8 +296,10 @@ def _check_numbers(file: Path, content: Any, key: str = "") -> None:
     elif isinstance(content, list):
         for value in content:
             _check_numbers(file, value, key)
-    elif isinstance(content, int | float) and not abs(content) <= LARGEST_NUMBER:
-        raise PolicyError(f"{file} sets {key} to {content}; allowed are numbers up to {LARGEST_NUMBER}")
+    elif isinstance(content, int | float):
+        most = MOST_FRAMES if FRAMES.search(key) else LARGEST_NUMBER
+        if not abs(content) <= most:
+            raise PolicyError(f"{file} sets {key} to {reprlib.repr(content)}; allowed are numbers up to {most}")
 
 
 def _read_object(file: Path) -> dict[str, Any]:

@@ -14,7 +14,6 @@ import numpy as np
 from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.env.spaces import as_gym
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, folder_weights, load_policy, trained_for
-from dynahoi_lerobot.evaluate.frame_history import note_frame, queued_frame
 from dynahoi_lerobot.feature import IMAGE_PREFIX
 from dynahoi_lerobot.features import CAMERA_KEY, ENVIRONMENT_STATE
 from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
@@ -159,3 +158,36 @@ def _register_plugins() -> None:
     except ImportError as error:
         raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
     register_third_party_plugins()
+
+
+# -- the frames that a policy remembers, when not every frame asks it for an action -----------------------------------
+# `select_action` notes every frame and decides by itself when to predict a chunk; `predict_action_chunk` predicts at
+# once, and what it does about earlier frames differs from policy to policy.
+
+
+def note_frame(policy: Any, batch: dict[str, Any]) -> None:
+    """Note a preprocessed frame of all worlds in which no chunk is asked for; a policy without history ignores it."""
+    if hasattr(policy, "observe"):
+        policy.observe(batch)
+    else:
+        queued_frame(policy, batch)
+
+
+def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
+    """Add a frame to the observation queues of a policy that has them (Diffusion Policy, VQ-BeT, multi-task DiT).
+
+    Returns:
+        What ``predict_action_chunk`` of such a policy takes: the batch, with its images stacked under one key.
+    """
+    import torch
+    from lerobot.policies.utils import populate_queues
+    from lerobot.utils.constants import ACTION, OBS_IMAGES
+
+    queues = getattr(policy, "_queues", None) or {}
+    if OBS_IMAGES in queues:
+        images = [batch[key] for key in policy.config.image_features]
+        batch = batch | {OBS_IMAGES: torch.stack(images, dim=-4)}
+    if queues:  # a policy looks into the queue of every key of the batch, and that of actions may be empty
+        batch = {key: value for key, value in batch.items() if key != ACTION}
+    populate_queues(queues, batch)
+    return batch

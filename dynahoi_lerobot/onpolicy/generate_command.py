@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from dynahoi_lerobot.evaluate.actors import add_trust_argument
+from dynahoi_lerobot.evaluate.arguments import add_trust_argument
 from dynahoi_lerobot.foundation.arguments import number
 from dynahoi_lerobot.generate import command
 from dynahoi_lerobot.onpolicy.actor import actor_name, make_actor, open_policy, runtime

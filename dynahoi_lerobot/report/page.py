@@ -25,7 +25,7 @@ COMPARED = {
 SIGNIFICANT = 0.05
 MOST_CLIPS = 12
 """Clips shown per folder, the first by name; more would make the page too large."""
-LARGEST_CLIP_BYTES = 20_000_000
+LARGEST_CLIP_BYTES = 5_000_000
 GIF_HEADERS = (b"GIF87a", b"GIF89a")
 
 
