@@ -13,10 +13,11 @@ import numpy as np
 from PIL import Image, ImageDraw
 from support.options import benchmark_parser, write_numbers
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -51,8 +52,9 @@ def main() -> None:
 def one_episode_per_kind(recipe: Recipe, motions: Sequence[str]) -> list[EpisodeSpec]:
     """Return one episode per kind, whose objects take turns as far as the kind allows."""
     specs, unused = [], set(recipe.object_names)
-    for number, kind in enumerate(sorted(motions, key=lambda name: len(MOTIONS[name].objects()))):
-        allowed = sorted(set(MOTIONS[kind].objects()) & set(recipe.object_names))
+    suited = {name: sum(MOTIONS[name].suits(kind) for _, kind in OBJECTS.items()) for name in motions}
+    for number, kind in enumerate(sorted(motions, key=suited.__getitem__)):
+        allowed = sorted(name for name in recipe.object_names if MOTIONS[kind].suits(OBJECTS[name]))
         fresh = [name for name in allowed if name in unused] or allowed
         name = fresh[number % len(fresh)]
         unused.discard(name)

@@ -19,12 +19,12 @@ from lerobot_policy_obact.encoders import CAMERAS
 from lerobot_policy_tracker.backbones.eye import EyeBackbone
 from support.options import benchmark_parser, write_numbers
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
-from dynahoi_lerobot.foundation.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.onpolicy.snapshots import Snapshots, snapshots
+from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.session import Session
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch

@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 from support.options import benchmark_parser, write_numbers
 
+from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import open_dataset, read_episodes, write_episodes
 from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 

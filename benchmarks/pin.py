@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from support.options import benchmark_parser, write_numbers
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.conventions import PALM_DOF
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import SingleWorldExpert, WorldView
-from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -158,7 +158,8 @@ def _in_lines(pinned: Pinned) -> Pinned:
 
 def _content(spec: EpisodeSpec) -> dict[str, Any]:
     motion = [spec.motion.name, spec.motion.parameters()]
-    return {**vars(spec), "motion": motion, "fingerprint": ""}
+    drawn = {name: value for name, value in vars(spec).items() if name not in ("open_joints", "reference_joints")}
+    return {**drawn, "motion": motion, "fingerprint": ""}
 
 
 def _digest(value: Any) -> str:

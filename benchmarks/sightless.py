@@ -17,10 +17,10 @@ from support.options import benchmark_parser, write_numbers
 from support.path_search import hits_along, relative_paths, search_path
 from support.sightless import fit, hits_at, meetings, numbers_seen, predict, vocabulary_of, words_seen
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.summary import wilson
-from dynahoi_lerobot.experts.blind_path import fixed_path
+from dynahoi_lerobot.experts.baselines import fixed_path
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 

@@ -19,8 +19,8 @@ from support.home_clusters import cluster, hits_by_cluster, homes_of, nearest
 from support.options import benchmark_parser, write_numbers
 from support.path_search import relative_paths, search_path
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
@@ -64,7 +64,7 @@ def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> di
     rates = {
         "S_loc": rate([e.first_localized is not None for e in episodes]),
         "S_intercept": rate([METRICS["S_intercept"](e) == 1.0 for e in episodes]),
-        "S_joint": rate([METRICS["S_joint"](e) == 1.0 for e in episodes]),
+        "S_joint": rate([e.success for e in episodes]),
     }
     for label in (*CATEGORIES, *OBJECTS.names()):
         localized = [e.first_localized is not None for e in episodes if label in (e.meta.category, e.meta.object)]

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.arguments import make_actor
 from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.replay import ActionLog, replay

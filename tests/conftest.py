@@ -9,8 +9,8 @@ from pathlib import Path
 import av.logging
 import pytest
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT
 from dynahoi_lerobot.rollout.loop import evaluate

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -27,7 +27,7 @@ def draw_motion(kind: str, seed: int, object_name: str | None = None, speed_scal
     """Draw a motion of ``kind`` with the timing of a sampled episode."""
     rng = np.random.default_rng([seed, 7])
     timing = draw_timing(kind, "observe_before_act", rng)
-    allowed = [name for name in BENCHMARK.splits["train"].objects if name in MOTIONS[kind].objects()]
+    allowed = [name for name in BENCHMARK.splits["train"].objects if MOTIONS[kind].suits(OBJECTS[name])]
     name = object_name or str(rng.choice(allowed))
     target = OBJECTS[name].sample(rng)
     window_s = timing.window_frames * CONTROL_DT

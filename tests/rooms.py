@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,18 +12,17 @@ import dynahoi_lerobot
 PACKAGE = Path(dynahoi_lerobot.__file__).parent
 
 ROOMS = (
-    "foundation",
+    "core",
     "objects",
     "motions",
     "hands",
-    "nouns",
     "metrics",
     "scene",
     "renderers",
     "captures",
     "experts",
-    "world",
     "sampling",
+    "world",
     "rollout",
     "env",
     "dataset",
@@ -32,18 +32,16 @@ ROOMS = (
     "evaluate",
     "onpolicy",
     "hub",
-    "adapters",
     "report",
     "doctor",
     "cli",
 )
-"""``nouns`` are the modules beside the folders, such as episode, agent and control_class."""
+"""Folders and modules of the package."""
 
 
 def room_of(module: str) -> str:
     """Return the room of a dotted module of ``dynahoi_lerobot``."""
-    first = module.split(".")[1]
-    return first if first in ROOMS else "nouns"
+    return module.split(".")[1]
 
 
 def imports() -> Iterator[tuple[str, str]]:
@@ -82,7 +80,7 @@ def room_imports() -> dict[str, set[str]]:
 
 def _is_module(value: object) -> bool:
     """Tell whether a constant is the dotted name of a module of the core."""
-    if not isinstance(value, str) or not value.startswith(f"{PACKAGE.name}."):
+    if not isinstance(value, str) or not re.fullmatch(rf"{PACKAGE.name}(\.\w+)+", value):
         return False
     path = PACKAGE.parent.joinpath(*value.split("."))
     return path.is_dir() or path.with_suffix(".py").is_file()

@@ -8,14 +8,13 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.foundation.conventions import PHYSICS_DT, SUBSTEPS
+from dynahoi_lerobot.core.conventions import PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
+from dynahoi_lerobot.sampling.oracle_path import PARKED_PALM_W
 from dynahoi_lerobot.scene.model import ENVIRONMENT
 from dynahoi_lerobot.scene.scene import compile_scene
-from dynahoi_lerobot.scene.target_drive import drive_for
-from dynahoi_lerobot.scene.world_fields import WorldFields
-from dynahoi_lerobot.world.untouched_path import PARKED_PALM_W
+from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
 
 
 @dataclass(frozen=True)

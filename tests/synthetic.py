@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
+from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
-from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.rollout.recorder import next_frames
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.world.observed import TOUCH_M
+from dynahoi_lerobot.world.batch import TOUCH_M
 
 REFERENCE = np.full(15, 1.0, np.float32)
 BALL = (Primitive("sphere", (0.02,)),)
@@ -51,7 +51,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     state = np.hstack([palm, joints]).astype(np.float32)
     command = np.vstack([state[1:], state[-1:]])
     images = {}
-    if image_size is not None:
+    if image_size:
         ramp = np.linspace(0, 200, image_size, dtype=np.uint8)
         ego = np.broadcast_to(ramp[None, :, None, None], (frames, image_size, image_size, 3)).copy()
         images["ego"] = ego + (np.arange(frames, dtype=np.uint8) % 50)[:, None, None, None]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from support.path_search import hits_along
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
 
 SWEEPS = 50
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.foundation.arguments import path
-from dynahoi_lerobot.foundation.output import check_output
+from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.core.files import check_output
 
 
 class _SetAll(argparse.Action):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.spec import EpisodeSpec
 
 CELL_M = 0.01
 """Of two paths that end in the same cell only the better one is kept."""

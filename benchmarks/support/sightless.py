@@ -9,9 +9,9 @@ import torch
 from support.path_search import hits_along
 from torch import nn
 
-from dynahoi_lerobot.agent import Observation
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.conventions import CONTROL_DT, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
 

@@ -16,17 +16,17 @@ from unittest import mock
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.video import VideoWriter
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.features import frame_features
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.rollout import loop as rollout
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.cameras import Cameras
+from dynahoi_lerobot.world.sensors import Cameras
 
 WORLDS = 32
 STEPS = 40

@@ -16,17 +16,17 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from dynahoi_lerobot.env.spaces import observation_space
-from dynahoi_lerobot.episode import joints_reached
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.core.episode import joints_reached
+from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, frame_features, image_feature
+from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.env.vector_env import observation_space
 from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.experts.intercept import Intercept
-from dynahoi_lerobot.features import CAMERA_KEY, FEATURES, frame_features, image_feature
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
-from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
-from dynahoi_lerobot.scene.target_drive import drive_for
+from dynahoi_lerobot.scene.world_fields import drive_for
 from dynahoi_lerobot.world.batch import WorldBatch
 
 SETTLE_FRAMES = 10

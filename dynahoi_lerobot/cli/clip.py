@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.evaluate.gif import encode_gif
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
-from dynahoi_lerobot.foundation.output import write_atomically
 
 MIN_WIDTH_PX = 384
 """Least width of a GIF; smaller frames are enlarged."""

@@ -9,10 +9,9 @@ from collections.abc import Callable
 from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.features import FEATURES, Feature, image_feature
+from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import FEATURES, image_feature
-from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS

@@ -21,13 +21,13 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.lerobot_process import run_lerobot
+from dynahoi_lerobot.core.arguments import path, whole
+from dynahoi_lerobot.core.working_folder import clear, working_folder
+from dynahoi_lerobot.core.yaml_file import read_yaml
 from dynahoi_lerobot.doctor.parts import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
-from dynahoi_lerobot.foundation.arguments import path, whole
-from dynahoi_lerobot.foundation.working_folder import clear, working_folder
-from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.splits import SMALL_TEST

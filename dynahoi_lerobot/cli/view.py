@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, path, whole
+from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.foundation.arguments import add_field_arguments, given_fields, path, whole
-from dynahoi_lerobot.foundation.conventions import DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
-from dynahoi_lerobot.phase import is_acting
-from dynahoi_lerobot.renderers.camera_views import VIEWS
+from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -111,7 +111,7 @@ def _clip(episode: Episode, view: str, agent: str) -> Clip:
 
 def _from_dataset(args: argparse.Namespace) -> Clip:
     """Read an episode of a dataset with LeRobot."""
-    from dynahoi_lerobot.feature import IMAGE_PREFIX
+    from dynahoi_lerobot.core.features import IMAGE_PREFIX
 
     dataset = _open_dataset(args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
@@ -127,9 +127,9 @@ def _from_dataset(args: argparse.Namespace) -> Clip:
 
 def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:
     """Return the phase of each frame, None if the dataset lacks it."""
+    from dynahoi_lerobot.core.features import FEATURES
     from dynahoi_lerobot.dataset.episode_table import moved_columns
     from dynahoi_lerobot.dataset.store import Store
-    from dynahoi_lerobot.features import FEATURES
 
     phase, localized = (FEATURES[name].key for name in ("phase", "localized"))
     held = [key for key in (phase, localized) if key in items[0]]

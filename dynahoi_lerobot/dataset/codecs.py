@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.core.registry import Registry
 
 CODECS: Registry[type[Codec]] = Registry("codec", "dynahoi_lerobot.dataset.codecs")
 

@@ -11,10 +11,10 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.language import ARROW, HUGGING_FACE, INFO, LANGUAGE
-from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 Features = dict[str, dict[str, Any]]
 

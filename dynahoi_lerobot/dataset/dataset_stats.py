@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.dataset.columns import (
     BOOKKEEPING,
     Features,
@@ -27,7 +28,6 @@ from dynahoi_lerobot.dataset.statistics import (
     picture_stats,
     weighted_quantiles,
 )
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 SHOWN = ("action", "observation.state")
 BINS = 50

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature, episode_features, frame_features, image_feature
 from dynahoi_lerobot.dataset.columns import column_array
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
-from dynahoi_lerobot.features import episode_features, frame_features, image_feature
 
 
 def features_of(episode: Episode) -> tuple[Feature, ...]:

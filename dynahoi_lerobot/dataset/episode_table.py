@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
+from dynahoi_lerobot.core.features import EPISODE_TABLE_PREFIX, Feature, episode_features, moved_features
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, bookkeeping_arrays, image_keys, numeric_keys
 from dynahoi_lerobot.dataset.statistics import LEVELS, NAMES, Stats, table_stats
-from dynahoi_lerobot.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.feature import EPISODE_TABLE_PREFIX, Feature
-from dynahoi_lerobot.features import episode_features, moved_features
 
 EpisodeRow = dict[str, Any]
 

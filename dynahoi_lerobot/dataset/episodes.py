@@ -10,13 +10,13 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.episode_arrays import features_of
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.episode import Episode
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset

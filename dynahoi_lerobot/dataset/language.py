@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
 
 LANGUAGE = "language_persistent"
 """LeRobot's name of the column."""

@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from dynahoi_lerobot.core.files import sha256
 from dynahoi_lerobot.dataset.metadata import write_json
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
-from dynahoi_lerobot.foundation.digest import sha256
 
 FORMAT = 1
 CARD_FILES = (CARD_PATH, "LICENSE", ".gitattributes")

@@ -18,6 +18,9 @@ import av
 from av.packet import Packet
 from av.video.stream import VideoStream
 
+from dynahoi_lerobot.core.compatibility import refuse_to_mix
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.features import CAMERA_KEY
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
 from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns
@@ -26,9 +29,6 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.tables import MIB
-from dynahoi_lerobot.features import CAMERA_KEY
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
-from dynahoi_lerobot.foundation.mixing import refuse_to_mix
 
 
 class VideoCopy:

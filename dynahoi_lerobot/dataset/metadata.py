@@ -8,6 +8,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.dataset_stats import DatasetStats
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, place_row, row_schema
@@ -24,7 +25,6 @@ from dynahoi_lerobot.dataset.paths import (
     FileLimits,
 )
 from dynahoi_lerobot.dataset.tables import RollingParquet, write_tasks
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 FLUSH_ROWS = 256
 

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES, ControlClass, control_class_of
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, ControlClass, control_class_of, is_acting, one_hot_phase
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
-from dynahoi_lerobot.phase import is_acting, one_hot_phase
 
 FASTEST = CONTROL_CLASSES["unlimited"]
 OVERSHOOT, CATCH_UP = 1.2, 2.4

@@ -14,6 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX
 from dynahoi_lerobot.dataset.columns import Features, image_keys
 from dynahoi_lerobot.dataset.episode_arrays import content_values
 from dynahoi_lerobot.dataset.episode_table import ARRAY_COLUMNS, EpisodeRow, own_values
@@ -21,10 +24,6 @@ from dynahoi_lerobot.dataset.files import reading
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.dataset.tables import read_tasks
 from dynahoi_lerobot.dataset.video import decode
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.feature import EPISODE_TABLE_PREFIX, IMAGE_PREFIX
-from dynahoi_lerobot.features import CAMERA_KEY
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 
 class Store:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, video_columns
 from dynahoi_lerobot.dataset.files import reading, temporary_sibling
@@ -15,7 +16,6 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import VideoCopy
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 
 def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest:

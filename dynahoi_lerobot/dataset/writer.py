@@ -8,6 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import Feature
+from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.card.readme import finish_with_card
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, frame_table, image_keys, info_features
@@ -25,10 +29,6 @@ from dynahoi_lerobot.dataset.statistics import (
 )
 from dynahoi_lerobot.dataset.tables import MIB, RollingParquet
 from dynahoi_lerobot.dataset.video import VideoWriter
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
-from dynahoi_lerobot.phase import is_acting
 
 
 class DatasetWriter:

@@ -9,10 +9,10 @@ from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
+from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.doctor.parts import Fact, examine
 from dynahoi_lerobot.doctor.reference import compare
-from dynahoi_lerobot.foundation.arguments import path
-from dynahoi_lerobot.foundation.output import check_output
 
 SOUND, PROBLEMS = 0, 1
 

@@ -19,9 +19,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
+from dynahoi_lerobot.core.registry import GROUP, Registry, import_plugin
 from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
-from dynahoi_lerobot.foundation.plugins import GROUP, import_plugin
-from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -134,7 +133,7 @@ def _rounded(count: int) -> int:
 def gpu(folder: Path) -> Iterator[Fact]:
     """Yield the devices of Warp, on which images are rendered, and of torch, on which policies run."""
     del folder
-    from dynahoi_lerobot.renderers.start_warp import wp
+    from dynahoi_lerobot.renderers.device import wp
 
     found = [f"{device.name}, {device.total_memory / 1e9:.0f} GB" for device in wp.get_cuda_devices()]
     where = "CUDA" if found else "the CPU"

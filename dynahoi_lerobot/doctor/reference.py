@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.doctor.parts import Fact
-from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import EGO_VIEW, HAND_DOF
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import LIBRARIES

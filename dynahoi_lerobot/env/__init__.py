@@ -1,7 +1,22 @@
-"""The Gymnasium environments: ``DynahoiVectorEnv`` (native, N worlds), ``DynahoiEnv`` (one), and their registration."""
+"""The Gymnasium environments ``DynahoiVectorEnv`` (native, N worlds) and ``DynahoiEnv`` (one), and that of vla-eval."""
 
-from dynahoi_lerobot.env.registration import register_envs
+import gymnasium as gym
+
 from dynahoi_lerobot.env.single_env import DynahoiEnv
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
+from dynahoi_lerobot.motions import MOTIONS
 
 __all__ = ["DynahoiEnv", "DynahoiVectorEnv", "register_envs"]
+
+
+def register_envs() -> None:
+    """Register ``dynahoi/<kind>-v0`` for every registered motion, and ``dynahoi/all-v0``; only once."""
+    for kind in (None, *MOTIONS.names()):
+        gym_id = f"dynahoi/{kind or 'all'}-v0"
+        if gym_id not in gym.registry:
+            gym.register(
+                gym_id,
+                entry_point="dynahoi_lerobot.env:DynahoiEnv",
+                vector_entry_point="dynahoi_lerobot.env:DynahoiVectorEnv",
+                kwargs={"kind": kind},
+            )

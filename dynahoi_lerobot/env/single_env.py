@@ -7,9 +7,15 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from dynahoi_lerobot.env.checks import RANDOM_SEED_LIMIT, RENDER_MODES, check_open, check_seed
-from dynahoi_lerobot.env.vector_env import ONE_EPISODE_OPTION, DynahoiVectorEnv
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.env.vector_env import (
+    ONE_EPISODE_OPTION,
+    RANDOM_SEED_LIMIT,
+    RENDER_MODES,
+    DynahoiVectorEnv,
+    check_open,
+    check_seed,
+)
 
 
 class DynahoiEnv(gym.Env):

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import ResetNeeded
-from gymnasium.vector import AutoresetMode
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from dynahoi_lerobot.agent import Observation
-from dynahoi_lerobot.env.checks import RENDER_MODES, check_open, check_render_mode, check_seed, episode_numbers
-from dynahoi_lerobot.env.rebuilt_copies import RebuiltCopies
-from dynahoi_lerobot.env.rewards import SPARSE, check_reward
-from dynahoi_lerobot.env.running_episodes import EpisodeListener, RunningEpisodes
-from dynahoi_lerobot.env.shared_attributes import SharedAttributes
-from dynahoi_lerobot.env.spaces import as_gym, observation_space
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW, SEED_LIMIT
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW, PALM_DOF, SEED_LIMIT, UNIT_M
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import Feature, as_gym
+from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.rollout.inference import StepwiseInference
+from dynahoi_lerobot.rollout.loop import Session
+from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed
@@ -27,9 +29,21 @@ from dynahoi_lerobot.world.batch import WorldBatch
 DEFAULT_RECIPE = Recipe(split="test")
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
 """Reset option: play one episode in every world, then stand still until the next reset."""
+RENDER_MODES = ("rgb_array",)
+RANDOM_SEED_LIMIT = 2**31
+"""Seeds that the environment draws itself are below this."""
+POLICY_NAME = "policy"
+SPARSE, DENSE = "sparse", "dense"
+REWARDS = {
+    SPARSE: "1 at the frame at which the episode ends in success, else 0",
+    DENSE: "the same, plus (d - d') / 0.1 m in the control phase: how much closer palm and target have come",
+}
+"""Name: formula. ``d`` and ``d'`` are the distances from palm centre to target centre before and after the step. This
+is potential-based shaping F = Phi(s') - Phi(s), with Phi = -d / 0.1 m (Ng, Harada and Russell, 1999, gamma = 1): its
+sum over an episode depends on the first and the last distance only, so it changes no policy's rank."""
 
 
-class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
+class DynahoiVectorEnv(VectorEnv):
     """N hands that watch N moving objects and may then catch them.
 
     Description:
@@ -53,11 +67,12 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
         (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It takes effect at once,
         or after 150 ms (``late``).
     Reward:
-        1 at the frame at which the episode ends in success, else 0 (``sparse``); see `rewards.py` for ``dense``.
+        One of ``REWARDS``: 1 at the frame at which the episode ends in success, else 0 (``sparse``), or progress
+        towards the target as well (``dense``).
     Episode end:
-        Terminated when the capture rule's verdict falls, half a second (``attach``) after localisation; truncated
-        after L control steps and one more, whose action has no consequence: it records what the last one led to.
-        Autoreset: the next step begins the world's next episode and ignores its action.
+        Terminated when the outcome is settled, half a second (``attach``) after localisation; truncated after L control
+        steps and one more, whose action has no consequence: it records what the last one led to. Autoreset: the next
+        step begins the world's next episode and ignores its action.
     Info:
         ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
         it does not apply, with its mask ``_<name>``.
@@ -65,6 +80,11 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
         ``reset(options={"lerobot_new_rollout": True})`` plays one episode per world and then stands still.
 
     Copies (``pickle``, ``deepcopy``) have the same constructor arguments and begin before their first reset.
+
+    Attributes:
+        recipe: rules of the episodes.
+        kind: the kind of motion that is played, None for all.
+        reward: one of ``REWARDS``.
     """
 
     metadata = {  # noqa: RUF012 - gymnasium's own convention
@@ -82,7 +102,8 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
         reward: str = SPARSE,
         threads: int = 0,
         render_mode: str | None = "rgb_array",
-        on_episode: EpisodeListener | None = None,
+        on_episode: Callable[[Episode], None] | None = None,
+        inference: StepwiseInference | None = None,
         **fields: Any,
     ) -> None:
         """Allocate ``num_envs`` worlds that play episodes of a recipe.
@@ -91,38 +112,35 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
             num_envs: N.
             recipe: rules of the episodes; by default the default rules on split ``test``.
             kind: play this kind of motion only; None for all of the recipe.
-            reward: ``sparse`` or ``dense``.
+            reward: one of ``REWARDS``.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
+            inference: timing of a policy whose inferences take time, for this env alone. A step is then a call of the
+                policy; after some of them the world stands still, the observation is the one before, and nothing ends.
             fields: of the recipe, which they change, such as ``split="val"`` or ``image_size=96``; see ``Recipe``.
 
         Raises:
             ValueError: for an unknown name or a value out of range, naming those allowed.
         """
-        self.num_envs, self.kind, self.render_mode = num_envs, kind, render_mode
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ValueError(f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None")
+        check_reward(reward)
+        self.num_envs, self.kind, self.reward, self.render_mode = num_envs, kind, reward, render_mode
         played = recipe.changed(**fields)
         self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
-        self._threads, self._on_episode, self.reward = threads, on_episode, reward
-        self._allocate()
-
-    def _allocate(self) -> None:
-        """Check the options that are no recipe's, and make the worlds and what is known of their episodes."""
-        check_render_mode(self.render_mode)
-        check_reward(self.reward)
-        n = self.num_envs
-        self._batch = WorldBatch(self.recipe, n, self._threads)
-        self._set_spaces()
-        self._episodes = RunningEpisodes(self._batch, self._on_episode, self.reward)
-        self._ended, self._numbers = np.zeros(n, bool), np.zeros(n, int)
-        self._one_episode = False
-
-    def _set_spaces(self) -> None:
-        """Derive the spaces from the feature table and the hand's limits."""
+        self._threads, self._on_episode, self._inference = threads, on_episode, inference
+        self._batch = WorldBatch(self.recipe, num_envs, threads)
+        self._session = Session(self._batch, record_images=False)
         self.single_observation_space = observation_space(self.recipe.features())
         self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._numbers = np.zeros(num_envs, int)  # of the episodes, within split and kind
+        self._longest = np.zeros(num_envs, int)  # lengths of the episodes at most [frames]
+        self._success, self._ended = np.zeros((2, num_envs), bool)
+        self._distance_m = np.zeros(num_envs)  # of palm centre and target centre at the last frame
+        self._one_episode = False
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -135,16 +153,21 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
             options: see the class.
 
         Raises:
-            ValueError: for a seed that is not such an integer, or a wrong number of them.
+            ValueError: for a seed that is not such an integer, a wrong number of them, or if inference takes time and
+                worlds would begin their next episodes at different frames.
             ClosedEnvironmentError: after ``close``.
         """
         check_open(self.closed)
-        numbers = episode_numbers(seed, self.num_envs, self._seeded(seed))
-        self._one_episode = bool((options or {}).get(ONE_EPISODE_OPTION, False))
-        self._numbers = numbers
+        one_episode = bool((options or {}).get(ONE_EPISODE_OPTION, False))
+        if self._inference is not None and not one_episode:
+            option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
+            raise ValueError(f"with inference async all worlds begin together; reset with {option}")
+        self._numbers, self._one_episode = self._draw_numbers(seed), one_episode
+        if self._inference is not None:
+            self._inference.reset()
         self._begin(np.arange(self.num_envs))
         self._ended[:] = False
-        return self._observe(), {"is_success": np.zeros(self.num_envs, bool)}
+        return as_gym(self._session.observe()), {"is_success": self._success.copy()}
 
     def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advance every world by one frame of 0.05 s; a world whose episode has ended begins the next one instead.
@@ -157,18 +180,26 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
             ResetNeeded: before the first ``reset``.
             ClosedEnvironmentError: after ``close``.
         """
-        self._observed()
-        ended = self._episodes.step(actions)
+        before = self._observed()
+        if self._inference is not None:
+            actions = self._batch.check(actions)
+            commands = self._inference.answer(actions, before.state.astype(np.float64))
+            if commands is None:
+                still, infos = np.zeros((2, self.num_envs), bool), {"is_success": self._success.copy()}
+                return as_gym(before), np.zeros(self.num_envs), still[0], still[1], infos
+            actions = commands
         restarting = np.flatnonzero(self._ended)
-        terminated, truncated = (np.isin(np.arange(self.num_envs), ids) for ids in (ended.settled, ended.full))
-        infos = self._episodes.infos(ended.worlds)
-        reward = self._episodes.rewards(terminated | truncated)
+        ended = self._session.step(actions)
+        terminated, truncated = (np.isin(np.arange(self.num_envs), ids) for ids in (ended.terminated, ended.truncated))
+        infos = self._infos(ended.worlds)
+        rewards = self._rewards(is_acting(before.phase), terminated | truncated)
         if restarting.size and not self._one_episode:
             self._numbers[restarting] = (self._numbers[restarting] + self.num_envs) % SEED_LIMIT
             self._begin(restarting)
             self._ended[restarting] = False
         self._ended |= terminated | truncated
-        return self._observe(ended.worlds), reward, terminated, truncated, infos
+        # episodes that end now show their last frame; worlds whose episode ended before are black
+        return as_gym(self._session.observe(ending=ended.worlds)), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...]:  # type: ignore[override]
         """Return the current image of every world's ``ego`` view, (H, W, 3) uint8 each.
@@ -180,25 +211,152 @@ class DynahoiVectorEnv(RebuiltCopies, SharedAttributes):
         images = self._observed().images
         return tuple(images[EGO_VIEW] if images else self._batch.cameras.render())
 
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Return attribute ``name`` of every world, called if it can be; as gymnasium's other vector envs do."""
+        value = getattr(self, name)
+        if name == "render":
+            return value()
+        result = value(*args, **kwargs) if callable(value) else value
+        return tuple(result) if isinstance(result, list) else (result,) * self.num_envs
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return attribute ``name`` of every world."""
+        return self.call(name)
+
+    @property
+    def task(self) -> str:
+        """The kind of motion, or ``all``."""
+        return self.kind or "all"
+
+    @property
+    def task_description(self) -> list[str]:
+        """The instruction of every world."""
+        return ["" if spec is None else spec.task for spec in self._batch.specs]
+
+    @property
+    def _max_episode_steps(self) -> int:
+        """Most steps of the episodes now being played; LeRobot asks after every reset."""
+        frames = int(self._longest.max())
+        return frames if self._inference is None else self._inference.calls(frames)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy is made from: the constructor's arguments, and what gymnasium made the env from."""
+        arguments = {name: getattr(self, name) for name in ("num_envs", "recipe", "kind", "reward", "render_mode")}
+        arguments |= {"threads": self._threads, "on_episode": self._on_episode}
+        return {"arguments": arguments | {"inference": copy.deepcopy(self._inference)}, "spec": self.spec}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Construct the copy."""
+        self.__init__(**state["arguments"])
+        self.spec = state["spec"]
+
     def _observed(self) -> Observation:
         """The latest observation; there is one between the first ``reset`` and ``close``."""
         check_open(self.closed)
-        if self._episodes.observation is None:
+        if self._session.observation is None:
             raise ResetNeeded("call reset first: no episode has begun")
-        return self._episodes.observation
+        return self._session.observation
 
-    def _seeded(self, seed: int | Sequence[int | None] | None) -> np.random.Generator:
-        """The generator of random episode numbers, begun anew from ``seed`` if that is one number."""
+    def _draw_numbers(self, seed: int | Sequence[int | None] | None) -> np.ndarray:
+        """(N,) int64, the number of each world's first episode, see ``reset``."""
+        n = self.num_envs
         if isinstance(seed, int | np.integer):
             super().reset(seed=check_seed(seed))
-        return self.np_random
+        if seed is None:
+            return self.np_random.integers(0, RANDOM_SEED_LIMIT, n)
+        if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
+            return np.array([check_seed(check_seed(seed) + i) for i in range(n)], np.int64)
+        if len(seed) != n:
+            raise ValueError(f"reset needs one seed for each of {n} worlds, got {len(seed)}")
+        drawn = (self.np_random.integers(0, RANDOM_SEED_LIMIT) if one is None else check_seed(one) for one in seed)
+        return np.fromiter(drawn, np.int64, n)
 
     def _begin(self, ids: np.ndarray) -> None:
-        """Begin episode ``self._numbers[i]`` in each world ``i`` of ``ids``."""
+        """Begin the evaluation of episode ``self._numbers[i]`` in each world ``i`` of ``ids``."""
         seeds = [kind_seed(self.recipe, self.kind, int(self._numbers[i])) for i in ids]
         specs = sample_specs(self.recipe, seeds, threads=max(1, self._threads))
-        self._episodes.begin_specs(ids, specs)
+        jobs = [Job.evaluation(int(i), spec) for i, spec in zip(ids, specs, strict=True)]
+        self._session.begin(ids, jobs)
+        self._longest[ids], self._success[ids] = [job.frames for job in jobs], False
+        self._distance_m = self._measured_distance_m()
 
-    def _observe(self, ending: np.ndarray | None = None) -> dict[str, Any]:
-        """Return what is seen now; worlds ``ending`` (n,) show their last frame, those that ended before are black."""
-        return as_gym(self._episodes.observe(ending=ending))
+    def _infos(self, ending: np.ndarray) -> dict[str, Any]:
+        """End the episodes of worlds ``ending`` (n,) and return what is told after a step, see the class."""
+        for i in self._session.playing:
+            self._success[i] = self._session.success(int(i))
+        mask = np.isin(np.arange(self.num_envs), ending)
+        infos: dict[str, Any] = {"is_success": self._success.copy()}
+        for i in ending:
+            episode = self._session.finish(int(i), POLICY_NAME)
+            if self._on_episode is not None:
+                self._on_episode(episode)
+            for name, value in measure(episode).items():
+                column = infos.setdefault(name, np.full(self.num_envs, np.nan))
+                column[i] = np.nan if value is None else value
+                infos["_" + name] = mask
+        return infos
+
+    def _rewards(self, acted: np.ndarray, ending: np.ndarray) -> np.ndarray:
+        """(N,) reward of the step just made, before the next episodes begin; see ``REWARDS``.
+
+        Args:
+            acted: (N,) bool, its action took effect.
+            ending: (N,) bool, the episode ends with it.
+        """
+        rewards = (self._success & ending).astype(np.float64)
+        if self.reward == DENSE:
+            before_m, self._distance_m = self._distance_m, self._measured_distance_m()
+            playing = np.isin(np.arange(self.num_envs), self._session.playing) | ending
+            rewards += np.where(acted & playing, (before_m - self._distance_m) / UNIT_M, 0.0)
+        return rewards
+
+    def _measured_distance_m(self) -> np.ndarray:
+        """(N,) distance from palm centre to target centre [m]."""
+        return np.linalg.norm(self._batch.target_pose[:, :3] - self._batch.state[:, :PALM_DOF], axis=1)
+
+
+def observation_space(features: Sequence[Feature]) -> spaces.Dict:
+    """Return the space of one world's observations: a Box for each of ``features`` that policies see.
+
+    Args:
+        features: as of ``Recipe.features``; those that policies do not see are left out.
+    """
+    groups: dict[str, dict[str, spaces.Space]] = {"": {}}
+    for feature in features:
+        if feature.observed and feature.gym_key is not None:
+            group, _, key = feature.gym_key.rpartition("/")
+            box = spaces.Box(feature.low, feature.high, feature.shape, np.dtype(feature.dtype).type)
+            groups.setdefault(group, {})[key] = box
+    ungrouped = groups.pop("")
+    return spaces.Dict({**{group: spaces.Dict(boxes) for group, boxes in groups.items()}, **ungrouped})
+
+
+def check_reward(name: str) -> None:
+    """Refuse a reward that does not exist.
+
+    Raises:
+        ValueError: naming the reward received and those there are.
+    """
+    if name not in REWARDS:
+        raise ValueError(f"unknown reward {name!r}; known: {', '.join(REWARDS)}")
+
+
+def check_open(closed: bool) -> None:
+    """Refuse to use an environment after ``close``.
+
+    Raises:
+        ClosedEnvironmentError: if it is closed.
+    """
+    if closed:
+        raise ClosedEnvironmentError("this environment was closed; make a new one")
+
+
+def check_seed(seed: Any) -> int:
+    """Return ``seed`` as an int.
+
+    Raises:
+        ValueError: if it is not an integer from 0 to 2^40 - 1.
+    """
+    if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer) or not 0 <= seed < SEED_LIMIT:
+        raise ValueError(f"a seed must be an integer from 0 to 2^40 - 1, got {seed!r}")
+    return int(seed)

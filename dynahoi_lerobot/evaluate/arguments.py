@@ -6,12 +6,12 @@ import argparse
 from collections.abc import Sequence
 from typing import Any
 
-from dynahoi_lerobot.agent import Actor
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.agent import Actor
+from dynahoi_lerobot.core.arguments import add_field_arguments, number, path, whole
+from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.arguments import add_field_arguments, number, path, whole
-from dynahoi_lerobot.foundation.output import printable
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.splits import SMALL_TEST

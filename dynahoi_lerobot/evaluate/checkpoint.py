@@ -18,10 +18,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from dynahoi_lerobot.core.features import CAMERA_KEY
+from dynahoi_lerobot.core.files import printable, sha256
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.features import CAMERA_KEY
-from dynahoi_lerobot.foundation.digest import sha256
-from dynahoi_lerobot.foundation.output import printable
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")

@@ -11,11 +11,14 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.agent import Actor, Agent, ChunkAgent
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import control_class_of
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
+from dynahoi_lerobot.core.arguments import given_fields
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
+from dynahoi_lerobot.core.rules import control_class_of, protocol_of
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.arguments import RECIPE_OPTIONS, VLM, add_arguments, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import episode_gif
@@ -29,18 +32,12 @@ from dynahoi_lerobot.evaluate.results import (
     read_results,
 )
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
-from dynahoi_lerobot.features import ENVIRONMENT_STATE
-from dynahoi_lerobot.foundation.arguments import given_fields
-from dynahoi_lerobot.foundation.working_folder import working_folder
-from dynahoi_lerobot.protocol import protocol_of
-from dynahoi_lerobot.rollout.inference import SYNC, Inference
+from dynahoi_lerobot.rollout.inference import SYNC, Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.salt import stream_label, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import split_seeds
+from dynahoi_lerobot.sampling.splits import split_seeds, stream_label, without_salt
 from dynahoi_lerobot.vlm.prompt import Prompt
 from dynahoi_lerobot.world.batch import WorldBatch
 

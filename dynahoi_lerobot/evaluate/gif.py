@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
-from dynahoi_lerobot.foundation.output import write_atomically
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.files import write_atomically
 
 if TYPE_CHECKING:
     from PIL import Image

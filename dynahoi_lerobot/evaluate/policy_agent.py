@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
-from dynahoi_lerobot.env.spaces import as_gym
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.features import CAMERA_KEY, ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, folder_weights, load_policy, trained_for
-from dynahoi_lerobot.feature import IMAGE_PREFIX
-from dynahoi_lerobot.features import CAMERA_KEY, ENVIRONMENT_STATE
-from dynahoi_lerobot.renderers.camera_views import EXTRA_VIEWS
+from dynahoi_lerobot.renderers.views import EXTRA_VIEWS
 
 
 class PolicyAgent(ChunkAgent):

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.rollout.inference import SYNC
@@ -28,8 +28,7 @@ from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.salt import seal, split_of, stream_label
-from dynahoi_lerobot.sampling.splits import split_seeds
+from dynahoi_lerobot.sampling.splits import seal, split_of, split_seeds, stream_label
 
 SAME, DIFFERS = 0, 1
 TOLERANCE = 1e-5

@@ -17,9 +17,9 @@ from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import HAND_DOF
+from dynahoi_lerobot.core.files import printable, write_atomically
 from dynahoi_lerobot.evaluate.rows import COLUMNS, COUNTS, Row, check_row, row_schema
-from dynahoi_lerobot.foundation.conventions import HAND_DOF
-from dynahoi_lerobot.foundation.output import printable, write_atomically
 
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"

@@ -11,12 +11,12 @@ from typing import Any
 import draccus
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.result_files import LONGEST_TEXT, ResultsError
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
-from dynahoi_lerobot.foundation.output import printable
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK

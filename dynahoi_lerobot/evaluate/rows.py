@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.foundation.conventions import SEED_LIMIT, UNIT_M
+from dynahoi_lerobot.core.conventions import SEED_LIMIT, UNIT_M
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.motions.base import CATEGORIES
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.rows import STRATA, Row, episode_row
 from dynahoi_lerobot.metrics import METRICS, Metric
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Meeting
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS
-from dynahoi_lerobot.experts.planned import PlannedExpert
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, GANTRY_SPEED_M_S, PALM_DOF
-from dynahoi_lerobot.foundation.products import norm, product
+from dynahoi_lerobot.core.agent import Meeting
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, GANTRY_SPEED_M_S, PALM_DOF
+from dynahoi_lerobot.core.numerics import norm, product
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.experts.base import EXPERTS, PlannedExpert
 
 PALM_FACE_M = -0.036
 """The palm's surface, from the palm centre along x."""

@@ -12,12 +12,12 @@ from typing import Any
 
 from tqdm import tqdm
 
+from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, number, path
+from dynahoi_lerobot.core.features import FRAMES
+from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.features import FRAMES
-from dynahoi_lerobot.foundation.arguments import add_field_arguments, given_fields, number, path
-from dynahoi_lerobot.foundation.output import check_output
 from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.foundation.output import check_output
-from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.generate.parent_watch import exit_with_parent
 from dynahoi_lerobot.generate.pipeline import finished
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
+from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.working_folder import differences
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
-from dynahoi_lerobot.foundation.output import check_output
-from dynahoi_lerobot.foundation.working_folder import differences
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Progress, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.generate.workers import make_in_processes

@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import FRAMES, PRIVILEGED_PLACES, Feature
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import FRAMES, PRIVILEGED_PLACES
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
+from dynahoi_lerobot.sampling.splits import REDRAW_STRIDE
 
 
 class Record(Protocol):

@@ -19,7 +19,7 @@ from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
-from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
+from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 
 logger = logging.getLogger(__name__)
 

@@ -7,8 +7,8 @@ import shutil
 from contextlib import AbstractContextManager
 from pathlib import Path
 
+from dynahoi_lerobot.core.working_folder import LOCK, read_task, working_folder
 from dynahoi_lerobot.dataset.files import remove_stale
-from dynahoi_lerobot.foundation.working_folder import LOCK, read_task, working_folder
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.generate.shard import SHARD
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import EGO_VIEW
-from dynahoi_lerobot.foundation.products import norm
-from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.numerics import norm
+from dynahoi_lerobot.core.registry import Registry
 
 HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")
 

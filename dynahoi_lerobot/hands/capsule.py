@@ -1,4 +1,4 @@
-"""The bundled hand: a left hand of capsules, palm facing +x, fingers pointing +y, thumb up.
+"""The bundled hands: left hands of capsules, palm facing +x, fingers pointing +y, thumb up.
 
 Lengths follow an adult hand; the palm hangs on a three-axis gantry. The palm centre lies 3.6 cm in front of the palm's
 surface, in the middle of what the fingers enclose. Every joint is a position servo with a force limit.
@@ -13,12 +13,18 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS
-from dynahoi_lerobot.foundation.products import norm, product
+from dynahoi_lerobot.core.conventions import FINGER_DOF, FINGERS
+from dynahoi_lerobot.core.numerics import norm, product
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, HIDDEN_GROUP, Hand
-from dynahoi_lerobot.hands.closing import close_around
-from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
-from dynahoi_lerobot.hands.skin import SKIN, add_skin
+from dynahoi_lerobot.hands.parts import (
+    FINGER_BANDWIDTH_RAD_S,
+    SKIN,
+    add_palm,
+    add_servo,
+    add_skin,
+    close_around,
+    quat_z_to,
+)
 
 LINK_MASS_KG = 0.012
 FINGER_TORQUE_NM = 1.2
@@ -63,6 +69,10 @@ HAND = {
     "ring": _row_finger(-0.008, 1.0),
     "little": _row_finger(-0.028, 0.82),
 }
+OPPOSED_THUMB = Finger(
+    (-0.042, -0.03, 0.004), (0.0, -0.9798, 0.2), (0.0, 0.2, 0.9798), (0.044, 0.034, 0.026), 0.0095, (1.0, 1.4, 0.8)
+)
+"""Points away from the fingers and a little up, and flexes towards them."""
 JOINT_SUFFIXES = ("base", "middle", "tip")
 
 
@@ -134,6 +144,17 @@ class CapsuleHand(Hand):
             parent, pos = link, along * length
         pad = along * finger.lengths[-1] + finger.radius * np.cross(finger.axis, along)
         parent.add_site(name=f"{name}_tip", pos=pad, quat=quat_z_to(along))
+
+
+@HANDS.register("opposed")
+class OpposedHand(CapsuleHand):
+    """The capsule hand with an abducted thumb: fingers and thumb close around the target from opposite sides.
+
+    The thumb of the capsule hand comes from above, so that a target which the four fingers push sideways slips out
+    under it. With the thumb abducted, fingers, thumb and palm enclose the target, in grasps that friction must hold.
+    """
+
+    fingers: ClassVar[dict[str, Finger]] = {**HAND, "thumb": OPPOSED_THUMB}
 
 
 def pad_position(finger: Finger, closure: float) -> np.ndarray:

@@ -14,11 +14,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import FINGER_DOF, FINGERS, JOINT_NAMES
-from dynahoi_lerobot.foundation.products import norm
+from dynahoi_lerobot.core.conventions import FINGER_DOF, FINGERS, JOINT_NAMES
+from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
-from dynahoi_lerobot.hands.closing import close_around
-from dynahoi_lerobot.hands.gantry import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, quat_z_to
+from dynahoi_lerobot.hands.parts import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, close_around, quat_z_to
 
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 """Environment variable with the folder of MuJoCo Menagerie."""

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from dynahoi_lerobot.foundation.arguments import path
+from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.hub.contents import (
     Contents,
     checkpoint_contents,

@@ -20,7 +20,7 @@ from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.hub.checkpoint_card import checkpoint_card
 from dynahoi_lerobot.hub.weights import evaluated, evaluated_weights
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.salt import split_of
+from dynahoi_lerobot.sampling.splits import split_of
 
 ENV_FILE = "env.py"
 """What LeRobot's ``make_env("user/name")`` runs."""

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.registry import Registry
 
 Direction = Literal["higher", "lower"]
 Aggregation = Literal["rate", "mean"]

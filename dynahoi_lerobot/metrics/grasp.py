@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode, joints_reached
-from dynahoi_lerobot.foundation.conventions import (
+from dynahoi_lerobot.core.conventions import (
     CONTROL_HZ,
     FINGERS,
     GRASP_FRACTION,
@@ -13,6 +12,7 @@ from dynahoi_lerobot.foundation.conventions import (
     LARGEST_GRASP_FRACTION,
     UNIT_M,
 )
+from dynahoi_lerobot.core.episode import Episode, joints_reached
 from dynahoi_lerobot.metrics.base import FRACTION, UNIT, metric
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.foundation.conventions import PALM_DOF, UNIT_M
+from dynahoi_lerobot.core.conventions import PALM_DOF, UNIT_M
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.metrics.base import SCORE, metric
 
 REST_M = 1e-6

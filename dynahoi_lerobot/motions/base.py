@@ -8,13 +8,15 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.motions.launch import Launch, Vector, as_vector, heading
-from dynahoi_lerobot.objects import OBJECTS, TargetObject
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 MEETING_CENTER_W = np.array([0.0, 0.0, 1.1])
 """Middle of the region in which hand and target meet [m], world."""
@@ -112,9 +114,9 @@ class Motion(ABC):
         """Draw the parameters of one motion."""
 
     @classmethod
-    def objects(cls) -> list[str]:
-        """Return the names of the objects that can move this way: all registered ones, unless a kind overrides it."""
-        return OBJECTS.names()
+    def suits(cls, kind: ObjectType) -> bool:
+        """Tell whether objects of that type can move this way: all of them, unless a kind of motion overrides it."""
+        return True
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the initial condition of ``target`` and the fixtures around it; a closed form has neither."""

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.products import norm, product
+from dynahoi_lerobot.core.numerics import norm, product
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion
 from dynahoi_lerobot.motions.launch import Vector, as_vector
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Vector, as_vector, heading, yaw_quat
-from dynahoi_lerobot.objects import OBJECTS, TargetObject
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 TABLE_HALF_M = (1.1, 0.9, 0.02)
 
@@ -38,9 +40,9 @@ class TabletopMotion(PhysicalMotion):
     max_approach_frames: ClassVar[int] = 20
 
     @classmethod
-    def objects(cls) -> list[str]:
-        """Return the names of those that slide."""
-        return [name for name, kind in OBJECTS.items() if kind.slides]
+    def suits(cls, kind: ObjectType) -> bool:
+        """Tell whether they slide."""
+        return kind.slides
 
     def table(self, target: TargetObject) -> Box:
         """Return the table under the target."""

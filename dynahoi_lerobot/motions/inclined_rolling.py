@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import ROLLING_FRICTION_M
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import (
     GRAVITY_M_S2,
@@ -19,8 +20,9 @@ from dynahoi_lerobot.motions.launch import (
     yaw_pitch_quat,
     yaw_quat,
 )
-from dynahoi_lerobot.objects import OBJECTS, TargetObject
-from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 PLANK_HALF_THICKNESS_M = 0.012
 PLANK_HALF_WIDTH_M = 0.07
@@ -48,9 +50,9 @@ class RollingMotion(PhysicalMotion):
     max_approach_frames: ClassVar[int] = 20
 
     @classmethod
-    def objects(cls) -> list[str]:
-        """Return the names of those that roll."""
-        return [name for name, kind in OBJECTS.items() if kind.rolls]
+    def suits(cls, kind: ObjectType) -> bool:
+        """Tell whether they roll."""
+        return kind.rolls
 
     @classmethod
     def rolled(cls, draw: Draw, run_m: float, until_s: float) -> Self:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
+from dynahoi_lerobot.core.conventions import PHYSICS_DT
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

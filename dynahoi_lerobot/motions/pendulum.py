@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.products import product
+from dynahoi_lerobot.core.numerics import product
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Tether, Vector, as_vector
-from dynahoi_lerobot.objects import TargetObject
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.objects import TargetObject
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Vector, as_vector, ballistic_velocity, heading
-from dynahoi_lerobot.objects import TargetObject
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 LANDING_RESTITUTION = 0.1
 """Of the floor, where a target that was missed lands."""
@@ -121,9 +123,9 @@ class Bounce(PhysicalMotion):
         return cls(as_vector(start), as_vector(velocity), max(0.0, draw.intercept_s - meeting_s), restitution)
 
     @classmethod
-    def objects(cls) -> list[str]:
-        """Return the ball, which bounces the same way whatever side it lands on."""
-        return ["ball"]
+    def suits(cls, kind: ObjectType) -> bool:
+        """Tell whether it is the ball, which bounces the same way whatever side it lands on."""
+        return kind.name == "ball"
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the release above the floor, with horizontal velocity."""

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.objects.primitives import Primitive, solid_inertia
 
 MASS_RANGE_KG = (0.04, 0.18)
 FRICTION_RANGE = (0.6, 1.1)
-TORSIONAL_FRICTION_M, ROLLING_FRICTION_M = 0.002, 0.0002
-"""Torsional and rolling friction of contacts: greatest torque over normal force [m]."""
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.products import product
-from dynahoi_lerobot.foundation.rotations import quat_to_matrix
+from dynahoi_lerobot.core.numerics import product, quat_to_matrix
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 GEOM_TYPES = {"sphere": 2, "capsule": 3, "ellipsoid": 4, "cylinder": 5, "box": 6}

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 import dynahoi_lerobot
-from dynahoi_lerobot.agent import Agent, Observation
+from dynahoi_lerobot.core.agent import Agent, Observation
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_folder
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
-from dynahoi_lerobot.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
-ACTING = ("env/spaces.py", "evaluate/frame_history.py", "evaluate/policy_agent.py")
+ACTING = ("evaluate/frame_history.py", "evaluate/policy_agent.py")
 """Sources between a policy and the worlds; no expert passes there."""
 PARTS = (CONFIG, "policy_*.json", "*.safetensors")
 """Files of a checkpoint from which a policy and its processors are loaded."""

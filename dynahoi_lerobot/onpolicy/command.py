@@ -9,7 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.foundation.arguments import path
+from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.onpolicy.dagger import CHECKPOINT, Dagger
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, read_recipe
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.onpolicy.curriculum import Curriculum
 from dynahoi_lerobot.onpolicy.late_student import acting_student

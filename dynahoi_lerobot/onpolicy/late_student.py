@@ -6,8 +6,7 @@ import numpy as np
 
 from dynahoi_lerobot.onpolicy.recipe import StudentInference
 from dynahoi_lerobot.onpolicy.student import Learner, Student
-from dynahoi_lerobot.rollout.inference import SYNC, Inference, frames_of
-from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
+from dynahoi_lerobot.rollout.inference import SYNC, Inference, RealTimeAgent, frames_of
 
 
 class LateStudent(RealTimeAgent):

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 
-from dynahoi_lerobot.foundation.arguments import path
+from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.onpolicy.command import FAILED, learner_module
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe, read_recipe
 from dynahoi_lerobot.onpolicy.snapshots import PictureStream

@@ -8,8 +8,8 @@ from typing import Any
 
 import draccus
 
-from dynahoi_lerobot.foundation.conventions import EGO_VIEW
-from dynahoi_lerobot.foundation.yaml_file import read_yaml
+from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.yaml_file import read_yaml
 from dynahoi_lerobot.rollout.inference import RTC, SYNC, Inference
 from dynahoi_lerobot.sampling.recipe import Recipe
 

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Observation
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.conventions import PALM_DOF
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.intercept import Intercept
-from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.onpolicy.student import Student
-from dynahoi_lerobot.phase import is_acting
-from dynahoi_lerobot.rollout.on_policy import DISTURBANCE_M
+from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.session import Session
+from dynahoi_lerobot.rollout.teacher_labels import DISTURBANCE_M
 from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.disturbance import DISTURBED_SHARE
+from dynahoi_lerobot.world.commands import DISTURBED_SHARE
 
 
 @dataclass(frozen=True, eq=False)

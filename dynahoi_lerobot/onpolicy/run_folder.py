@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.foundation.output import write_atomically
-from dynahoi_lerobot.foundation.working_folder import working_folder
+from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.working_folder import working_folder
 
 LOG, STATE, RECORD = "log.jsonl", "state.pt", "run.json"
 

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.recipe import Recipe

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from dynahoi_lerobot.agent import ChunkAgent, Observation
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.onpolicy.rounds import Round

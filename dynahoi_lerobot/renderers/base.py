@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.foundation.registry import Registry
+from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.scene.scene import Scene
 

@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
-from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields
+from dynahoi_lerobot.renderers.device import Mirror, default_device, world_fields
 from dynahoi_lerobot.renderers.raycast.pipeline import Pipeline
 from dynahoi_lerobot.renderers.raycast.shapes import GEOM_TYPES
 from dynahoi_lerobot.scene.model import SHOWN_GROUPS
@@ -97,6 +97,18 @@ class TileRenderer(Renderer):
         self._mirror.copy(ids)
         self._pipeline.draw_labels_and_distances(len(ids))
         return self._pipeline.distances[: len(ids)].numpy().copy()
+
+
+@RENDERERS.register("flat")
+class FlatRenderer(TileRenderer):
+    """What MuJoCo's other renderers draw: one sample per pixel, no shadows, sharp textures, a headlight.
+
+    It draws what ``warp`` does, an order of magnitude faster, and highlights and one translucent layer.
+
+    The reference that ties ``tiles`` to MuJoCo's renderers, and the control for what shadows and soft light are worth.
+    """
+
+    soft: ClassVar[bool] = False
 
 
 def _check_model(model: mujoco.MjModel, shown: np.ndarray) -> None:

@@ -11,7 +11,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
-from dynahoi_lerobot.renderers.mirror import Mirror, default_device, world_fields
+from dynahoi_lerobot.renderers.device import Mirror, default_device, world_fields
 from dynahoi_lerobot.scene.model import SHOWN_GROUPS
 from dynahoi_lerobot.scene.scene import Scene
 

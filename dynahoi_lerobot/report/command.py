@@ -6,9 +6,9 @@ import argparse
 from itertools import combinations
 from pathlib import Path
 
+from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, unequal_conditions
 from dynahoi_lerobot.evaluate.table import results_table
-from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.page import write_page
 from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import HAND_DOF, JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import columns_for, heading
-from dynahoi_lerobot.foundation.conventions import HAND_DOF, JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.report.entries import COLOURS, Entry, clip, distinct_episodes, short_name
 from dynahoi_lerobot.rollout.inference import SYNC, Inference
 

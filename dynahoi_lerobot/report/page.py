@@ -7,10 +7,10 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
+from dynahoi_lerobot.core.files import printable, write_atomically
 from dynahoi_lerobot.evaluate.compare import COMMANDS, compare, unequal_conditions
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import Cell, Table, columns_for, heading, metric_cell, metrics_table, stratum_table
-from dynahoi_lerobot.foundation.output import printable, write_atomically
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries

@@ -1,4 +1,11 @@
-"""How long inference takes, and what the hand does meanwhile."""
+"""Inference that takes time: one at a time, while the world moves on and the old chunk of actions is executed.
+
+`dynahoi evaluate` asks an agent for whole chunks: `RealTimeAgent`. LeRobot's evaluation loop asks a policy for one
+action a call: `StepwiseInference`. Both follow one timeline. An inference begins with the observation of frame t and
+its chunk, whose first action is for frame t, is ready d frames later: what is past is skipped. Meanwhile the old chunk
+goes on. The next inference begins when the last has ended. Until the first chunk is ready, a hand stays where it is;
+after the last action of a chunk, where that led.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +13,12 @@ import math
 import re
 from dataclasses import dataclass
 from math import ceil
+from typing import Any
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
+import numpy as np
+
+from dynahoi_lerobot.core.agent import Agent, ChunkAgent, Observation
+from dynahoi_lerobot.core.conventions import CONTROL_DT
 
 SYNC, ASYNC, RTC = "sync", "async", "rtc"
 INFERENCE_MODES = {
@@ -78,3 +89,247 @@ class Inference:
 def frames_of(seconds: float) -> int:
     """Return the control steps [frames] until something that takes so long [s] is there: 150 ms are three."""
     return max(0, ceil(seconds / CONTROL_DT - ROUNDING)) if math.isfinite(seconds) else 0
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """A chunk of actions of one world or of all.
+
+    Attributes:
+        actions: (H, ..., 18) commands.
+        first: the frame that the first of them is for.
+        ready: the frame from which on they are executed.
+        expectation: what they were planned for, as their agent keeps it, to correct them.
+    """
+
+    actions: np.ndarray
+    first: int
+    ready: int
+    expectation: Any = None
+
+    def action(self, frame: int) -> np.ndarray:
+        """Return the (..., 18) action of ``frame``, the last one where the chunk is over."""
+        return self.actions[min(frame - self.first, len(self.actions) - 1)]
+
+
+class RealTimeAgent(Agent):
+    """Executes the chunks of an agent whose inference takes time, world by world."""
+
+    def __init__(self, agent: ChunkAgent, inference: Inference) -> None:
+        """Give ``agent`` the timing ``inference``, of mode ``async`` or ``rtc``.
+
+        Raises:
+            ValueError: for ``rtc`` with an agent that cannot be guided, or a correction by one that corrects nothing.
+        """
+        if inference.mode == RTC and not agent.accepts_guidance:
+            raise ValueError(
+                f"inference mode rtc guides a chunk while it is generated, which {agent.name!r} does not support; "
+                "use async"
+            )
+        if inference.corrected and not agent.corrects:
+            raise ValueError(
+                f"{agent.name!r} does not correct its chunks while they are executed; leave the correction out"
+            )
+        for name in (
+            "name", "sees_images", "image_size", "views", "sees_environment_state", "privileged", "weights",
+            "trained_for",
+        ):  # fmt: skip
+            setattr(self, name, getattr(agent, name))
+        self._continues = inference.mode == RTC or agent.accepts_prefix
+        if inference.mode == RTC:
+            agent.enable_guidance()
+        self._agent, self._inference = agent, inference
+        self._inferences, self._waited_frames = 0, 0
+        self.reset(0)
+
+    def reset(self, count: int) -> None:
+        """Forget everything, also what is being inferred."""
+        self._agent.reset(count)
+        self._frame = 0
+        self._delays = self._declared(count)
+        self._running: list[Chunk | None] = [None] * count
+        self._coming: list[Chunk | None] = [None] * count
+
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (N, 18) the commands that are due."""
+        self._receive()
+        starting = np.array([i for i, chunk in enumerate(self._coming) if chunk is None], int)
+        if starting.size:
+            self._infer(observation, starting)
+            self._receive()
+        else:
+            self._agent.watch(observation)
+        commands = self._commands(observation)
+        self._frame += 1
+        return commands
+
+    def report(self) -> dict[str, Any]:
+        """Return the agent's report, and how many frames an inference took on average."""
+        frames = self._waited_frames / max(self._inferences, 1)
+        return {**self._agent.report(), "inference_frames": round(frames, 3)}
+
+    def _commands(self, observation: Observation) -> np.ndarray:
+        """Return what is due of the running chunks, or the corrections of that."""
+        commands = observation.state.astype(np.float64)
+        running = {i: chunk for i, chunk in enumerate(self._running) if chunk is not None}
+        if running and self._inference.corrected:
+            ages = [self._frame - chunk.first for chunk in running.values()]
+            expectations = [chunk.expectation for chunk in running.values()]
+            commands[list(running)] = self._agent.corrected(np.array(list(running)), expectations, ages)
+        else:
+            for i, chunk in running.items():
+                commands[i] = chunk.action(self._frame)
+        return commands
+
+    def _receive(self) -> None:
+        """Go on with the chunks that are ready at this frame."""
+        for i, chunk in enumerate(self._coming):
+            if chunk is not None and chunk.ready <= self._frame:
+                self._running[i], self._coming[i] = chunk, None
+
+    def _declared(self, count: int) -> list[int | None]:
+        """Return how long the inferences of each world take [frames]; None is what they take on this machine."""
+        declared = self._inference.latency_ms
+        return [None if declared is None else frames_of(declared / 1000)] * count
+
+    def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
+        """Begin an inference in each of the sorted ``worlds`` (n,)."""
+        plan = self._agent.plan(observation, worlds, **(self._continued(worlds) if self._continues else {}))
+        expectations = plan.expectations if self._inference.corrected else [None] * len(worlds)
+        for i, actions, seconds, expectation in zip(worlds, plan.actions, plan.seconds, expectations, strict=True):
+            delay = self._delays[i]
+            self._check(len(actions), delay)
+            took = frames_of(seconds) if delay is None else delay
+            self._coming[i] = Chunk(actions, self._frame, self._frame + took, expectation)
+            self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
+
+    def _continued(self, worlds: np.ndarray) -> dict[str, np.ndarray]:
+        """What goes on in ``worlds`` (n,) meanwhile; an inference is expected to take as long as the last one."""
+        old = [chunk for i in worlds if (chunk := self._running[i]) is not None]
+        lasted = [chunk.ready - chunk.first for chunk in old] or [0] * len(worlds)
+        delays = [self._delays[i] for i in worlds]
+        told = {"delays": np.array([last if d is None else d for last, d in zip(lasted, delays, strict=True)])}
+        return told | ({"executed": np.array([self._frame - chunk.first for chunk in old])} if old else {})
+
+    def _check(self, length: int, delay: int | None) -> None:
+        """Raise ValueError if a chunk is over before it is ready."""
+        if delay is not None and delay >= length:
+            raise ValueError(
+                f"the chunks of {self.name!r} have {length} actions, all of them past when a chunk is ready after "
+                f"{delay} frames; allowed are less than {length} frames"
+            )
+
+
+@dataclass(frozen=True)
+class QueuedPolicy:
+    """How a policy answers calls for one action: it infers in one call and answers the next ones from a queue.
+
+    Attributes:
+        name: for messages.
+        n_action_steps: calls that one inference answers.
+        skipped_frames: frames between its observation and the one that its first action is for.
+        lookback_frames: how old the oldest frame is that an inference looks at.
+    """
+
+    name: str
+    n_action_steps: int
+    skipped_frames: int = 0
+    lookback_frames: int = 0
+
+
+class StepwiseInference:
+    """The timeline of a `QueuedPolicy`: it decides after which calls the world moves, and what its hands do then.
+
+    The world can stand still while the queue is read, and move on only in the last calls of each queue:
+
+        frame seen     0 0 0 0 1 2   3 3 3 3 4 5   6 ...      latency of 3 frames, queue of 6 actions
+        action read    0 1 2 3 4 5   3 4 5 6 7 8   6 ...      each for the frame of this number
+        executed             - - -         3 4 5              in frames 0 1 2, 3 4 5: what is past of a chunk is skipped
+
+    Each inference gets the observation of the frame in which it begins, and the frames just before it are seen as well.
+    All worlds are asked together, so they begin their inferences together.
+    """
+
+    def __init__(self, policy: QueuedPolicy, inference: Inference) -> None:
+        """Give ``policy`` the timing ``inference``.
+
+        Raises:
+            ValueError: if the mode or the latency is impossible with one action a call, or with this policy.
+        """
+        latency_ms = _declared_ms(inference)
+        self.policy, self._delay = policy, frames_of(latency_ms / 1000)
+        self._period = max(1, self._delay)
+        _check_policy(policy, self._delay, f"after {latency_ms:g} ms ({self._delay} frames)")
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin new episodes; the next call is an inference."""
+        self._frame = self._begun = 0
+        self._read: list[np.ndarray] = []
+        self._running: Chunk | None = None
+
+    def calls(self, frames: int) -> int:
+        """Return how many calls at most it takes until the world has moved by so many frames."""
+        return -(-frames // self._period) * self.policy.n_action_steps
+
+    def answer(self, actions: np.ndarray, state: np.ndarray) -> np.ndarray | None:
+        """Take the answer to a call.
+
+        Args:
+            actions: (N, 18) commands.
+            state: (N, 18) where the hands are; they stay there until the first chunk is ready.
+
+        Returns:
+            (N, 18) commands for the frame that passes now; None if the world stands still.
+        """
+        self._read.append(actions)
+        if len(self._read) <= self.policy.n_action_steps - self._period:
+            return None
+        if not self._delay:
+            self._finish()
+        commands = state if self._running is None else self._running.action(self._frame)
+        self._frame += 1
+        if self._delay and len(self._read) == self.policy.n_action_steps:
+            self._finish()
+        return commands
+
+    def _finish(self) -> None:
+        """Go on with the chunk that has been read; its successor is inferred next."""
+        first = self._begun + self.policy.skipped_frames
+        self._running = Chunk(np.stack(self._read), first, self._begun + self._delay)
+        self._read, self._begun = [], self._begun + self._period
+
+
+def _declared_ms(inference: Inference) -> float:
+    """Return the latency; raise ValueError for a timing that is impossible with one action a call."""
+    if inference.mode != ASYNC:
+        raise ValueError(
+            f"inference mode {inference.mode} needs whole chunks, and here the policy is asked for one action a call; "
+            f"use async, or dynahoi evaluate --inference {inference.mode}"
+        )
+    if inference.latency_ms is None:
+        raise ValueError(
+            "a measured latency would count what happens between two calls, such as writing videos; "
+            "declare it in ms, or use dynahoi evaluate --inference-ms measured"
+        )
+    return inference.latency_ms
+
+
+def _check_policy(policy: QueuedPolicy, delay: int, after: str) -> None:
+    """Raise ValueError unless the policy has actions left when a chunk is ready, and sees every frame once."""
+    n, period = policy.n_action_steps, max(1, delay)
+    if policy.skipped_frames > delay:
+        raise ValueError(
+            f"{policy.name!r} skips {policy.skipped_frames} frames of a chunk that is ready {after}; allowed are up "
+            f"to {delay}"
+        )
+    if (least := max(period, delay - policy.skipped_frames + 1)) > n:
+        raise ValueError(
+            f"{policy.name!r} executes {n} actions of a chunk, all of them past when it is ready {after}; "
+            f"n_action_steps must be at least {least}"
+        )
+    if policy.lookback_frames > delay and n > period:
+        raise ValueError(
+            f"{policy.name!r} looks back {policy.lookback_frames} frames and would see some twice, because the world "
+            "stands still while its queue is read; use dynahoi evaluate --inference async"
+        )

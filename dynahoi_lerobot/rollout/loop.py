@@ -1,24 +1,113 @@
-"""Playing many episodes with one actor: what generation and evaluation share, so that they cannot drift apart."""
+"""Playing: worlds that are observed, moved and recorded frame by frame.
+
+Generation, evaluation and the environments all play here, so that they cannot drift apart.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Actor
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.agent import Actor, Meeting, Observation
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.session import Session
+from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, frame_columns
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DEFAULT_BATCH = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """Which worlds ended their episode in one step.
+
+    Attributes:
+        terminated: (n,) sorted worlds in which the capture rule has settled the outcome.
+        truncated: (n,) sorted worlds that reached their longest length before.
+    """
+
+    terminated: np.ndarray
+    truncated: np.ndarray
+
+    @property
+    def worlds(self) -> np.ndarray:
+        """(n,) all of them, sorted."""
+        return np.union1d(self.terminated, self.truncated).astype(int)
+
+
+class Session:
+    """Some of the worlds of a batch, each in the middle of its job.
+
+    Attributes:
+        batch: the worlds.
+        observation: what was seen last, of all worlds.
+    """
+
+    def __init__(self, batch: WorldBatch, *, record_images: bool = True) -> None:
+        """Play in ``batch``; ``record_images`` keeps what was rendered for the episodes."""
+        self.batch, self.record_images = batch, record_images
+        self.observation: Observation | None = None
+        self._recorders: dict[int, WorldRecorder] = {}
+
+    @property
+    def playing(self) -> np.ndarray:
+        """(n,) sorted worlds that play."""
+        return np.array(sorted(self._recorders), int)
+
+    def begin(self, ids: Sequence[int] | np.ndarray, jobs: Sequence[Job]) -> None:
+        """Begin a job in each of the sorted worlds ``ids``; what was played there is dropped."""
+        self.batch.reset(ids, [job.spec for job in jobs], [job.attempt for job in jobs])
+        self._recorders.update((int(i), WorldRecorder(job)) for i, job in zip(ids, jobs, strict=True))
+
+    def observe(self, *, images: bool = True, ending: np.ndarray | None = None) -> Observation:
+        """Return what is seen of all worlds; only worlds that play, and ``ending`` (n,), are rendered."""
+        shown = self.playing if ending is None else np.union1d(self.playing, ending)
+        self.observation = self.batch.observe(images=images, ids=shown)
+        return self.observation
+
+    def step(self, commands: np.ndarray, labels: dict[str, np.ndarray] | None = None) -> Ended:
+        """Record what was observed, move the worlds that play by one frame, and tell which have ended.
+
+        Args:
+            commands: (N, 18) of all worlds; those of worlds that do not play are ignored.
+            labels: (N, ...) what a teacher says of this frame, by name in ``Episode``; None without a teacher.
+
+        Raises:
+            ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
+            RuntimeError: if nothing was observed yet.
+        """
+        if self.observation is None:
+            raise RuntimeError("observe before the first step")
+        checked, ids = self.batch.check(commands), self.playing
+        columns = frame_columns(self.batch, self.observation)
+        images = self.observation.images if self.record_images else {}
+        for i, recorder in self._recorders.items():
+            recorder.add_frame(columns, i, images)
+        self.batch.step(checked[ids], ids)
+        for i, recorder in self._recorders.items():
+            label = None if labels is None else {name: values[i] for name, values in labels.items()}
+            recorder.add_action(self.batch.commanded[i], label)
+        terminated = [i for i in ids if self._recorders[i].settled(self.batch.rule)]
+        truncated = [i for i in ids if self._recorders[i].full and i not in terminated]
+        return Ended(np.array(terminated, int), np.array(truncated, int))
+
+    def success(self, i: int) -> bool:
+        """Return the verdict on what world ``i`` has played so far."""
+        return self._recorders[i].success(self.batch.rule)
+
+    def job(self, i: int) -> Job:
+        """Return what world ``i`` plays."""
+        return self._recorders[i].job
+
+    def finish(self, i: int, actor: str, meeting: Meeting | None = None) -> Episode:
+        """End the episode of world ``i`` and return the recording, which names the actor and has its plan, if any."""
+        return self._recorders.pop(i).freeze(self.batch, actor, meeting)
 
 
 def play(
@@ -38,8 +127,7 @@ def play(
     Raises:
         ValueError: if the actor needs images and the recipe has no camera.
     """
-    if actor.sees_images and not batch.recipe.image_size:
-        raise ValueError(f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera")
+    check_sight(actor, batch.recipe)
     session, waiting = Session(batch), iter(jobs)
     while True:
         if not (actor.has_memory and session.playing.size):
@@ -87,6 +175,16 @@ def evaluate(
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
     for _, episode in _play_with_retries(batch, actor, jobs, images=images):
         yield episode
+
+
+def check_sight(actor: Actor, recipe: Recipe) -> None:
+    """Refuse a recipe without a camera for an actor that needs images.
+
+    Raises:
+        ValueError: naming the actor.
+    """
+    if actor.sees_images and not recipe.image_size:
+        raise ValueError(f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera")
 
 
 def _play_with_retries(

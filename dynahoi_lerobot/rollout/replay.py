@@ -9,10 +9,10 @@ from typing import Any
 import draccus
 import numpy as np
 
-from dynahoi_lerobot.agent import Agent, Observation
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.agent import Agent, Observation
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.rollout.loop import Job, play, record, sample_shortened
-from dynahoi_lerobot.rollout.on_policy import play_on_policy
+from dynahoi_lerobot.rollout.teacher_labels import play_on_policy
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch

@@ -3,15 +3,14 @@
 What is listed here, and nothing else, decides which episodes the splits hold. Any other registered motion or object is
 played when a recipe names it and never enters a split by itself, so registering one changes no published episode.
 A change to this file, or to what it refers to, is a new version of the benchmark: `python benchmarks/pin.py --check`
-compares it, the episodes of all splits and some pictures with the digests that are committed.
+compares it, the episodes of all splits and some images with the digests that are committed.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dynahoi_lerobot.control_class import CONTROL_CLASSES, ControlClass
-from dynahoi_lerobot.foundation.conventions import (
+from dynahoi_lerobot.core.conventions import (
     CONTROL_HZ,
     GRASP_FRACTION,
     HAND_SPEED_M_S,
@@ -22,6 +21,7 @@ from dynahoi_lerobot.foundation.conventions import (
     UNIT_M,
     WINDOW_FRACTION,
 )
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, ControlClass
 
 HOLD_CLEARANCE_M = LOCALIZATION_RADIUS_M + 0.005
 """Least distance of the target from the palm centre of a hand that never moves, from control start to the end.

@@ -12,20 +12,19 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import dynahoi_lerobot
-from dynahoi_lerobot.foundation.plugins import plugin_packages
+from dynahoi_lerobot.core.registry import plugin_packages
 
 LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "pillow")
 """Libraries whose versions may change states, pixels or files."""
 
 DECIDING = (
     "*.py",
-    "foundation/**/*.py",
+    "core/**/*.py",
     "objects/**/*.py",
     "motions/**/*.py",
     "hands/**/*.py",
     "scene/**/*.py",
     "renderers/**/*.py",
-    "captures/**/*.py",
     "experts/**/*.py",
     "world/**/*.py",
     "sampling/**/*.py",

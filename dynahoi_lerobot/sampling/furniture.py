@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.appearance import Solid, hsv
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.products import product
-from dynahoi_lerobot.foundation.rotations import quat_to_matrix
+from dynahoi_lerobot.core.numerics import product, quat_to_matrix
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.scene.appearance import Solid, hsv
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS, SIDE_CAMERA_POS_M
 
 SEED_PREFIX = 0xF0A1

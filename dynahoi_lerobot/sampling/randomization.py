@@ -1,4 +1,4 @@
-"""Stronger randomisation of appearance, each by a name that a recipe may list; it changes nothing but pictures.
+"""Stronger randomisation of appearance, each by a name that a recipe may list; it changes nothing but images.
 
 Each draws from random numbers of its own, seeded with the episode, so the episode keeps its motion, its instruction and
 what the other randomisations drew. They address the first limitation that the paper names, that its scenes look alike.
@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynahoi_lerobot.appearance import Appearance, Solid, hsv
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.scene.appearance import Appearance, Solid, hsv
 from dynahoi_lerobot.scene.model import DISTRACTORS
 
 BEHIND_M = 0.35

@@ -14,24 +14,23 @@ from typing import Any
 import draccus
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX
+from dynahoi_lerobot.core.features import Feature, frame_features
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, DEFAULT_PROTOCOL, PROTOCOLS
+from dynahoi_lerobot.core.yaml_file import read_yaml
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import Teacher
-from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import frame_features
-from dynahoi_lerobot.foundation.conventions import DEFAULT_IMAGE_SIZE_PX
-from dynahoi_lerobot.foundation.yaml_file import read_yaml
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.protocol import DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.renderers.camera_views import check_views
+from dynahoi_lerobot.renderers.views import check_views
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
-from dynahoi_lerobot.sampling.instructions import INSTRUCTION_STYLES
 from dynahoi_lerobot.sampling.randomization import check_appearance
-from dynahoi_lerobot.sampling.salt import check_salt, sealed, stream_label
+from dynahoi_lerobot.sampling.splits import check_salt, sealed, stream_label
 
+INSTRUCTION_STYLES = ("reveal", "neutral", "mixed")
+"""``reveal`` names object and motion, ``neutral`` the object only, ``mixed`` is either with equal probability."""
 MIN_HOLD_FRAMES = 12
 """The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
 MAX_DISTURBANCE_M = 0.2
@@ -143,8 +142,8 @@ class Recipe:
         """The kinds of motion that take turns: those listed, or those of the split that some object can perform."""
         if self.motions:
             return list(self.motions)
-        objects = set(self.object_names)
-        return [name for name in self._split.motions if objects & set(MOTIONS[name].objects())]
+        objects = [OBJECTS[name] for name in self.object_names]
+        return [name for name in self._split.motions if any(map(MOTIONS[name].suits, objects))]
 
     @property
     def object_names(self) -> list[str]:

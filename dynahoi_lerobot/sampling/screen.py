@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.appearance import Solid, hsv
-from dynahoi_lerobot.control_class import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
-from dynahoi_lerobot.motions.launch import Box
-from dynahoi_lerobot.sampling.occlusion import Sight, silhouette
-from dynahoi_lerobot.sampling.screen_clearance import FIXTURE_CLEARANCE_M, TARGET_CLEARANCE_M, stands_clear
+from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.numerics import norm, quat_to_matrix
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.hands.parts import CAMERA_POS
+from dynahoi_lerobot.motions.launch import Box, Launch
+from dynahoi_lerobot.objects import TargetObject
+from dynahoi_lerobot.sampling.homes import box_distance, hand_points, keeps_clear
+from dynahoi_lerobot.scene.appearance import Solid, hsv
 
 HIDDEN_FRAMES = (8, 7, 6)
 """Frames for which a panel is made, in the order tried; as the target goes in and comes out, some may add to them."""
@@ -43,6 +45,66 @@ SPARE_M = 0.003
 """The panel hides a sphere that is larger by this than the one around the target."""
 SEED_PREFIX = 0x5C4EE7
 """Keeps the colour's random numbers apart from those that episodes are sampled from."""
+INNER_SHARE = 0.8
+"""A sphere of so much of the grasp radius is taken to be part of the target, however it is turned."""
+SLIVER_M = 0.006
+"""What shows of that sphere beside the panel does not count if it is narrower than this, about a pixel."""
+STEEPEST_RAD = 1.5
+"""Lines of sight that are more oblique to the panel do not count."""
+CAMERA_CLEARANCE_M, TARGET_CLEARANCE_M, FIXTURE_CLEARANCE_M = 0.02, 0.01, 0.01
+"""Least distances of a screen from the camera, and from the surfaces of target, fixtures, string and striker."""
+WAY_POINTS, STRING_POINTS = 8, 24
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Who looks at what until the target can be met, at frame M.
+
+    Attributes:
+        eyes_w: (2, M, 3) the camera at every frame [m], world: of the waiting hand, and of one that goes straight to
+            the meeting from control start on.
+        target_w: (M, 3) the untouched target's centre [m], world.
+        radius_m: of the sphere around the target.
+        inner_m: of a sphere within it.
+        release_frame: first frame at which the target moves.
+        window_frames: length of the observation window.
+    """
+
+    eyes_w: np.ndarray
+    target_w: np.ndarray
+    radius_m: float
+    inner_m: float
+    release_frame: int
+    window_frames: int
+
+    @classmethod
+    def until(cls, spec: EpisodeSpec, meeting: int) -> Sight:
+        """Return the sight of an episode until frame ``meeting``, which lies in its control phase."""
+        share = (np.arange(meeting) - spec.window_frames) / (meeting - spec.window_frames)
+        way = np.maximum(share, 0.0)[:, None] * (spec.oracle_path[meeting] - spec.home_pos_w)
+        waiting = np.tile(spec.home_pos_w + CAMERA_POS, (meeting, 1))
+        release_s = spec.motion.launch(spec.target).release_s
+        return cls(
+            eyes_w=np.stack([waiting, waiting + way]),
+            target_w=spec.oracle_path[:meeting],
+            radius_m=enclosing_radius_m(spec.target),
+            inner_m=INNER_SHARE * spec.target.grasp_radius_m,
+            release_frame=int(np.ceil(release_s / CONTROL_DT - 1e-9)),
+            window_frames=spec.window_frames,
+        )
+
+    def hidden(self, panel: Box) -> np.ndarray:
+        """Tell from which eye, at which frames, the panel hides all of the target for certain: (2, M) bool."""
+        return self._covered(panel, self.radius_m, 0.0)
+
+    def lost(self, panel: Box) -> np.ndarray:
+        """Tell from which eye, at which frames, the panel may leave no pixel of the target: (2, M) bool."""
+        return self._covered(panel, self.inner_m, SLIVER_M)
+
+    def _covered(self, panel: Box, radius_m: float, sliver_m: float) -> np.ndarray:
+        low, high = silhouette(self.eyes_w, self.target_w, panel.pos[0], radius_m)
+        middle, half = np.asarray(panel.pos[1:]), np.asarray(panel.half_size[1:]) + sliver_m
+        return np.all((low >= middle - half) & (high <= middle + half), axis=-1)
 
 
 def with_screen(spec: EpisodeSpec) -> EpisodeSpec | None:
@@ -107,3 +169,100 @@ def _vanishes(sight: Sight, panel: Box, behind: np.ndarray) -> bool:
 def _longest_run(flags: np.ndarray) -> int:
     """Return for how many consecutive frames ``flags`` (M,) hold at most."""
     return max((sum(1 for _ in run) for held, run in itertools.groupby(flags) if held), default=0)
+
+
+def silhouette(eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return what of an upright plane across x lies before a sphere.
+
+    Args:
+        eyes_w: (..., 3) where it is seen from [m], world.
+        centers_w: (..., 3) of the sphere [m], world.
+        x: of the plane [m], world.
+        radius_m: of the sphere.
+
+    Returns:
+        Lowest and highest y and z (..., 2) [m], world; infinite where the plane is not between the two.
+    """
+    offset = centers_w - eyes_w
+    ahead, aside = offset[..., :1], offset[..., 1:]
+    middle = np.arctan2(aside, ahead)
+    half = np.arcsin(np.clip(radius_m / np.maximum(np.hypot(ahead, aside), radius_m), 0.0, 1.0))
+    gap = x - eyes_w[..., :1]
+    between = (gap > 0) & (ahead - radius_m > gap) & (np.abs(middle) + half < STEEPEST_RAD)
+    low = np.where(between, eyes_w[..., 1:] + gap * np.tan(middle - half), -np.inf)
+    return low, np.where(between, eyes_w[..., 1:] + gap * np.tan(middle + half), np.inf)
+
+
+def enclosing_radius_m(target: TargetObject) -> float:
+    """Return the radius [m] of a sphere around the centre that holds all of an object."""
+    return max(norm(part.pos) + _EXTENTS[part.shape](np.asarray(part.half_size)) for part in target.primitives)
+
+
+_EXTENTS = {
+    "sphere": lambda half: float(half[0]),
+    "capsule": lambda half: float(half[0] + half[1]),
+    "cylinder": lambda half: float(np.hypot(half[0], half[1])),
+    "ellipsoid": lambda half: float(half.max()),
+    "box": norm,
+}
+"""How far each shape reaches from its centre [m], from its (3,) half-sizes."""
+
+
+def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -> bool:
+    """Tell whether a panel across x stands in nobody's way.
+
+    Args:
+        panel: the screen.
+        spec: the episode.
+        meeting: frame at which a fast hand meets the target; all of the open hand keeps clear on its way there, and the
+            palm centre also on the way to the episode's intercept.
+        radius_m: of a sphere around the target [m].
+    """
+    home, launch = spec.home_pos_w, spec.motion.launch(spec.target)
+    return (
+        bool(box_distance(spec.oracle_path, panel).min() > radius_m + TARGET_CLEARANCE_M)
+        and all(apart(panel, box, FIXTURE_CLEARANCE_M) for box in launch.boxes)
+        and _clear_of_string(panel, launch, spec.oracle_path)
+        and _clear_of_striker(panel, launch, spec.intercept_frame)
+        and _clear_of_hand(panel, home, spec.oracle_path[meeting], hand_points())
+        and _clear_of_hand(panel, home, spec.intercept_pos_w, np.zeros((1, 3)))
+    )
+
+
+def _clear_of_hand(panel: Box, home_w: np.ndarray, goal_w: np.ndarray, points: np.ndarray) -> bool:
+    """Tell whether a panel is off the waiting hand, and off palm centre and camera on a straight way.
+
+    The palm centre keeps as far from it as from fixtures; ``points`` (P, 3) of the hand must not be in it.
+    """
+    way = home_w + np.linspace(0.0, 1.0, WAY_POINTS)[:, None] * (goal_w - home_w)
+    return (
+        bool(keeps_clear(home_w[None], goal_w, [panel]).all())
+        and bool(box_distance(way + CAMERA_POS, panel).min() > CAMERA_CLEARANCE_M)
+        and bool(box_distance(way[:, None] + points, panel).min() > 0.0)
+    )
+
+
+def _clear_of_string(panel: Box, launch: Launch, path_w: np.ndarray) -> bool:
+    if launch.tether is None:
+        return True
+    share = np.linspace(0.0, 1.0, STRING_POINTS)[:, None]
+    string = path_w[:, None] + share * (np.asarray(launch.tether.anchor) - path_w[:, None])  # (F, P, 3)
+    return bool(box_distance(string, panel).min() > FIXTURE_CLEARANCE_M)
+
+
+def _clear_of_striker(panel: Box, launch: Launch, frames: int) -> bool:
+    if (striker := launch.striker) is None:
+        return True
+    times = np.arange(frames + 1)[:, None] * CONTROL_DT
+    balls = np.asarray(striker.pos) + times * np.asarray(striker.velocity)
+    return bool(box_distance(balls, panel).min() > striker.radius_m + FIXTURE_CLEARANCE_M)
+
+
+def apart(panel: Box, other: Box, room_m: float) -> bool:
+    """Tell whether an upright box across x is so far [m] from another box, by the axes that may separate them."""
+    turned = quat_to_matrix(np.asarray(other.quat, float))
+    edges = np.cross(np.eye(3)[:, None], turned.T[None]).reshape(-1, 3)
+    axes = np.concatenate([np.eye(3), turned.T, edges])
+    axes = axes[np.linalg.norm(axes, axis=1) > 1e-6]
+    reach = np.abs(axes) @ (np.asarray(panel.half_size) + room_m) + np.abs(axes @ turned) @ np.asarray(other.half_size)
+    return bool((np.abs(axes @ (np.asarray(panel.pos) - np.asarray(other.pos))) > reach).any())

@@ -1,13 +1,46 @@
-"""Which seeds a split holds, and which of them is the n-th episode of a kind of motion."""
+"""Which seeds a split holds, which of them is the n-th episode of a kind, and what a salt makes of them.
+
+A salted seed stream is the same benchmark with other episodes, which only those who know the salt can make. Whoever
+compares policies of others keeps a salt, evaluates them on episodes that nobody could train on, and publishes results.
+What is written to disk names the salt by a hash, so that results of one salt can be compared with each other and are
+never mixed with those of the public stream.
+"""
 
 from __future__ import annotations
 
-from dynahoi_lerobot.foundation.conventions import SEED_LIMIT
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from dynahoi_lerobot.core.compatibility import refuse_to_mix
+from dynahoi_lerobot.core.conventions import SEED_LIMIT
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.recipe import Recipe
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.sampling.recipe import Recipe
 
 SMALL_TEST = "test_small"
 """The split that commands play unless told otherwise: the first 110 episodes of ``test``."""
+REDRAW_STRIDE = math.lcm(*range(1, 25))
+"""A slot whose seed fails is drawn again with ``seed + k * REDRAW_STRIDE``, k = 1, 2, ...
+
+Recipes choose the kind of motion by the seed modulo the number of kinds; a multiple of every number up to 24 keeps the
+slot's kind, so failures do not unbalance the dataset.
+"""
+
+MAX_DRAWS = 16
+"""Draws per slot before the recipe is called impossible."""
+SEALED = "sha256:"
+"""A salt that begins so is the hash of an unknown one, as files hold it."""
+LEAST_LENGTH = 16
+"""Characters; a hash does not hide a salt that can be guessed."""
+HASH_DIGITS = 16
+WORDS = 8
+JOINT = "+"
+PUBLIC = "none"
+OPTION = "--salt"
+HIDDEN = "(hidden)"
 
 
 def split_seeds(split: str) -> range:
@@ -50,3 +83,68 @@ def kind_seeds(recipe: Recipe, kind: str | None) -> range:
     first, step = (0, 1) if kind is None else (names.index(kind), len(names))
     last = first + step * SEED_LIMIT if recipe.split == "train" else split_seeds(recipe.split).stop
     return range(first, last, step)
+
+
+def check_salt(salt: str) -> None:
+    """Refuse a salt that could be guessed.
+
+    Raises:
+        ValueError: if it has 1 to 15 characters; the message does not repeat it.
+    """
+    if 0 < len(salt) < LEAST_LENGTH:
+        raise ValueError(f"a salt must have at least {LEAST_LENGTH} characters, or be empty, got {len(salt)}")
+
+
+def seal(salt: str) -> str:
+    """Return what files say instead of a salt: its hash, or an empty text for the public stream."""
+    if not salt or salt.startswith(SEALED):
+        return salt
+    return SEALED + hashlib.sha256(b"dynahoi salt, published" + salt.encode()).hexdigest()[:HASH_DIGITS]
+
+
+def sealed(recipe: dict[str, Any]) -> dict[str, Any]:
+    """Return a recipe's values as files hold them."""
+    return recipe | {"salt": seal(recipe["salt"])} if "salt" in recipe else recipe
+
+
+def salt_words(salt: str) -> list[int]:
+    """Return the numbers that go into the random numbers besides stream and seed; none without a salt.
+
+    They come from another hash than ``seal``'s, or whoever reads a result could make its episodes.
+
+    Raises:
+        ValueError: for a sealed salt.
+    """
+    if salt.startswith(SEALED):
+        raise ValueError(f"these episodes are of the salted stream {salt}; only those who know its salt can make them")
+    digest = hashlib.sha256(b"dynahoi salt, drawn from" + salt.encode()).digest()
+    return [int.from_bytes(digest[4 * i : 4 * i + 4], "big") for i in range(WORDS)] if salt else []
+
+
+def stream_label(split: str, salt: str) -> str:
+    """Return how episodes and results name their split: with the first digits of the salt's hash, if there is one."""
+    return split + JOINT + seal(salt).removeprefix(SEALED)[:8] if salt else split
+
+
+def split_of(label: str) -> str:
+    """Return the split's name in a ``stream_label``."""
+    return label.partition(JOINT)[0]
+
+
+def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
+    """Refuse results of different salts, or of a salt and the public stream.
+
+    Args:
+        found: what holds the results, for the message, and the ``stream_label`` of its split.
+
+    Raises:
+        MixedError: naming two that do not go together.
+    """
+    streams = [(where, label.partition(JOINT)[2] or PUBLIC) for where, label in found]
+    refuse_to_mix("salt", streams, "evaluate both with one salt, or without")
+
+
+def without_salt(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line with the salt hidden."""
+    hidden = [f"{OPTION}={HIDDEN}" if word.startswith(OPTION + "=") else word for word in words]
+    return [HIDDEN if i and hidden[i - 1] == OPTION else word for i, word in enumerate(hidden)]

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import (
+from dynahoi_lerobot.core.conventions import (
     CONTROL_DT,
     HAND_SPEED_M_S,
     MIN_WINDOW_FRAMES,
     WINDOW_FRACTION,
 )
+from dynahoi_lerobot.core.rules import protocol_of
 from dynahoi_lerobot.motions import MOTIONS, Motion
-from dynahoi_lerobot.protocol import protocol_of
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 MIN_APPROACH_FRAMES = 5
@@ -73,7 +73,7 @@ def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
 
     Args:
         kind: kind of motion.
-        protocol: see `protocol.py`.
+        protocol: one of ``rules.PROTOCOLS``.
         rng: source of the random numbers.
     """
     table = kind_table(kind)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import FINGERS
+from dynahoi_lerobot.core.conventions import FINGERS
 from dynahoi_lerobot.hands.base import PALM_BODY
 
 N_SENSORS = len(FINGERS) + 2

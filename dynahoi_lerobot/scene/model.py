@@ -7,12 +7,14 @@ So any mix of motions and objects shares a batch, and nothing is ever recompiled
 
 from __future__ import annotations
 
+import functools
+from collections import Counter
 from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
+from dynahoi_lerobot.core.conventions import PHYSICS_DT, ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
 from dynahoi_lerobot.hands import Hand
 from dynahoi_lerobot.hands.base import (
     HAND_GEOM_PREFIX,
@@ -22,11 +24,25 @@ from dynahoi_lerobot.hands.base import (
     SKIN_GROUP,
     camera_quat,
 )
-from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
-from dynahoi_lerobot.patterns import PATTERNS, texture_pixels
+from dynahoi_lerobot.objects import OBJECTS, ObjectType
+from dynahoi_lerobot.scene.appearance import PATTERNS, texture_pixels
 from dynahoi_lerobot.scene.contact_sensors import add_contact_sensors
-from dynahoi_lerobot.scene.slots import LARGEST_SLOT_M, SHAPES, TARGET_SLOTS
 
+SHAPES = {
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+}
+TARGET_SLOTS = {"box": 1, "capsule": 8, "cylinder": 6, "ellipsoid": 1, "sphere": 2}
+"""Geoms of each shape that the target body always carries: what the benchmark's objects need, held-out ones included.
+
+Fixed rather than counted, so that geom ids, and with them contact order and bytes, do not depend on what is registered.
+"""
+
+LARGEST_SLOT_M = 0.12
+"""Half-size with which slots are compiled [m]; an object's primitives are no larger."""
 ENVIRONMENT, HAND_BIT = 1, 2
 """Collision bits: surfaces and striker answer to the first, the hand to the second; the target asks for either."""
 
@@ -228,3 +244,19 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
         name="weld", type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1="target", name2=PALM_BODY,
         active=False, **stiff,
     )  # fmt: skip
+
+
+def extra_slots() -> Counter[str]:
+    """Return how many slots of each shape the registered objects need beyond ``TARGET_SLOTS``.
+
+    An object is drawn once to count its primitives, from seed 0.
+    """
+    most: Counter[str] = Counter()
+    for _, object_type in OBJECTS.items():
+        most |= _primitive_counts(object_type)
+    return most - Counter(TARGET_SLOTS)
+
+
+@functools.cache
+def _primitive_counts(object_type: ObjectType) -> Counter[str]:
+    return Counter(primitive.shape for primitive in object_type.sample(np.random.default_rng(0)).primitives)

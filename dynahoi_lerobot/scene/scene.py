@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import FINGERS
+from dynahoi_lerobot.core.conventions import FINGERS
 from dynahoi_lerobot.hands import HANDS, Hand
 from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_BODY, PALM_SITE, SKIN_GEOM_PREFIX, SLEEVE_GEOM
 from dynahoi_lerobot.objects import TargetObject
@@ -21,9 +21,10 @@ from dynahoi_lerobot.scene.model import (
     SCREEN,
     SHOWN_WALLS,
     SIDE_CAMERA,
+    TARGET_SLOTS,
     build_model,
+    extra_slots,
 )
-from dynahoi_lerobot.scene.slots import TARGET_SLOTS, extra_slots
 
 
 @dataclass(frozen=True)

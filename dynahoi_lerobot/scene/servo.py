@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_DOF, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, PALM_DOF, SUBSTEPS
 
 ROUNDING = 1e-5
 """Relative excess that counts as rounding: replaying a stored, clipped command must not clip it again."""

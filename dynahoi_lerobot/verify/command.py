@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
+from dynahoi_lerobot.core.arguments import path, whole
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.foundation.arguments import path, whole
 from dynahoi_lerobot.verify.checks.base import Finding
 from dynahoi_lerobot.verify.runner import DECODED, verify
 

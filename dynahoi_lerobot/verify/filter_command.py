@@ -9,9 +9,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset
-from dynahoi_lerobot.foundation.arguments import path
 from dynahoi_lerobot.verify.outliers import MARGIN, Outlier, find_outliers
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2

@@ -7,8 +7,8 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.foundation.conventions import FINGERS, HAND_NAMES
-from dynahoi_lerobot.foundation.rotations import matrix_to_rotvec
+from dynahoi_lerobot.core.conventions import FINGERS, HAND_NAMES
+from dynahoi_lerobot.core.numerics import matrix_to_rotvec
 from dynahoi_lerobot.hands import HANDS
 
 

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import IMAGE_PREFIX, episode_features
 from dynahoi_lerobot.dataset.episode_arrays import content_arrays
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_histogram
 from dynahoi_lerobot.dataset.statistics import picture_histogram, sampled_frames
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.feature import IMAGE_PREFIX
-from dynahoi_lerobot.features import episode_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.verify.checks.base import CheckedDataset, Finding, stratified
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.agent import ChunkAgent, Observation, Plan
-from dynahoi_lerobot.foundation.conventions import EGO_VIEW
-from dynahoi_lerobot.phase import is_acting
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.vlm.client import VlmClient
 from dynahoi_lerobot.vlm.prompt import HORIZON
 

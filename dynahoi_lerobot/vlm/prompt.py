@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from dynahoi_lerobot.control_class import DEFAULT_CONTROL_CLASS, control_class_of
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, HAND_NAMES
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_NAMES
+from dynahoi_lerobot.core.rules import DEFAULT_CONTROL_CLASS, control_class_of
 
 HORIZON = 10
 """T, the number of frames of 0.05 s that one answer commands."""

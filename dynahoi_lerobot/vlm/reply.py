@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from dynahoi_lerobot.foundation.conventions import HAND_DOF
+from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS
 
 FENCE = "```"

@@ -10,29 +10,28 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import control_class_of
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.agent import Observation, WorldState
+from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.rules import control_class_of, one_hot_phase, protocol_of
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import PrescribedMotion
+from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, SpeedLimits, check_command
-from dynahoi_lerobot.scene.target_drive import drive_for
-from dynahoi_lerobot.scene.world_fields import WorldFields
-from dynahoi_lerobot.world.cameras import Cameras
-from dynahoi_lerobot.world.disturbance import DisturbanceInjection
-from dynahoi_lerobot.world.fingertips import Fingertips
-from dynahoi_lerobot.world.latency import CommandLatency
-from dynahoi_lerobot.world.observed import ObservedWorlds
-from dynahoi_lerobot.world.physics import Physics
-from dynahoi_lerobot.world.target import Targets
+from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
+from dynahoi_lerobot.world.commands import CommandLatency, DisturbanceInjection
+from dynahoi_lerobot.world.physics import Physics, Targets
+from dynahoi_lerobot.world.sensors import Cameras, Fingertips, with_render_noise
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.sampling.recipe import Recipe
 
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
+TOUCH_M = 0.005
+"""A fingertip this close touches the target: the sphere-overlap test of Appendix "Data collection"."""
 
 
-class WorldBatch(ObservedWorlds):
+class WorldBatch:
     """N simulated worlds that share one compiled model and one clock rate, each at its own frame of its own episode.
 
     Every array below has one row per world. Rows are independent to the bit: what happens in one depends neither on
@@ -172,6 +171,104 @@ class WorldBatch(ObservedWorlds):
         low, high = np.where(palm, -length, self.servo.low), np.where(palm, length, self.servo.high)
         return low.astype(np.float32), high.astype(np.float32)
 
+    @property
+    def acting(self) -> np.ndarray:
+        """(N,) bool, the control phase has begun: the hand may move during this frame."""
+        return self.frame >= self._windows
+
+    @property
+    def accepting(self) -> np.ndarray:
+        """(N,) bool, a command given at this frame takes effect in the control phase; earlier ones are void."""
+        return self.frame + self.control.latency_frames >= self._windows
+
+    @property
+    def state(self) -> np.ndarray:
+        """(N, 18) palm centre position [m], home frame, and joint angles [rad], as measured."""
+        return self._fields.qpos[:, self.scene.hand_qpos] - self._origin
+
+    @property
+    def home_pos_w(self) -> np.ndarray:
+        """(N, 3) the origin of each world's home frame [m], world."""
+        return self._origin[:, :PALM_DOF].copy()
+
+    @property
+    def target_pose(self) -> np.ndarray:
+        """(N, 7) position [m], home frame, and quaternion wxyz."""
+        pose = self._targets.pose
+        pose[:, :PALM_DOF] -= self.home_pos_w
+        return pose
+
+    @property
+    def target_velocity(self) -> np.ndarray:
+        """(N, 6) linear [m/s] and angular [rad/s] velocity, along the world's axes."""
+        return self._targets.velocity
+
+    @property
+    def localized(self) -> np.ndarray:
+        """(N,) bool, the target has been localised in the control phase."""
+        return self._physics.localized
+
+    @property
+    def released(self) -> np.ndarray:
+        """(N,) bool, the capture rule's event has happened: the target is attached, or free, and keeps to no path."""
+        return self._targets.released
+
+    @property
+    def palm_distance(self) -> np.ndarray:
+        """(N,) [m], least distance of palm and target centre during the last control step."""
+        return self._physics.palm_distance
+
+    @property
+    def contacts(self) -> TargetContacts:
+        """What touched the target during the last control step, mean of its physics steps, of shape (N,)."""
+        return self._physics.contacts
+
+    def tip_distance(self) -> np.ndarray:
+        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
+        return self._fingertips.target_distance()
+
+    def touching(self) -> np.ndarray:
+        """Return (N, 5) bool, the fingers that touch the target, or would if they collided."""
+        if self.rule.uses_contact_sensors:
+            return self.contacts.finger_force_n > 0
+        return self.tip_distance() <= TOUCH_M
+
+    def observe(self, *, images: bool = True, ids: np.ndarray | None = None) -> Observation:
+        """Return what a policy may see.
+
+        Args:
+            images: whether to render the views of the recipe; without, they cost nothing.
+            ids: the worlds to render (default: all); the images of the others are black, as are those of worlds in the
+                control phase of a protocol with ``blind_control``.
+        """
+        sensed = self.rule.uses_contact_sensors
+        views = (EGO_VIEW, *self.recipe.views) if images and self.recipe.image_size else ()
+        return Observation(
+            images={view: self._render(view, self._seeing(ids)) for view in views},
+            state=self.state.astype(np.float32),
+            fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
+            phase=one_hot_phase(self.accepting),
+            tasks=tuple("" if spec is None else spec.task for spec in self.specs),
+            touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
+            environment_state=self._truth() if self.recipe.environment_state else None,
+        )
+
+    def world_state(self, observation: Observation) -> WorldState:
+        """Return what an expert sees: the observation and everything the simulator knows."""
+        return WorldState(
+            observation=observation,
+            specs=tuple(self.specs),
+            frame=self.frame.copy(),
+            attempt=self.attempt.copy(),
+            target_pose=self.target_pose,
+            target_velocity=self.target_velocity,
+            target_contacts=self.touching(),
+            localized=self.localized.copy(),
+            control=self.control,
+            localization_radius_m=self.rule.localization_radius_m,
+            state_when_due=self._state_when_due(),
+        )
+
     def _accepted(self, wanted: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """(n, 18) see ``accepted``, of some worlds."""
         # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
@@ -201,3 +298,34 @@ class WorldBatch(ObservedWorlds):
         """Recompute the poses of worlds ``ids`` (default: all)."""
         self._fingertips.forget()
         self._batch.forward(ids, stage=KINEMATICS) if ids is not None else self._batch.forward(stage=KINEMATICS)
+
+    @property
+    def _windows(self) -> np.ndarray:
+        """(N,) int, length of each world's observation window [frames]."""
+        return np.array([0 if spec is None else spec.window_frames for spec in self.specs])
+
+    def _render(self, view: str, ids: np.ndarray) -> np.ndarray:
+        """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are drawn."""
+        images, levels = self.cameras.render(ids, view), self.recipe.render_noise
+        if levels:
+            images = images.copy()
+            for i in ids:
+                if (spec := self.specs[i]) is not None:
+                    images[i] = with_render_noise(images[i], levels, spec.seed, int(self.frame[i]), view)
+        return images
+
+    def _truth(self) -> np.ndarray:
+        """(N, 13) float32 pose [m, 1] and velocity [m/s, rad/s] of the targets."""
+        return np.concatenate([self.target_pose, self.target_velocity], axis=1, dtype=np.float32, casting="same_kind")
+
+    def _seeing(self, ids: np.ndarray | None) -> np.ndarray:
+        """(n,) those of worlds ``ids`` (default: all) whose protocol lets them see now."""
+        blind = np.array([spec is not None and protocol_of(spec.protocol).blind_control for spec in self.specs])
+        return np.setdiff1d(np.arange(self.size) if ids is None else ids, np.flatnonzero(blind & self.acting))
+
+    def _state_when_due(self) -> np.ndarray:
+        """(N, 18) where undisturbed hands will be when a command given now takes effect."""
+        state = self.executed.copy()
+        for command in self._latency.pending():
+            state = self.servo.within_reach(command, state, self._origin)
+        return state

@@ -120,7 +120,7 @@ def test_results_without_a_readable_recipe_are_refused(tmp_path: Path, capsys: p
         ([], "--results DIR"),
         (["--motion", "lob", "--results", "r"], "--motion MOTION"),
         (["--motion", "lop"], "unknown motion 'lop' (did you mean 'lob'?)"),
-        (["--motion", "lob", "--image-size", "0"], "image_size must be 16 to 1024 pixels, got 0"),
+        (["--motion", "lob", "--image-size", "0"], "--image-size is 0"),
         (["--results", "nowhere"], "there is no result folder nowhere"),
     ],
 )

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import frame_features
 from tests.synthetic import synthetic_episode
 
 
@@ -19,7 +19,7 @@ def varied_episode(seed: int, image_size: int | None = 32, views: Sequence[str] 
     episode = synthetic_episode(seed, frames=20 + seed % 7, image_size=image_size)
     meta = dataclasses.replace(episode.meta, task=f"Catch the {('red', 'blue')[seed % 2]} ball.")
     images = {}
-    if image_size is not None:
+    if image_size:
         ego = episode.images["ego"] + np.uint8(seed % 5)
         ego[:, :4, :4] = np.random.default_rng(seed).integers(0, 255, (4, 4, 3), np.uint8)
         images = {"ego": ego} | {view: ego[:, ::-1] // (2 + n) for n, view in enumerate(views)}

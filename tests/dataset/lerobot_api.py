@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, info_features
 from dynahoi_lerobot.dataset.episode_arrays import content_arrays, features_of
-from dynahoi_lerobot.episode import Episode
 
 logging.disable(logging.WARNING)
 

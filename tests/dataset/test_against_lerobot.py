@@ -7,9 +7,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.features import frame_features
 from tests.dataset.episodes import varied_episode
 from tests.dataset.lerobot_api import open_dataset, write_with_lerobot
 

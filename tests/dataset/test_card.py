@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from dynahoi_lerobot.core.features import episode_features
 from dynahoi_lerobot.dataset.card import readme
 from dynahoi_lerobot.dataset.card.figures import histogram_svg
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.features import episode_features
 from tests.dataset.episodes import write
 
 PICTURES = ("assets/action.svg", "assets/observation.state.svg")

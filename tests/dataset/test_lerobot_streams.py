@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.features import frame_features
 from tests.dataset.episodes import varied_episode, write
 from tests.dataset.lerobot_api import REPO, write_with_lerobot
 

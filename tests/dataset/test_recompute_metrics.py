@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import write_episodes
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan

@@ -10,8 +10,8 @@ import torch
 from lerobot.policies.tdmpc.configuration_tdmpc import TDMPCConfig
 from lerobot.rl.buffer import ReplayBuffer
 
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import open_dataset, write_episodes
-from dynahoi_lerobot.episode import Episode
 from tests.synthetic import synthetic_episode
 
 STATE = "observation.state"

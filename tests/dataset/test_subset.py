@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.conventions import HAND_NAMES
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.dataset_stats import SHOWN, histograms
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.subset import copy_subset
-from dynahoi_lerobot.foundation.conventions import HAND_NAMES
 from dynahoi_lerobot.verify.runner import verify
 from tests.dataset.episodes import write
 

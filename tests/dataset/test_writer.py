@@ -7,15 +7,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import CAMERA_KEY
+from dynahoi_lerobot.core.registry import UnknownNameError
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
 from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import count_frames
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import CAMERA_KEY
-from dynahoi_lerobot.foundation.registry import UnknownNameError
 from tests.dataset.episodes import varied_episode, write
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dynahoi_lerobot.foundation.plugins import GROUP
+from dynahoi_lerobot.core.registry import GROUP
 from tests.docs.documents import ROOT, Page, pages
 
 PAGES = pytest.mark.parametrize("page", pages(), ids=lambda page: page.path.relative_to(ROOT).as_posix())

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.compatibility import MixedError
+from dynahoi_lerobot.core.registry import UnknownNameError
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, mcnemar, paired_values
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
-from dynahoi_lerobot.foundation.mixing import MixedError
-from dynahoi_lerobot.foundation.registry import UnknownNameError
 
 IDENTITY = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40}
 RULES = {"protocol": "observe_before_act", "control_class": "standard"}

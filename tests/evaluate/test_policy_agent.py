@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.agent import Observation, Plan
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.agent import Observation, Plan
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.evaluate.results import read_results
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.working_folder import exclusive
 from dynahoi_lerobot.evaluate.replay_results import drawn
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.foundation.working_folder import exclusive
 from tests.evaluate.forgeries import FORGERIES
 
 

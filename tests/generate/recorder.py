@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
+from dynahoi_lerobot.sampling.splits import REDRAW_STRIDE
 from tests.dataset.episodes import varied_episode
 
 

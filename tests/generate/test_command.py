@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
 
 import pytest
 
@@ -31,10 +30,7 @@ def test_generates_and_summarises(tmp_path, capsys):
 
 
 def test_no_camera(tmp_path):
-    def blind(recipe, seeds):
-        return (replace(episode, images={}) for episode in recorder.record(recipe, seeds))
-
-    assert run("--root", tmp_path / "d", "--episodes", 2, "--image-size", 0, record=blind) == 0
+    assert run("--root", tmp_path / "d", "--episodes", 2, "--image-size", 0) == 0
     assert not (tmp_path / "d/videos").exists()
 
 

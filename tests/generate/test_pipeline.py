@@ -9,19 +9,19 @@ import re
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.video import decode
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.generate import workers
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, shard_size
 from dynahoi_lerobot.generate.workspace import workspace_path
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
+from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 from dynahoi_lerobot.verify.runner import verify
 from tests.dataset.episodes import varied_episode, write
 from tests.generate import recorder

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from lerobot.datasets import LeRobotDataset
 
+from dynahoi_lerobot.core.conventions import FINGERS
+from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.dataset import open_dataset, read_episodes
 from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.features import FEATURES
-from dynahoi_lerobot.foundation.conventions import FINGERS
 from dynahoi_lerobot.generate import command
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from dynahoi_lerobot.core.working_folder import clear, exclusive, working_folder
 from dynahoi_lerobot.dataset.files import temporary_sibling
 from dynahoi_lerobot.dataset.manifest import hash_files
-from dynahoi_lerobot.foundation.working_folder import clear, exclusive, working_folder
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from dynahoi_lerobot.generate.shard import ShardMaker
@@ -196,7 +196,7 @@ def test_a_second_process_is_told_so(tmp_path, capsys):
 HOLDER = """
 import sys, time
 from pathlib import Path
-from dynahoi_lerobot.foundation.working_folder import exclusive
+from dynahoi_lerobot.core.working_folder import exclusive
 with exclusive(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.phase import one_hot_phase
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.rollout.recorder import next_frames
 from tests.synthetic import synthetic_episode
 

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PHYSICS_DT
+from dynahoi_lerobot.core.conventions import CONTROL_DT, PHYSICS_DT
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS, PrescribedMotion
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
+from dynahoi_lerobot.core.conventions import PHYSICS_DT
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 from dynahoi_lerobot.motions.projectile import Bounce, ThrowMotion

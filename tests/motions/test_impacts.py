@@ -11,14 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
+from dynahoi_lerobot.core.conventions import PHYSICS_DT
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.impact_response import Struck, WallRebound
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
+from dynahoi_lerobot.objects import OBJECTS
 from tests.drawing import draw_motion
 from tests.simulation import simulate
 
-SLIDING = MOTIONS["struck"].objects()
+SLIDING = [name for name, kind in OBJECTS.items() if MOTIONS["struck"].suits(kind)]
 SEEDS = range(5)
 NEAR_M = 0.002
 SOFTNESS = 0.001

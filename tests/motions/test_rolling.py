@@ -7,17 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.foundation.conventions import PHYSICS_DT
+from dynahoi_lerobot.core.conventions import PHYSICS_DT, ROLLING_FRICTION_M
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.inclined_rolling import RollingMotion, rolling_acceleration
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, heading
-from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.objects.base import ROLLING_FRICTION_M
+from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from tests.drawing import draw_motion
 from tests.simulation import simulate
 
 ROLLING = [name for name, kind in MOTIONS.items() if issubclass(kind, RollingMotion)]
-ROUND = MOTIONS["ramp"].objects()
+ROUND = [name for name, kind in OBJECTS.items() if MOTIONS["ramp"].suits(kind)]
 SEEDS = range(5)
 FALL_M_S = GRAVITY_M_S2 * PHYSICS_DT
 """What a step of free fall adds to the speed."""

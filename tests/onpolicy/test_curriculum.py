@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.experts.hold import Hold
+from dynahoi_lerobot.experts.baselines import Hold
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.onpolicy.curriculum import Curriculum
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe

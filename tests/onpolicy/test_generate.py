@@ -12,11 +12,11 @@ import pytest
 from lerobot.datasets import LeRobotDataset
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.onpolicy import generate_command
 from dynahoi_lerobot.onpolicy.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime

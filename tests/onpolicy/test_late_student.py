@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.agent import Observation
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.onpolicy.late_student import LateStudent
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, StudentInference, read_recipe
-from dynahoi_lerobot.phase import one_hot_phase
 from tests.onpolicy.test_dagger import tiny_recipe
 
 

@@ -15,11 +15,11 @@ from lerobot_policy_tracker.demonstrated import Demonstrated
 from lerobot_policy_tracker.heads.intercept import KNOTS
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.control_class import control_class_of
+from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.rules import control_class_of
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts.intercept import Intercept
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.results import Results, RunInfo, write_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.synthetic import synthetic_episode

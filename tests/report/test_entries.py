@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
-from dynahoi_lerobot.foundation.mixing import MixedError
 from dynahoi_lerobot.report.entries import LABEL_LENGTH, distinct_episodes, read_entries, short_name, unique_labels
 from dynahoi_lerobot.report.figures import FIGURES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK

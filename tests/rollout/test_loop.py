@@ -7,8 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.agent import Agent, Expert, Observation, WorldState
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.agent import Agent, Expert, Observation, WorldState
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
@@ -72,9 +72,11 @@ def clumsy(monkeypatch: pytest.MonkeyPatch) -> Recipe:
     return Recipe(split=QUICK.split, motions=QUICK.motions, image_size=0, expert="clumsy")
 
 
-@pytest.mark.parametrize("batch_size", [1, 3, 32])
-def test_failed_attempts_are_retried_and_successes_come_in_the_order_of_the_seeds(clumsy: Recipe, batch_size: int):
-    episodes = list(record(clumsy, SEEDS, batch_size=batch_size, threads=1))
+@pytest.mark.parametrize(("batch_size", "hold_frames"), [(1, None), (3, 12), (32, None)])
+def test_failed_attempts_are_retried_and_successes_come_in_the_order_of_the_seeds(
+    clumsy: Recipe, batch_size: int, hold_frames: int | None
+):
+    episodes = list(record(replace(clumsy, hold_frames=hold_frames), SEEDS, batch_size=batch_size, threads=1))
     assert [(e.meta.seed, e.meta.attempts) for e in episodes] == [(0, 1), (1, 2), (5, 3), (4, 2), (10, 1)]
     assert all(episode.success for episode in episodes)
 
@@ -129,16 +131,6 @@ def test_a_pushed_episode_plays_again_from_its_commands():
     (episode,) = record(recipe, [3], threads=1)
     (again,) = replay(recipe, [ActionLog(3, episode.action)], images=False)
     np.testing.assert_allclose(again.state, episode.state, atol=1e-6)
-
-
-@pytest.mark.parametrize("batch_size", [1, 32])
-def test_a_retry_still_fits_a_short_hold(clumsy: Recipe, batch_size: int):
-    episodes = record(replace(clumsy, hold_frames=12), SEEDS, batch_size=batch_size, threads=1)
-    assert [(e.meta.seed, e.meta.attempts) for e in episodes] == [(0, 1), (1, 2), (5, 3), (4, 2), (10, 1)]
-
-
-def test_nothing_to_record_is_nothing():
-    assert list(record(QUICK, [], threads=1)) == []
 
 
 def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(specs: list[EpisodeSpec]):
@@ -219,3 +211,8 @@ def test_the_outcome_of_the_last_of_l_steps_counts(spare: int, localized: bool):
     assert len(episode) == short.window_frames + short.length_frames + 1
     if localized:
         assert METRICS["E_loc"](episode) == METRICS["E_loc"](first)
+
+
+def test_who_needs_images_is_not_played_without_a_camera(specs: list[EpisodeSpec]):
+    with pytest.raises(ValueError, match="'remembering' needs images"):
+        next(evaluate(WorldBatch(QUICK, 1, threads=1), Remembering(sees_images=True), specs[:1]))

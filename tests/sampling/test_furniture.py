@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.sampling.furniture import furnish
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS
 from tests.world.playing import wait, world

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -13,53 +14,53 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 BAD_VALUES = [
-    ({"split": "trian"}, "unknown split 'trian'; known: train, val, test"),
-    (
-        {"protocol": "look"},
-        "unknown protocol 'look'; known: observe_before_act, direct_act, observe_then_blind, occluded",
-    ),
-    ({"instructions": "loud"}, "unknown instructions 'loud'; known: reveal, neutral, mixed"),
-    ({"motions": ("lateral", "latteral")}, r"unknown motion 'latteral' \(did you mean 'lateral'\?\); known: acc"),
-    ({"objects": ("bal",)}, r"unknown object 'bal' \(did you mean 'ball'\?\); known: ball, block"),
-    ({"image_size": 8}, "image_size must be 16 to 1024 pixels, or 0 for no camera, got 8"),
-    ({"hold_frames": 3}, "hold_frames must be at least 12, or null, got 3"),
-    ({"disturbance_m": 0.5}, "disturbance_m must be 0 to 0.2 m, got 0.5"),
-    ({"motions": ("helix",)}, "motion 'helix' is held out for split 'ood_motion', got split 'train'"),
-    ({"objects": ("jack",), "split": "test"}, "object 'jack' is held out for split 'ood_object', got split 'test'"),
-    (
-        {"motions": ("lateral",), "split": "ood_motion"},
-        "'ood_motion' holds only held-out motions, got motion 'lateral'",
-    ),
-    ({"objects": ("ball",), "split": "ood_object"}, "'ood_object' holds only held-out objects, got object 'ball'"),
+    {"split": "trian"},
+    {"protocol": "look"},
+    {"instructions": "loud"},
+    {"capture": "magnet"},
+    {"control_class": "slow"},
+    {"motions": ("lateral", "latteral")},
+    {"objects": ("bal",)},
+    {"appearance": ("fog",)},
+    {"views": ("top",)},
+    {"views": ("side", "side")},
+    {"image_size": 8},
+    {"hold_frames": 3},
+    {"disturbance_m": 0.5},
+    {"teacher_share": 0.5},
+    {"actor": "somebody"},
+    {"motions": ("helix",)},
+    {"objects": ("jack",), "split": "test"},
+    {"split": "ood_motion", "motions": ("lateral",)},
+    {"split": "ood_object", "objects": ("ball",)},
 ]
-BAD_FILES = [
-    ("splt: train\n", "The fields `splt` are not valid for Recipe"),
-    ("split: trian\n", "unknown split 'trian'; known: train"),
-    ("image_size: large\n", "`image_size`: Couldn't parse 'large' into an int"),
-    ("motions: [latteral]\n", "unknown motion 'latteral'"),
-    ("- split\n", "must map keys to values, got a list"),
-    ("motions: [\n", "is not YAML: while parsing"),
-]
+BAD_FILES = {
+    "an unknown field": ("splt: train\n", "splt"),
+    "an unknown name": ("motions: [latteral]\n", "latteral"),
+    "a wrong type": ("image_size: large\n", "large"),
+    "a text for a list": ("motions: lateral\n", "[lateral]"),
+    "no mapping": ("- split\n", "list"),
+    "no YAML": ("motions: [\n", "YAML"),
+}
 
 
-@pytest.mark.parametrize(("values", "message"), BAD_VALUES)
-def test_a_bad_value_is_named_with_those_allowed(values: dict, message: str):
-    with pytest.raises(ValueError, match=message) as error:
+@pytest.mark.parametrize("values", BAD_VALUES, ids=str)
+def test_a_bad_value_is_named_in_one_sentence(values: dict):
+    *_, value = values.values()
+    with pytest.raises(ValueError, match=re.escape(str(value[-1] if isinstance(value, tuple) else value))) as error:
         Recipe(**values)
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("capture", "unknown capture rule 'x'; known: attach"),
-        ("hand", "unknown hand 'x'; known: capsule"),
-        ("renderer", "unknown renderer 'x'; known: "),
-    ],
-)
-def test_a_batch_refuses_names_it_does_not_know(name: str, message: str):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("name", ["hand", "renderer"])
+def test_a_batch_refuses_names_it_does_not_know(name: str):
+    with pytest.raises(ValueError, match=f"unknown {name} 'x'"):
         WorldBatch(Recipe(**{name: "x"}), 1)
+
+
+def test_a_recipe_with_an_unknown_field_is_refused():
+    with pytest.raises(ValueError, match="colour"):
+        Recipe().changed(colour="red")
 
 
 def test_an_unknown_expert_is_refused_before_anything_is_sampled():
@@ -97,18 +98,15 @@ def test_a_recipe_file_gives_the_recipe(tmp_path: Path):
     assert load_recipe(path) == Recipe()
 
 
-@pytest.mark.parametrize(("text", "message"), BAD_FILES)
-def test_a_bad_file_is_named_with_what_is_wrong(tmp_path: Path, text: str, message: str):
-    path = tmp_path / "recipe.yaml"
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_bad_file_is_named_with_what_is_wrong(tmp_path: Path, name: str):
+    path, (text, wrong) = tmp_path / "recipe.yaml", BAD_FILES[name]
     path.write_text(text)
-    with pytest.raises(ValueError, match=message) as error:
+    with pytest.raises(ValueError, match=re.escape(wrong)) as error:
         load_recipe(path)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_missing_file_is_named(tmp_path: Path):
-    with pytest.raises(ValueError, match=r"there is no recipe at .*absent\.yaml"):
+    with pytest.raises(ValueError, match=r"absent\.yaml"):
         load_recipe(tmp_path / "absent.yaml")
 
 

@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 
 from benchmarks.pin import spec_digest
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.fixture_clearance import box_distance
+from dynahoi_lerobot.sampling.homes import box_distance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.screen import earliest_meeting, with_screen
-from dynahoi_lerobot.sampling.screen_clearance import apart
+from dynahoi_lerobot.sampling.screen import apart, earliest_meeting, with_screen
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 

@@ -1,17 +1,28 @@
-"""Splits are disjoint seed streams, and what is held out is never in training."""
+"""Splits are disjoint seed streams, what is held out is never in training, and a salt gives other episodes."""
 
 from __future__ import annotations
 
 import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.compatibility import MixedError
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
+from dynahoi_lerobot.env import DynahoiVectorEnv
+from dynahoi_lerobot.evaluate.compare import compare
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.motions import PrescribedMotion
+from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.report.entries import read_entries
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import split_seeds
+from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
+from dynahoi_lerobot.sampling.splits import seal, split_seeds, without_salt
 from tests.drawing import Drawn, draw_motion
 
 QUICK = ("constant", "lateral", "horizontal_circle", "line_then_arc")
@@ -31,12 +42,6 @@ def test_splits_are_disjoint_streams():
             assert seen.setdefault(key, split) == split
             assert spec.split == split
     assert len(seen) == 160
-
-
-def test_a_split_of_the_same_name_is_the_same_stream():
-    recipe = Recipe(split="val", motions=QUICK)
-    once, again = sample_specs(recipe, range(4)), sample_specs(recipe, range(4))
-    assert [s.motion for s in once] == [s.motion for s in again]
 
 
 @pytest.mark.parametrize("split", BENCHMARK.streams)
@@ -60,7 +65,7 @@ def test_ood_motion_has_only_held_out_kinds_and_ood_object_only_held_out_objects
 @pytest.mark.parametrize("split", IN_DISTRIBUTION)
 def test_every_sampled_object_is_one_that_its_motion_and_split_allow(split: str):
     for spec in sample_specs(Recipe(split=split), range(22)):
-        assert spec.target.name in MOTIONS[spec.motion.name].objects()
+        assert spec.motion.suits(OBJECTS[spec.target.name])
         assert spec.target.name not in HELD_OUT_OBJECTS
 
 
@@ -101,3 +106,108 @@ def _scalars(drawn: Drawn) -> dict[str, float]:
         speed = float(np.linalg.norm(values["velocity"][:2]))
         found |= {"level speed": speed, "thrown": speed * (drawn.intercept_s - values["release_s"])}
     return found
+
+
+SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
+PUBLIC = Recipe(split="test", image_size=32)
+
+
+def evaluated(folder: Path, *words: str) -> Path:
+    """A result folder of three episodes."""
+    given = ["evaluate", "--policy", "hold", "--episodes", "3", "--out", str(folder), *words]
+    assert main(given) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Results of the public stream, of a salt and of another one."""
+    root = tmp_path_factory.mktemp("runs")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, salt in (("public", ""), ("salted", SALT), ("again", SALT), ("other", OTHER)):
+            words = ["--salt", salt] if salt else []
+            patch.setattr("sys.argv", ["dynahoi", "evaluate", *words])
+            evaluated(root / name, *words)
+    return {folder.name: folder for folder in root.iterdir()}
+
+
+def test_another_salt_is_another_episode_and_the_same_salt_the_same():
+    public, salted, other = (sample_spec(replace(PUBLIC, salt=salt), 3) for salt in ("", SALT, OTHER))
+    assert public.motion.name == salted.motion.name == other.motion.name, "kinds still take turns"
+    homes = np.stack([spec.home_pos_w for spec in (public, salted, other)])
+    assert len(np.unique(homes, axis=0)) == 3
+    np.testing.assert_array_equal(sample_spec(replace(PUBLIC, salt=SALT), 3).oracle_path, salted.oracle_path)
+    assert public.split == "test"
+    assert salted.split == f"test+{seal(SALT).removeprefix('sha256:')[:8]}"
+    assert len({public.split, salted.split, other.split}) == 3
+
+
+def test_no_file_of_a_result_holds_the_salt(runs: dict[str, Path]):
+    files = [path for folder in runs.values() for path in folder.rglob("*") if path.is_file()]
+    assert len(files) >= 12
+    for path in files:
+        assert SALT.encode() not in path.read_bytes()
+    head = json.loads((runs["salted"] / "metrics.json").read_text())
+    assert head["extra"]["recipe"]["salt"] == seal(SALT)
+    assert "(hidden)" in head["command"]
+
+
+def test_no_file_of_a_dataset_holds_the_salt(tmp_path: Path):
+    root = tmp_path / "dataset"
+    words = ["--root", str(root), "--episodes", "2", "--image-size", "0", "--salt", SALT]
+    assert main(["generate", *words]) == 0
+    assert main(["verify", str(root)]) == 0
+    for path in (path for path in root.rglob("*") if path.is_file()):
+        assert SALT.encode() not in path.read_bytes()
+    assert json.loads((root / MANIFEST_PATH).read_text())["provenance"]["recipe"]["salt"] == seal(SALT)
+
+
+def test_a_hash_makes_no_episode():
+    """Also not by being taken for a salt."""
+    with pytest.raises(ValueError, match=r"of the salted stream sha256:\w{16}; only those who know its salt"):
+        sample_spec(replace(PUBLIC, salt=seal(SALT)), 0)
+
+
+def test_a_recipe_read_back_has_the_fingerprint_of_the_salted_one():
+    recipe = replace(PUBLIC, salt=SALT)
+    assert Recipe(**recipe.stored()).fingerprint("code") == recipe.fingerprint("code")
+    assert recipe.fingerprint("code") != PUBLIC.fingerprint("code")
+    assert SALT not in repr(recipe)
+
+
+def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: dict[str, Path]):
+    assert len(read_entries([runs["salted"], runs["again"]])) == 2
+    for name in ("public", "other"):
+        with pytest.raises(MixedError, match=rf"salted has salt '\w{{8}}', .*{name} has salt .*; evaluate both"):
+            read_entries([runs["salted"], runs[name]])
+    rows = {name: read_results(folder).rows for name, folder in runs.items()}
+    assert compare(rows["salted"], rows["again"], "S_loc").n == 3
+    with pytest.raises(MixedError, match=r"A has salt '\w{8}', B has salt 'none'; evaluate both with one salt"):
+        compare(rows["salted"], rows["public"], "S_loc")
+
+
+def test_a_salt_that_can_be_guessed_is_refused_and_not_repeated():
+    with pytest.raises(ValueError, match="at least 16 characters, or be empty, got 5") as refused:
+        Recipe(salt="hush!")
+    assert "hush!" not in str(refused.value)
+
+
+def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
+    env = DynahoiVectorEnv(1, image_size=0, salt=SALT)
+    for one in (env, pickle.loads(pickle.dumps(env))):
+        one.reset(seed=[5])
+        spec = one._batch.specs[0]
+        assert spec is not None
+        np.testing.assert_array_equal(spec.home_pos_w, sample_spec(Recipe(split="test", salt=SALT), 5).home_pos_w)
+
+
+@pytest.mark.parametrize("words", [["evaluate", "--salt", SALT, "--gifs", "1"], ["evaluate", f"--salt={SALT}"]])
+def test_recorded_command_lines_hide_it(words: list[str]):
+    assert SALT not in " ".join(without_salt(words))
+    assert without_salt(words)[0] == "evaluate"
+
+
+def test_an_abbreviated_salt_is_refused_as_it_would_be_recorded(tmp_path: Path, capsys: pytest.CaptureFixture):
+    assert main(["evaluate", "--policy", "hold", "--episodes", "1", "--sal", SALT, "--out", str(tmp_path / "out")]) == 2
+    assert "unrecognized arguments: --sal" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,11 +1,16 @@
-"""The benchmark cannot be solved without predicting: what baselines score in the simulator stays below a bound."""
+"""The benchmark cannot be solved without seeing and predicting: what baselines score stays below a bound."""
 
 from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -63,3 +68,24 @@ def test_what_does_not_predict_stays_below_its_bound(
 @pytest.mark.parametrize(("control", "least"), [("standard", 100), ("late", 99)])
 def test_the_expert_catches_everything(control: str, least: float, many_specs: list[EpisodeSpec]):
     assert localized_percent("intercept", control, many_specs) >= least
+
+
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "sightless.py"
+EXPLAINED = 0.15
+"""Share of the variance of point and time that is chance or the length of the window, at most; the home explains more
+of each (0.26 to 0.48 of 1,000 episodes)."""
+
+
+@pytest.mark.slow
+def test_a_regressor_without_pictures_is_no_better_than_a_fixed_path(tmp_path: Path):
+    command = [sys.executable, str(SCRIPT), "--train", "440", "--episodes", "220", "--json", "numbers.json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    table = json.loads((tmp_path / "numbers.json").read_text())["table"]
+    fixed = table["blind_path"]
+    for inputs in ("numbers", "numbers and words"):
+        row = table[f"regressor, {inputs}"]
+        assert row["value"] <= fixed["high"]
+        assert max(row["R2"]) <= EXPLAINED, inputs
+    assert table["paths by motion"]["value"] <= fixed["high"]
+    assert min(table["regressor, numbers and home"]["R2"]) > EXPLAINED, "the regressor would find what there is"

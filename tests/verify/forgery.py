@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from dynahoi_lerobot.core.features import CAMERA_KEY
 from dynahoi_lerobot.dataset.assembly import Assembly, stored_episodes
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.columns import column_array, content_keys
@@ -24,7 +25,6 @@ from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.statistics import table_stats
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import VideoWriter, decode
-from dynahoi_lerobot.features import CAMERA_KEY
 
 DATA = "data/chunk-000/file-000.parquet"
 ROWS = "meta/episodes/chunk-000/file-000.parquet"

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from docs.scripts import damage_table
 
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.rollout.loop import record

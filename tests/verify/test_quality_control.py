@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset.episode_arrays import content_arrays
 from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
-from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import MAX_DISTURBANCE_M, Recipe

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import VideoWriter, decode
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.features import frame_features
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.rollout.loop import record

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.phase import one_hot_phase
-from dynahoi_lerobot.rollout.inference import Inference
-from dynahoi_lerobot.rollout.real_time_agent import RealTimeAgent
+from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.vlm import agent as vlm_agent
 from dynahoi_lerobot.vlm.agent import VlmAgent
 from dynahoi_lerobot.vlm.client import VlmClient

@@ -9,8 +9,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.episode_spec import EpisodeSpec
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe

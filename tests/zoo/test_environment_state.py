@@ -14,15 +14,15 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.scripts.lerobot_train import main as lerobot_train
 
-from dynahoi_lerobot.agent import Observation
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.env import register_envs
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table
-from dynahoi_lerobot.phase import one_hot_phase
 from dynahoi_lerobot.report.entries import unique_labels
 from tests.verify.forgery import changed_column
 

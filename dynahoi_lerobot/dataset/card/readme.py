@@ -10,12 +10,12 @@ from typing import Any
 import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template, Undefined
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, HAND_DOF
 from dynahoi_lerobot.dataset.card.figures import histogram_svg
 from dynahoi_lerobot.dataset.card.tables import counts, episode_table, frame_table
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, HISTOGRAMS_PATH, MANIFEST_PATH, PICTURE_PATH
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, HAND_DOF
 
 LICENSE = "apache-2.0"
 HOMEPAGE = "the Python package `dynahoi_lerobot`"

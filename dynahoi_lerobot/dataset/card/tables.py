@@ -8,10 +8,16 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
+from dynahoi_lerobot.core.features import (
+    FEATURES,
+    IMAGE_PREFIX,
+    Feature,
+    episode_features,
+    image_feature,
+    moved_features,
+)
 from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.language import LANGUAGE
-from dynahoi_lerobot.feature import IMAGE_PREFIX, Feature
-from dynahoi_lerobot.features import FEATURES, episode_features, image_feature, moved_features
 
 LEROBOTS = {
     "timestamp": ("s", "time of the frame in its episode"),

@@ -10,10 +10,9 @@ import mujoco
 import numpy as np
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.casters import place_casters, place_lights, sort_casters
-from dynahoi_lerobot.renderers.raycast.edges import smooth_edges
-from dynahoi_lerobot.renderers.raycast.lighting import Look
-from dynahoi_lerobot.renderers.raycast.render import render_color, render_ids_and_depth, trace
+from dynahoi_lerobot.renderers.raycast.images import Look, render_color, render_ids_and_depth, smooth_edges, trace
+from dynahoi_lerobot.renderers.raycast.rows import LightFrame, Worlds
+from dynahoi_lerobot.renderers.raycast.shadows import place_casters, place_lights, sort_casters
 from dynahoi_lerobot.renderers.raycast.textures import textures_of
 from dynahoi_lerobot.renderers.raycast.tiling import (
     TILE,
@@ -24,7 +23,6 @@ from dynahoi_lerobot.renderers.raycast.tiling import (
     place_shapes,
     sort_into_tiles,
 )
-from dynahoi_lerobot.renderers.raycast.tracing import LightFrame, Worlds
 from dynahoi_lerobot.scene.model import ARENA_HALF_M
 
 GROUND_LIGHT, SKY_LIGHT = 0.24, 0.15
@@ -94,7 +92,7 @@ class Pipeline:
         self._pool = ThreadPoolExecutor(threads)
 
     def draw_images(self, n_worlds: int) -> np.ndarray:
-        """Return (n, H, W, 3) uint8 pictures of the first ``n_worlds`` rows."""
+        """Return (n, H, W, 3) uint8 images of the first ``n_worlds`` rows."""
         self._place(n_worlds)
         self._in_bands(self._tracing, n_worlds)
         if self._soft:

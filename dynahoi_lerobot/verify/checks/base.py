@@ -13,6 +13,7 @@ import draccus
 import numpy as np
 import pyarrow.parquet as pq
 
+from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.dataset.columns import column_array, numeric_keys
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, moved_columns
 from dynahoi_lerobot.dataset.files import reading
@@ -20,7 +21,6 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.dataset.quality_control import Columns
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.foundation.registry import Registry
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 CHECKS: Registry[type[Check]] = Registry("check", "dynahoi_lerobot.verify.checks")

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS, PALM_DOF
+from dynahoi_lerobot.core.features import PRIMITIVE_NAMES
+from dynahoi_lerobot.core.numerics import quat_to_matrix
+from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.features import PRIMITIVE_NAMES
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGERS, PALM_DOF
-from dynahoi_lerobot.foundation.rotations import quat_to_matrix
 from dynahoi_lerobot.objects.primitives import from_table
-from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
-from dynahoi_lerobot.world.observed import TOUCH_M
+from dynahoi_lerobot.world.batch import TOUCH_M
 
 START_TOLERANCE_M = 1e-5
 """At the start ``palm_distance`` is the distance itself, up to float32."""

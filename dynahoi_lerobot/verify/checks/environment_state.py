@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 

@@ -8,11 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
+from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import EXECUTED
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT
-from dynahoi_lerobot.phase import is_acting
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.captures.base import Weld
-from dynahoi_lerobot.control_class import CONTROL_CLASSES
+from dynahoi_lerobot.captures import CAPTURES, Weld
+from dynahoi_lerobot.core.conventions import FINGER_DOF, PALM_DOF
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import executed_key
-from dynahoi_lerobot.foundation.conventions import FINGER_DOF, PALM_DOF
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns

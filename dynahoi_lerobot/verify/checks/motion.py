@@ -6,11 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.captures.base import Weld
+from dynahoi_lerobot.captures import CAPTURES, Weld
+from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, PALM_DOF
-from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 from dynahoi_lerobot.verify.stored_motion import stored_motion
@@ -38,9 +37,9 @@ class MotionCheck(Check):
         motion = stored_motion(row["motion"], row["parameters"])
         if row["category"] != motion.category:
             yield f"{where}: category is {row['category']!r}; motion {row['motion']!r} is {motion.category!r}"
-        OBJECTS[row["object"]]
-        if row["object"] not in (possible := MOTIONS[row["motion"]].objects()):
-            yield f"{where}: object is {row['object']!r}; motion {row['motion']!r} takes {', '.join(possible)}"
+        if not motion.suits(OBJECTS[row["object"]]):
+            possible = ", ".join(name for name, kind in OBJECTS.items() if motion.suits(kind))
+            yield f"{where}: object is {row['object']!r}; motion {row['motion']!r} takes {possible}"
         if isinstance(motion, PrescribedMotion):
             yield from (f"{where}{problem}" for problem in _off_path(motion, row, columns))
         yield from (f"{where}{problem}" for problem in _inconsistent(columns))

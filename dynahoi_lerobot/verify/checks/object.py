@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dynahoi_lerobot.core.features import PRIMITIVE_NAMES
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.features import PRIMITIVE_NAMES
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.objects.base import FRICTION_RANGE, MASS_RANGE_KG

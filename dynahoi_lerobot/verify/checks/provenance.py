@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.features import CAMERA_KEY
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.features import CAMERA_KEY
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
-from dynahoi_lerobot.sampling.redraws import MAX_DRAWS, REDRAW_STRIDE
+from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
 PLAN = {

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.rules import protocol_of
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.protocol import protocol_of
-from dynahoi_lerobot.rollout.on_policy import Lead
+from dynahoi_lerobot.rollout.teacher_labels import Lead
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.instructions import NEUTRAL, REVEALING
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import NEUTRAL, REVEALING
 from dynahoi_lerobot.sampling.timing import window_frames
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 from dynahoi_lerobot.verify.stored_motion import stored_motion

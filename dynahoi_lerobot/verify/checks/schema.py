@@ -9,15 +9,22 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.features import (
+    CAMERA_KEY,
+    ENVIRONMENT_STATE,
+    EPISODES,
+    FEATURES,
+    FRAMES,
+    IMAGE_PREFIX,
+    frame_features,
+)
 from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.columns import Features, arrow_schema, info_features
 from dynahoi_lerobot.dataset.episode_table import row_schema
 from dynahoi_lerobot.dataset.language import LANGUAGE
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, ROBOT_TYPE, TASKS_PATH, VIDEO_PATH
 from dynahoi_lerobot.dataset.quality_control import EXECUTED
-from dynahoi_lerobot.feature import IMAGE_PREFIX
-from dynahoi_lerobot.features import CAMERA_KEY, ENVIRONMENT_STATE, EPISODES, FEATURES, FRAMES, frame_features
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 
 LIMITS = ("chunks_size", "data_files_size_in_mb", "video_files_size_in_mb")

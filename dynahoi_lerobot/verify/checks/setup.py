@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import control_class_of
+from dynahoi_lerobot.core.conventions import CONTROL_DT, DEFAULT_IMAGE_SIZE_PX
+from dynahoi_lerobot.core.rules import control_class_of
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, DEFAULT_IMAGE_SIZE_PX
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
-from dynahoi_lerobot.rollout.constants import camera_pose, intrinsics
+from dynahoi_lerobot.rollout.recorder import camera_pose, intrinsics
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.scene.scene import compile_scene

@@ -6,14 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from dynahoi_lerobot.control_class import ControlClass, control_class_of
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, PALM_DOF
+from dynahoi_lerobot.core.rules import ControlClass, control_class_of, is_acting
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import EXECUTED
 from dynahoi_lerobot.experts.intercept import SPEED_M_S
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, FINGER_DOF, PALM_DOF
 from dynahoi_lerobot.motions import PrescribedMotion
-from dynahoi_lerobot.phase import is_acting
-from dynahoi_lerobot.rollout.on_policy import Lead
+from dynahoi_lerobot.rollout.teacher_labels import Lead
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 from dynahoi_lerobot.verify.hand_kinematics import hand_kinematics

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns
 
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
+from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.foundation.conventions import PALM_DOF
 from dynahoi_lerobot.rollout.recorder import next_frames
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset, Columns

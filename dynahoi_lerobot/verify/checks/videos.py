@@ -10,8 +10,8 @@ import av
 import numpy as np
 from av.error import FFmpegError
 
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 from dynahoi_lerobot.verify.checks.base import CHECKS, Check, CheckedDataset
 from dynahoi_lerobot.verify.mp4 import container_problems
 

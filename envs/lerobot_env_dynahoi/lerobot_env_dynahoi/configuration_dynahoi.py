@@ -12,17 +12,15 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import OBS_ENV_STATE
 
-from dynahoi_lerobot.env.rewards import SPARSE, check_reward
-from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.features import Feature
+from dynahoi_lerobot.env.vector_env import SPARSE, check_reward
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.renderers import RENDERERS
-from dynahoi_lerobot.rollout.inference import SYNC, Inference
-from dynahoi_lerobot.rollout.stepwise_inference import StepwiseInference
+from dynahoi_lerobot.rollout.inference import SYNC, Inference, StepwiseInference
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
-from lerobot_env_dynahoi.command_line import new_results_folder, policy_rules
-from lerobot_env_dynahoi.played_policy import queued_policy
+from lerobot_env_dynahoi.command_line import new_results_folder, policy_rules, queued_policy
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 RECIPE_FIELDS = tuple(name for name in PLAYING if name != "motions")
@@ -46,10 +44,10 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
     Attributes:
         task: one kind of motion, one category, several of either separated by commas, or None for all 22 kinds.
         inference: ``sync``, the world waits for the policy, or ``async``, its inferences take ``latency_ms``, one at a
-            time (`stepwise_inference.py`).
+            time (`rollout.inference.StepwiseInference`).
         latency_ms: time from an observation to the chunk that answers it [ms].
         n_action_steps: the policy's, where LeRobot's command line does not name the policy; else leave it 0.
-        reward: ``sparse`` or ``dense``, see `dynahoi_lerobot.env.rewards`.
+        reward: ``sparse`` or ``dense``, see `dynahoi_lerobot.env.vector_env.REWARDS`.
         results_dir: where the metrics go; a new folder below ``dynahoi`` in LeRobot's ``--output_dir`` if None.
     """
 
@@ -108,7 +106,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             tasks = suites.setdefault(MOTIONS[kind].category, {})
             stepwise = None if policy is None else StepwiseInference(policy, timing)
             options: dict[str, Any] = {"reward": self.reward, "inference": stepwise}
-            tasks[len(tasks)] = TaskEnv(log, n_envs, kind=kind, recipe=recipe, **options)
+            tasks[len(tasks)] = TaskEnv(n_envs, log=log, kind=kind, recipe=recipe, **options)
         return suites
 
     def _recipe(self) -> Recipe:

@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.env.late_env import LateVectorEnv
-from dynahoi_lerobot.episode import Episode
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.results import WEIGHTS, ResultsRecorder, RunInfo, command_line
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.sampling.fingerprint import surroundings
@@ -58,19 +58,19 @@ class ResultsLog:
         print(f"{results_table([results])}\nmetrics so far: {self.folder}", flush=True)
 
 
-class TaskEnv(LateVectorEnv):
+class TaskEnv(DynahoiVectorEnv):
     """A vector env of one kind of motion that reports its episodes to a log."""
 
-    def __init__(self, log: ResultsLog, num_envs: int, **options: Any) -> None:
-        """Take the log and the arguments of ``LateVectorEnv``."""
+    def __init__(self, num_envs: int = 1, *, log: ResultsLog, **options: Any) -> None:
+        """Take the log and the arguments of ``DynahoiVectorEnv``."""
         super().__init__(num_envs, on_episode=log.add, **options)
         self._log = log
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy is made from: the log and the arguments of ``LateVectorEnv``."""
+        """Return what a copy is made from: the log and the arguments of ``DynahoiVectorEnv``."""
         state = super().__getstate__()
-        options = {name: value for name, value in state["options"].items() if name != "on_episode"}
-        return state | {"options": options | {"log": self._log}}
+        arguments = {name: value for name, value in state["arguments"].items() if name != "on_episode"}
+        return state | {"arguments": arguments | {"log": self._log}}
 
     def close_extras(self, **kwargs: Any) -> None:
         """Write what has been played so far."""

@@ -21,8 +21,8 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.envs.utils import preprocess_observation
 from torch import Tensor
 
-from dynahoi_lerobot.agent import Plan
-from dynahoi_lerobot.env.spaces import as_gym
+from dynahoi_lerobot.core.agent import Plan
+from dynahoi_lerobot.core.features import as_gym
 from dynahoi_lerobot.onpolicy.student import Learner
 
 from .configuration_tracker import TrackerConfig
@@ -38,7 +38,7 @@ from .processor_tracker import make_tracker_pre_post_processors
 from .updates import learning_rate, take_step
 
 if TYPE_CHECKING:
-    from dynahoi_lerobot.agent import Observation as WorldObservation
+    from dynahoi_lerobot.core.agent import Observation as WorldObservation
     from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
     from dynahoi_lerobot.onpolicy.rounds import Round
 

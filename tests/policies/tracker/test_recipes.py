@@ -22,9 +22,9 @@ from lerobot_policy_obact.encoders import SHIPPED
 from torch.utils.data import default_collate
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.control_class import control_class_of
+from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.rules import control_class_of
 from dynahoi_lerobot.evaluate import command as evaluate_command
-from dynahoi_lerobot.foundation.conventions import EGO_VIEW
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
 from dynahoi_lerobot.sampling.recipe import load_recipe
 

@@ -8,7 +8,7 @@ import torch
 from lerobot_policy_tracker.heads.intercept import KNOTS, interpolation
 from lerobot_policy_tracker.reach import Reach, close_in_time, earliest_meeting, first_contact, palm_path
 
-from dynahoi_lerobot.foundation.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 

@@ -1,1 +1,0 @@
-"""The benchmark inside other evaluation harnesses, one file each."""

@@ -1,0 +1,233 @@
+"""Who moves the hand. A learned agent sees an Observation; an expert sees the WorldState; the types keep them apart."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.core.rules import ControlClass
+    from dynahoi_lerobot.core.spec import EpisodeSpec
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a policy may see of N worlds at one frame.
+
+    The home frame has the axes of the world and its origin where the palm waits in this episode.
+
+    Attributes:
+        images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
+        state: (N, 18) float32, palm centre position [m], home frame, and joint angles [rad].
+        fingertips: (N, 30) float32, 5 x (position [m], home frame, rotation vector [rad]).
+        phase: (N, 2) float32, [1, 0] observing, [0, 1] acting.
+        tasks: N instructions.
+        touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
+        environment_state: (N, 13) float32, the simulator's truth: pose and velocity of the target as in `WorldState`,
+            [m], quaternion, [m/s] and [rad/s]; None unless the batch was asked for it.
+    """
+
+    images: dict[str, np.ndarray]
+    state: np.ndarray
+    fingertips: np.ndarray
+    phase: np.ndarray
+    tasks: tuple[str, ...]
+    touch: np.ndarray | None = None
+    environment_state: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class WorldState:
+    """Everything the simulator knows of N worlds at one frame; for experts only.
+
+    Attributes:
+        observation: what a policy would see.
+        specs: the N episodes being played, None where no world is in use; each knows its untouched target's path.
+        frame: (N,) int, frame index within the episode.
+        attempt: (N,) int, 1 for the first try at an episode.
+        target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
+        target_velocity: (N, 6) linear [m/s] and angular [rad/s], along the world's axes.
+        target_contacts: (N, 5) 1 where the finger touches the target.
+        localized: (N,) bool, the target has been localised in the control phase.
+        control: the limits of the hand and the latency of its commands.
+        localization_radius_m: palm centre to target centre, below which the target is localised [m].
+        state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect: [m],
+            home frame, and [rad].
+    """
+
+    observation: Observation
+    specs: tuple[EpisodeSpec | None, ...]
+    frame: np.ndarray
+    attempt: np.ndarray
+    target_pose: np.ndarray
+    target_velocity: np.ndarray
+    target_contacts: np.ndarray
+    localized: np.ndarray
+    control: ControlClass
+    localization_radius_m: float
+    state_when_due: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Meeting:
+    """Where and when a hand is going to meet its target.
+
+    Attributes:
+        palm_pos_w: (3,) the palm centre then [m], world.
+        frame: of the episode.
+    """
+
+    palm_pos_w: np.ndarray
+    frame: int
+
+
+class Actor(ABC):
+    """Whoever moves the hands of N worlds: an `Agent` from observations, an `Expert` from the simulator's state.
+
+    Attributes:
+        name: labels results.
+        privileged: it sees the simulator's state; results say so.
+        has_memory: what it does depends on earlier frames, so that all worlds must begin their episodes together.
+        sees_images: turns rendering on.
+        sees_environment_state: it is an `Agent` that needs ``Observation.environment_state``.
+        image_size: side of the images it was trained on [px], None if it does not say.
+        trained_for: the ``control_class``, ``protocol`` and ``image_size`` it was trained for, those that it tells.
+        views: the views it needs besides ``ego``.
+        weights: sha256 of its files of weights, by name; empty if it has none.
+        retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
+    """
+
+    name: str = "actor"
+    privileged: bool
+    has_memory: ClassVar[bool]
+    sees_images: bool = False
+    sees_environment_state: bool = False
+    image_size: int | None = None
+    trained_for: Mapping[str, Any] = MappingProxyType({})
+    views: tuple[str, ...] = ()
+    weights: Mapping[str, str] = MappingProxyType({})
+    retries: int = 0
+
+    def reset(self, count: int) -> None:  # noqa: B027 - an actor without memory has nothing to forget
+        """Forget everything; ``count`` new episodes begin."""
+
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting | None:
+        """Return the meeting that it plans at the control start of an attempt (from 1); None if it plans none."""
+        return None
+
+    def report(self) -> dict[str, Any]:
+        """Return what else a result should say about the run, as JSON values."""
+        return {}
+
+    @abstractmethod
+    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame.
+
+        Args:
+            observation: what a policy may see.
+            world_state: gives everything the simulator knows; an `Agent` never calls it.
+        """
+
+
+class Agent(Actor):
+    """Maps observations of N worlds to N commands; it cannot see more."""
+
+    name = "agent"
+    privileged = False
+    has_memory = True
+
+    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+        """Return (N, 18) commands."""
+        return self.act(observation)
+
+    @abstractmethod
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What an inference returns, for n worlds.
+
+    Attributes:
+        actions: (n, H, 18) commands for the observed frame and those after it.
+        seconds: (n,) what the inference took [s].
+        expectations: what each chunk was planned for, as the agent keeps it; empty if it does not correct chunks.
+    """
+
+    actions: np.ndarray
+    seconds: np.ndarray
+    expectations: Sequence[Any] = ()
+
+
+class ChunkAgent(Agent):
+    """An agent that can say what it would do in the next frames.
+
+    Attributes:
+        accepts_guidance: whether a chunk can be guided by what the previous one has committed to.
+        accepts_prefix: whether a chunk is planned from where the hand will be when it is ready.
+        corrects: whether it can correct a chunk in every frame in which that is executed.
+    """
+
+    accepts_guidance: bool = False
+    accepts_prefix: bool = False
+    corrects: bool = False
+
+    def enable_guidance(self) -> None:
+        """Prepare for guidance, which ``accepts_guidance``."""
+
+    def watch(self, observation: Observation) -> None:
+        """Note a frame in which no chunk is asked for."""
+
+    def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
+        """Return (n, 18) commands for the frame that was noted last, in place of those of chunks.
+
+        Args:
+            worlds: (n,) sorted worlds.
+            expectations: of the `Plan` that each of them executes.
+            ages: frames since the observation of that.
+        """
+        raise NotImplementedError(f"{self.name!r} does not correct chunks")
+
+    @abstractmethod
+    def plan(
+        self,
+        observation: Observation,
+        worlds: np.ndarray,
+        *,
+        executed: np.ndarray | None = None,
+        delays: np.ndarray | None = None,
+    ) -> Plan:
+        """Return a chunk for each of some worlds; it counts as noting the frame.
+
+        Args:
+            observation: of all worlds.
+            worlds: (n,) sorted worlds that need a chunk.
+            executed: (n,) actions of each previous chunk that are past, to continue the others; None if there is none.
+            delays: (n,) actions that will be past when each chunk is ready; None for chunks that continue nothing.
+        """
+
+
+class Expert(Actor):
+    """Maps the full simulator state of N worlds to N commands, deterministically, world by world.
+
+    A world may begin an episode at any frame of the others. What an expert keeps between frames, such as a plan, must
+    follow from the episode and the attempt alone.
+    """
+
+    name = "expert"
+    privileged = True
+    has_memory = False
+
+    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+        """Return (N, 18) commands."""
+        return self.act(world_state(observation))
+
+    @abstractmethod
+    def act(self, world: WorldState) -> np.ndarray:
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""

@@ -1,0 +1,359 @@
+"""The one feature table: every array of an episode, and what it is called in each interface.
+
+Positions are in the home frame: axes of the world (z up, the open palm faces +x), origin where the palm's centre waits
+in this episode. Rotations and velocities are along the same axes.
+
+From ``FEATURES`` are derived the Gymnasium spaces (`env/vector_env.py`), the features of ``--env.type=dynahoi``, what a
+rollout records (`rollout/recorder.py`), the dataset's columns and reader (`dataset/columns.py`) and the documentation
+(``dynahoi list features``). A new feature is one entry here, an attribute of that name in ``Episode`` (and in
+``Observation`` where policies may see it), and what computes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF, FINGERS, HAND_DOF, HAND_NAMES, JOINT_NAMES
+from dynahoi_lerobot.core.rules import PHASES
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.core.agent import Observation
+
+OBSERVATION_PREFIX = "observation."
+"""LeRobot gives policies the columns of this prefix, and no others."""
+NEXT_PREFIX = "next."
+"""LeRobot's own columns of what an action led to."""
+IMAGE_PREFIX = OBSERVATION_PREFIX + "images."
+EPISODE_TABLE_PREFIX = "stats/"
+"""Columns of the episode table: LeRobot reads an episode's whole row for every sample, but for this prefix."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One array of an episode.
+
+    Attributes:
+        name: attribute of ``Episode``, and of ``Observation`` if policies may see it.
+        key: column of the dataset: of the frame table, or of the episode table if it begins with ``stats/``.
+        shape: of one frame, () for a number, which the dataset stores as (1,). What policies see has two elements
+            or more, because LeRobot cannot stream windows over one.
+        names: of the elements, in order.
+        unit: of the elements.
+        meaning: what it is, with its frame of reference.
+        dtype: element type in ``Episode`` and in the dataset.
+        gym_key: key in the Gymnasium observation (``group/key`` if nested); None for privileged features.
+        low: least value in the Gymnasium space, in ``unit``; values beyond are clipped.
+        high: greatest value, likewise.
+        needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
+        on_policy: whether only on-policy recordings have it, see `rollout.teacher_labels`.
+        on_request: whether policies and datasets get it only if that is asked for: it is the simulator's truth.
+        constant: whether it has one value per episode; a frame table repeats that value in every row.
+        per: what its rows are if it is not constant: ``frame``, or ``attempt`` or ``primitive``, whose number differs
+            between episodes; only the episode table can hold those.
+        derived: whether it follows from other attributes: a property of ``Episode``, which is stored but not read.
+    """
+
+    name: str
+    key: str
+    shape: tuple[int, ...]
+    names: tuple[str, ...]
+    unit: str
+    meaning: str
+    dtype: str = "float32"
+    gym_key: str | None = None
+    low: float = -math.inf
+    high: float = math.inf
+    needs_contact_sensors: bool = False
+    on_policy: bool = False
+    on_request: bool = False
+    constant: bool = False
+    per: str = "frame"
+    derived: bool = False
+
+    @property
+    def column_shape(self) -> tuple[int, ...]:
+        """Shape of one row of the column."""
+        return self.shape or (1,)
+
+    @property
+    def observed(self) -> bool:
+        """Whether policies see it."""
+        return self.key.startswith(OBSERVATION_PREFIX)
+
+    @property
+    def privileged(self) -> bool:
+        """Whether it is for experts, metrics and auxiliary losses only."""
+        return self.gym_key is None
+
+    @property
+    def optional(self) -> bool:
+        """Whether some recordings do not have it."""
+        return self.needs_contact_sensors or self.on_policy or self.on_request
+
+    @property
+    def is_image(self) -> bool:
+        """Whether it is the images of a view."""
+        return self.key.startswith(IMAGE_PREFIX)
+
+    @property
+    def in_episode_table(self) -> bool:
+        """Whether the dataset stores it in the episode table instead of the frame table."""
+        return self.key.startswith(EPISODE_TABLE_PREFIX)
+
+    @property
+    def movable(self) -> bool:
+        """Whether the episode table can hold it instead: no policy and no tool of LeRobot reads it."""
+        read = self.in_episode_table or self.on_policy or self.key.startswith(NEXT_PREFIX)
+        return self.privileged and not read
+
+    def moved(self) -> Feature:
+        """Return it as a column of the episode table."""
+        return replace(self, key=EPISODE_TABLE_PREFIX + self.key)
+
+    @property
+    def has_fixed_shape(self) -> bool:
+        """Whether all episodes of one length have it in one shape."""
+        return self.constant or self.per == "frame"
+
+    def array_shape(self, frames: int) -> tuple[int, ...]:
+        """Return the shape of the attribute in an ``Episode`` of ``frames`` frames, if it ``has_fixed_shape``."""
+        return self.shape if self.constant else (frames, *self.shape)
+
+
+FINGERTIP_NAMES = tuple(
+    f"{finger}_{part}" for finger in FINGERS for part in ("x", "y", "z", "rotvec_x", "rotvec_y", "rotvec_z")
+)
+POSITION_NAMES = ("x", "y", "z")
+POSE_NAMES = (*POSITION_NAMES, "qw", "qx", "qy", "qz")
+TWIST_NAMES = ("vx", "vy", "vz", "wx", "wy", "wz")
+PRIMITIVE_NAMES = ("geom_type", "size_x", "size_y", "size_z", *POSE_NAMES)
+INTRINSICS_NAMES = ("fx", "fy", "cx", "cy")
+
+CAMERA_KEY = IMAGE_PREFIX + EGO_VIEW
+PIXELS = "pixels"
+"""Key of the dictionary of images in a Gymnasium observation, as LeRobot expects it."""
+ENVIRONMENT_STATE = "observation.environment_state"
+"""LeRobot's name for the truth about the environment, which policies without cameras may read."""
+
+FRAMES, EPISODES = PRIVILEGED_PLACES = ("frames", "episodes")
+"""Where a dataset holds the privileged columns: in every row of the frame table, or in the episode table."""
+
+
+_TABLE = (
+    Feature(
+        "state", "observation.state", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "palm centre position, home frame; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
+    ),
+    Feature(
+        "fingertips", "observation.fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
+        "position, home frame, and rotation vector of each fingertip", gym_key="fingertips", low=-10.0, high=10.0,
+    ),
+    Feature(
+        "phase", "observation.phase", (len(PHASES),), PHASES, "1",
+        "[1, 0] in the observation window, [0, 1] in the control phase", gym_key="phase", low=0.0, high=1.0,
+    ),
+    Feature(
+        "touch", "observation.touch", (len(FINGERS),), FINGERS, "N",
+        "force of each finger on the target, mean of the last control step",
+        gym_key="touch", low=0.0, high=1000.0, needs_contact_sensors=True,
+    ),
+    Feature(
+        "environment_state", ENVIRONMENT_STATE, (13,), (*POSE_NAMES, *TWIST_NAMES), "m, 1, m/s, rad/s",
+        "the simulator's truth: target position, home frame, and quaternion wxyz, as target.pose; linear and angular "
+        "velocity, along the world's axes, as target.velocity", gym_key="environment_state", low=-1000.0,
+        high=1000.0, on_request=True, derived=True,
+    ),
+    Feature(
+        "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "target for the next frame, after clipping: palm centre position, home frame; joint angles; in on-policy "
+        "recordings what the teacher would have commanded", gym_key="action",
+    ),
+    Feature(
+        "executed_action", "executed_action", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "likewise, the command that was executed, whoever gave it", on_policy=True,
+    ),
+    Feature(
+        "intervention", "intervention", (), ("intervention",), "1",
+        "the teacher moved the hand, disturbed, not the policy", dtype="bool", on_policy=True,
+    ),
+    Feature(
+        "teacher_arrival", "teacher.arrival", (), ("time",), "s",
+        "time until the teacher would meet the target from here", on_policy=True,
+    ),
+    Feature(
+        "target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
+    ),
+    Feature(
+        "target_velocity", "target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
+        "target linear and angular velocity, along the world's axes",
+    ),
+    Feature("target_contacts", "target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
+    Feature(
+        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, home frame",
+        constant=True,
+    ),
+    Feature(
+        "intercept_time", "intercept.time", (), ("time",), "s", "time of the oracle intercept in the episode",
+        constant=True,
+    ),
+    Feature("localized", "localized", (), ("localized",), "1", "the target is, or has been, localised", dtype="bool"),
+    Feature("captured", "captured", (), ("captured",), "1", "the capture rule regards it as captured", dtype="bool"),
+    Feature(
+        "reward", "next.reward", (), ("reward",), "1",
+        "1 where the action led to the first frame on which the episode is a success, else 0", derived=True,
+    ),
+    Feature(
+        "done", "next.done", (), ("done",), "1", "the recording ends with this frame", dtype="bool", derived=True
+    ),
+    Feature(
+        "succeeded", "next.success", (), ("success",), "1",
+        "the frames up to the one the action led to make the episode a success", dtype="bool",
+    ),
+    Feature(
+        "palm_distance", "stats/palm_distance", (), ("distance",), "m",
+        "palm centre to target centre, least of the last control step",
+    ),
+    Feature(
+        "fingertip_distance", "stats/fingertip_distance", (), ("distance",), "m",
+        "least distance of a fingertip to the target's surface, 0 inside",
+    ),
+    Feature(
+        "home_position", "stats/home_position", (3,), POSITION_NAMES, "m",
+        "origin of the home frame, world; the floor is at z = 0", constant=True,
+    ),
+    Feature(
+        "open_joints", "stats/open_joints", (FINGER_DOF,), JOINT_NAMES, "rad", "joint angles of the open hand",
+        constant=True,
+    ),
+    Feature(
+        "reference_joints", "stats/reference_joints", (FINGER_DOF,), JOINT_NAMES, "rad",
+        "joint angles of the object's reference grasp", constant=True,
+    ),
+    Feature(
+        "object_primitives", "stats/object_primitives", (len(PRIMITIVE_NAMES),), PRIMITIVE_NAMES, "1, m",
+        "the object's solids: MuJoCo's geom type and half-sizes; position and quaternion wxyz in the object's frame, "
+        "whose origin is the centre of mass", per="primitive",
+    ),
+    Feature(
+        "object_size", "stats/object_size", (3,), POSITION_NAMES, "m", "extent of the object along its own axes",
+        constant=True,
+    ),
+    Feature("object_mass", "stats/object_mass", (), ("mass",), "kg", "mass of the object", constant=True),
+    Feature(
+        "object_inertia", "stats/object_inertia", (3,), POSITION_NAMES, "kg m^2",
+        "moments of inertia of the object about its own axes", constant=True,
+    ),
+    Feature(
+        "object_friction", "stats/object_friction", (2,), ("hand", "surface"), "1",
+        "sliding friction coefficients of the object against the hand and against the roughest surface it meets",
+        constant=True,
+    ),
+    Feature(
+        "object_restitution", "stats/object_restitution", (), ("restitution",), "1",
+        "rebound speed over impact speed of the impacts of its motion; 0 if it has none", constant=True,
+    ),
+    Feature(
+        "ego_camera", "stats/ego_camera", (7,), POSE_NAMES, "m, 1",
+        "pose of the hand's camera from the palm centre; it looks along its -z, y is up",
+        constant=True,
+    ),
+    Feature(
+        "side_camera", "stats/side_camera", (7,), POSE_NAMES, "m, 1",
+        "pose of the side camera, home frame, likewise", constant=True,
+    ),
+    Feature(
+        "ego_intrinsics", "stats/ego_intrinsics", (4,), INTRINSICS_NAMES, "px",
+        "focal lengths and principal point of the views of the hand's camera", constant=True,
+    ),
+    Feature(
+        "side_intrinsics", "stats/side_intrinsics", (4,), INTRINSICS_NAMES, "px", "likewise of the side camera",
+        constant=True,
+    ),
+    Feature(
+        "hand_limits", "stats/hand_limits", (3,), ("palm_speed", "joint_speed", "latency"), "m/s, rad/s, ms",
+        "greatest speed of the palm (under contact: along an axis) and of a joint; latency of commands",
+        constant=True,
+    ),
+    Feature(
+        "first_plan", "stats/first_plan", (2,), ("speed", "lead_time"), "m/s, s",
+        "the expert's plan at control start: the palm's straight way to the meeting over the time to it; this time; "
+        "0 if the actor plans none", constant=True,
+    ),
+    Feature(
+        "attempt_success", "stats/attempt_success", (), ("success",), "1",
+        "whether each attempt at the episode succeeded; the last one is recorded", dtype="bool", per="attempt",
+        derived=True,
+    ),
+)  # fmt: skip
+
+FEATURES = {feature.name: feature for feature in _TABLE}
+"""By attribute name, in the dataset's order. Images depend on resolution and views: see ``image_feature``."""
+
+
+def image_feature(view: str, image_size: int) -> Feature:
+    """Return the feature of a view's images: square RGB, height x width x channel, 0-255."""
+    return Feature(
+        name="images",
+        key=IMAGE_PREFIX + view,
+        shape=(image_size, image_size, 3),
+        names=("height", "width", "channels"),
+        unit="1",
+        meaning=f"RGB image of view {view}",
+        dtype="uint8",
+        gym_key=f"{PIXELS}/{view}",
+        low=0,
+        high=255,
+    )
+
+
+def frame_features(
+    image_size: int,
+    views: Sequence[str] = (),
+    *,
+    contact_sensors: bool = False,
+    on_policy: bool = False,
+    environment_state: bool = False,
+    privileged: bool = True,
+) -> tuple[Feature, ...]:
+    """Return the columns of the frame table, in the dataset's order.
+
+    Args:
+        image_size: side of the images [px]; 0 for no camera.
+        views: the views besides ``ego``.
+        contact_sensors: whether the capture rule ``uses_contact_sensors``.
+        on_policy: whether a teacher labels what somebody else does.
+        environment_state: whether policies are given the simulator's truth.
+        privileged: False leaves out the privileged columns that the episode table can hold, see ``moved_features``.
+    """
+    images = tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views) if image_size)
+    sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
+    asked = (f for f in sensed if environment_state or not f.on_request)
+    held = (f for f in asked if on_policy or not f.on_policy)
+    kept = (f for f in held if privileged or not f.movable)
+    return (*images, *(feature for feature in kept if not feature.in_episode_table))
+
+
+def moved_features(held: Container[str] = ()) -> tuple[Feature, ...]:
+    """Return, as columns of the episode table, what a frame table with the columns ``held`` leaves to that."""
+    return tuple(f.moved() for f in FEATURES.values() if f.movable and f.key not in held)
+
+
+def episode_features() -> tuple[Feature, ...]:
+    """Return the features that are columns of the episode table: metrics need them, policies do not."""
+    return tuple(feature for feature in FEATURES.values() if feature.in_episode_table)
+
+
+def as_gym(observation: Observation) -> dict[str, Any]:
+    """Return an Observation under the keys of the Gymnasium space, (N, ...) each, clipped to its bounds."""
+    entries: dict[str, Any] = {PIXELS: observation.images} if observation.images else {}
+    for feature in FEATURES.values():
+        if feature.observed and feature.gym_key is not None:
+            value = getattr(observation, feature.name)
+            if value is not None:
+                entries[feature.gym_key] = np.clip(value, feature.low, feature.high)
+    return entries

@@ -1,0 +1,66 @@
+"""Files and text: unwritable places refused before the work starts, files written whole, hashes, printable text."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+MAX_NAME_BYTES = 180
+"""File systems allow 255; temporary names beside the output add host, process and a random number."""
+
+
+def check_output(path: Path) -> None:
+    """Refuse a file or folder that cannot be made, or written to if it exists.
+
+    Raises:
+        ValueError: if the path is a link to nothing, lies below a file or below a link to nothing, or has too long a
+            name.
+    """
+    if "\0" in str(path):
+        raise ValueError(f"a path cannot hold a null character, got {str(path)!r}")
+    for name in path.parts:
+        if (size := len(os.fsencode(name))) > MAX_NAME_BYTES:
+            raise ValueError(
+                f"a name in the output path has {size} bytes; it may have {MAX_NAME_BYTES}: {name[:20]}..."
+            )
+    for place in (path, *path.parents):
+        if place.is_symlink() and not place.exists():
+            raise ValueError(f"{place} is a link to {os.readlink(place)}, which does not exist; choose another place")
+        if place.exists():
+            break
+    if place != path and not place.is_dir():
+        raise ValueError(f"{path} cannot be made: {place} is a file")
+
+
+def write_atomically(writers: Mapping[Path, Callable[[Path], object]]) -> None:
+    """Write every file under a temporary name, and rename them only when all are complete and on the disk.
+
+    Args:
+        writers: for each path, a function that writes the file to the path it is given. The files are renamed in this
+            order, so the presence of the last implies that of the others. Folders are made.
+    """
+    drafts = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in writers}
+    try:
+        for path, write in writers.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(drafts[path])
+            with drafts[path].open("rb") as draft:
+                os.fsync(draft.fileno())
+        for path, draft in drafts.items():
+            draft.replace(path)
+    finally:
+        for draft in drafts.values():
+            draft.unlink(missing_ok=True)
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with whatever a terminal would obey, such as escapes and line ends, written out."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
+def sha256(path: Path) -> str:
+    """Return the sha256 of a file in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

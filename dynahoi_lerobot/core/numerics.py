@@ -1,0 +1,59 @@
+"""Rotations of many worlds at once, and products and lengths that do not depend on the processor."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def quat_to_matrix(quat: np.ndarray) -> np.ndarray:
+    """Return (..., 3, 3) rotation matrices of (..., 4) unit quaternions wxyz."""
+    w, x, y, z = np.moveaxis(quat, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def matrix_to_quat(matrix: np.ndarray) -> np.ndarray:
+    """Return (..., 4) unit quaternions wxyz, w >= 0, of (..., 3, 3) rotation matrices.
+
+    Of the four equivalent formulas, the one that divides by the largest component is taken for each.
+    """
+    m = matrix
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    d, e, f = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    scaled = np.stack(
+        [
+            np.stack([1 + xx + yy + zz, a, b, c], axis=-1),
+            np.stack([a, 1 + xx - yy - zz, d, e], axis=-1),
+            np.stack([b, d, 1 - xx + yy - zz, f], axis=-1),
+            np.stack([c, e, f, 1 - xx - yy + zz], axis=-1),
+        ],
+        axis=-2,
+    )  # (..., 4 formulas, 4)
+    best = np.diagonal(scaled, axis1=-2, axis2=-1).argmax(axis=-1)
+    quat = np.take_along_axis(scaled, best[..., None, None], axis=-2)[..., 0, :]
+    quat = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
+    return np.where(quat[..., :1] < 0, -quat, quat)
+
+
+def matrix_to_rotvec(matrix: np.ndarray) -> np.ndarray:
+    """Return (..., 3) rotation vectors [rad], at most pi long, of (..., 3, 3) rotation matrices."""
+    quat = matrix_to_quat(matrix)
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, quat[..., :1])
+    return quat[..., 1:] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
+
+
+def product(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Return ``rows @ matrix``, (..., k) times (k, m) or (k,), the same to the last bit on every x86-64 processor."""
+    return np.einsum("...k,km->...m" if np.ndim(matrix) == 2 else "...k,k->...", rows, matrix)
+
+
+def norm(vector: ArrayLike) -> float:
+    """Return the length of a vector (k,), which ``np.linalg.norm`` leaves to BLAS unless it is told an axis."""
+    return float(np.linalg.norm(vector, axis=-1))

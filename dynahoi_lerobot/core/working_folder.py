@@ -1,0 +1,139 @@
+"""Working folders: made, claimed by one process for one task, resumed by the same task, and cleared of nothing else."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
+
+from dynahoi_lerobot.core.files import write_atomically
+
+LOCK = "lock"
+
+
+@contextmanager
+def working_folder(path: Path, task: dict[str, Any], record: str = "plan.json") -> Iterator[Path]:
+    """Make a folder, or enter that of an interrupted run of the same task, and hold its lock.
+
+    Args:
+        path: the folder.
+        task: JSON values that tell this task from others.
+        record: name of the file that holds the task; a folder with content but without it is somebody else's.
+
+    Raises:
+        BlockingIOError: if another process works in it.
+        FileExistsError: if it belongs to another task, or no task made it.
+    """
+    if path.exists() and not path.is_dir():
+        raise FileExistsError(f"{path} is a file; remove it or choose another folder")
+    path.mkdir(parents=True, exist_ok=True)
+    _refuse_foreign(path, record)
+    with exclusive(path):
+        _claim(path, task, record)
+        yield path
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Hold a folder's lock, which the kernel releases when its holder ends, however that happens.
+
+    Raises:
+        BlockingIOError: if another process holds it.
+        FileExistsError: if something else has the lock's name.
+    """
+    file = _locked(folder / LOCK)
+    try:
+        file.truncate()
+        file.write(f"process {os.getpid()} on {socket.gethostname()}")
+        file.flush()
+        yield
+    finally:
+        (folder / LOCK).unlink(missing_ok=True)
+        file.close()
+
+
+def clear(path: Path, task: dict[str, Any], record: str = "plan.json") -> None:
+    """Remove the folder of an interrupted run of this task with all that is in it; leave any other folder alone.
+
+    Raises:
+        BlockingIOError: if a process works in it.
+        FileExistsError: if it belongs to another task, or no task made it.
+    """
+    if path.exists():
+        with working_folder(path, task, record):
+            shutil.rmtree(path)
+
+
+def read_task(path: Path, record: str = "plan.json") -> dict[str, Any] | None:
+    """Return the task that a folder belongs to, None if it cannot be read."""
+    try:
+        content = json.loads((path / record).read_text())
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
+    """Name what differs between two tasks, looking one mapping deep; empty if nothing does."""
+    names: list[str] = []
+    for key, value in wanted.items():
+        inner = found.get(key)
+        if isinstance(value, dict) and isinstance(inner, dict):
+            names += [name for name in value if inner.get(name) != value[name]]
+        elif inner != value:
+            names.append(key)
+    return ", ".join(names)
+
+
+def _refuse_foreign(path: Path, record: str) -> None:
+    """Refuse a folder with content but without a record; an interrupted start may have left its lock."""
+    if (path / record).exists():
+        return
+    names = sorted(entry.name for entry in path.iterdir())
+    if foreign := [name for name in names if name != LOCK and not name.startswith(f".{record}.")]:
+        raise FileExistsError(
+            f"{path} holds {foreign[0]} but no {record}, so it is not the folder of an interrupted run; remove it or "
+            "choose another folder"
+        )
+
+
+def _claim(path: Path, task: dict[str, Any], record: str) -> None:
+    """Write the task into a new folder; compare it with that of an old one, and remove the drafts that it left."""
+    text = json.dumps(task, indent=4)
+    if not (path / record).exists():
+        write_atomically({path / record: lambda draft: draft.write_text(text)})
+        return
+    if (found := read_task(path, record)) is None:
+        raise FileExistsError(f"{path / record} cannot be read; remove {path} or choose another folder")
+    if names := differences(found, json.loads(text)):
+        raise FileExistsError(
+            f"{path} holds the work of another run (other {names}); remove it or choose another folder"
+        )
+    for draft in path.glob(".*.part"):
+        draft.unlink()
+
+
+def _locked(path: Path) -> TextIO:
+    """Open and lock the file, again if its last holder removed it in between; never follow a link."""
+    while True:
+        try:
+            file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644), "r+")
+        except OSError as error:
+            if path.is_symlink() or (path.exists() and not path.is_file()):
+                raise FileExistsError(f"{path} is no lock of ours; remove it or choose another folder") from error
+            raise
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = file.read() or "another process"
+            file.close()
+            raise BlockingIOError(f"{holder} works in {path.parent}; wait for it to end") from None
+        if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
+            return file
+        file.close()

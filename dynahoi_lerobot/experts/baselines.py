@@ -1,0 +1,126 @@
+"""Baselines: no motion, no prediction, simple predictions of a target seen perfectly, and paths found blindly."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import numpy as np
+
+from dynahoi_lerobot.core.agent import Expert, WorldState
+from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
+from dynahoi_lerobot.experts.intercept import EXTRAPOLATED_FRAMES, approach
+from dynahoi_lerobot.hands import HANDS
+
+PATH_FILE = Path(__file__).with_name("blind_path.csv")
+"""Palm positions relative to home [m], one line per frame from the first control step on; it is what
+``benchmarks/validity.py --search`` finds."""
+TABLE_FILE = Path(__file__).with_name("nearest_home.csv")
+"""One line for each home: its position [m], world, then palm positions relative to it [m], one for each frame from the
+first control step on; it is what ``benchmarks/validity.py --search --homes`` finds."""
+
+
+@EXPERTS.register("hold")
+class Hold(Expert):
+    """Commands the pose it is in."""
+
+    name = "hold"
+    privileged = False
+
+    def act(self, world: WorldState) -> np.ndarray:
+        """Return (N, 18), the measured state."""
+        return world.observation.state.astype(np.float64)
+
+
+@EXPERTS.register("pursuit")
+class Pursuit(SingleWorldExpert):
+    """Goes at full speed to the target's true position of this frame; what it scores needs no prediction."""
+
+    name = "pursuit"
+
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        return approach(world, np.tile(world.target_pos_w, (EXTRAPOLATED_FRAMES + 1, 1)), world.control.palm_speed_m_s)
+
+
+@EXPERTS.register("constant_velocity")
+class ConstantVelocity(SingleWorldExpert):
+    """Perfect perception without a model of the motion; it plans anew in every frame, at the class's full speed."""
+
+    name = "constant_velocity"
+
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        ahead_s = (world.control.latency_frames + np.arange(EXTRAPOLATED_FRAMES + 1))[:, None] * CONTROL_DT
+        return approach(world, world.target_pos_w + ahead_s * world.target_velocity_w, world.control.palm_speed_m_s)
+
+
+@EXPERTS.register("constant_acceleration")
+class ConstantAcceleration(SingleWorldExpert):
+    """Perfect perception and a second-order model of the motion; it plans anew in every frame, at full speed."""
+
+    name = "constant_acceleration"
+
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        ahead_s = (world.control.latency_frames + np.arange(EXTRAPOLATED_FRAMES + 1))[:, None] * CONTROL_DT
+        moved = ahead_s * world.target_velocity_w + ahead_s**2 / 2 * _acceleration(world)
+        return approach(world, world.target_pos_w + moved, world.control.palm_speed_m_s)
+
+
+@EXPERTS.register("blind_path")
+class BlindPath(SingleWorldExpert):
+    """Goes along a fixed path from home with closed fingers; what it scores needs neither perception nor prediction."""
+
+    name = "blind_path"
+    privileged = False
+
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        path = fixed_path()
+        step = min(world.due_frame - world.spec.window_frames, len(path) - 1)
+        return np.concatenate([world.spec.home_pos_w + path[step], fist(world.spec.hand)])
+
+
+@EXPERTS.register("nearest_home")
+class NearestHome(SingleWorldExpert):
+    """Goes along the path of the tabled home that is nearest to its own; what it scores, the stage gives away.
+
+    Policies cannot do this: they observe positions from their home, wherever that is.
+    """
+
+    name = "nearest_home"
+
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        homes_w, paths = home_table()
+        path = paths[np.linalg.norm(homes_w - world.spec.home_pos_w, axis=1).argmin()]
+        step = min(world.due_frame - world.spec.window_frames, len(path) - 1)
+        return np.concatenate([world.spec.home_pos_w + path[step], fist(world.spec.hand)])
+
+
+def _acceleration(world: WorldView) -> np.ndarray:
+    """Return (3,) the mean acceleration [m/s^2] over the last two frames of the untouched target."""
+    frame = min(max(world.frame, 2), len(world.spec.oracle_path) - 1)
+    before, last, now = world.spec.oracle_path[frame - 2 : frame + 1]
+    return (now - 2 * last + before) / CONTROL_DT**2
+
+
+@functools.cache
+def fixed_path() -> np.ndarray:
+    """Return (K, 3) palm positions relative to home [m] after 1, 2, ... control steps."""
+    return np.loadtxt(PATH_FILE, delimiter=",", ndmin=2)
+
+
+@functools.cache
+def fist(hand: str) -> np.ndarray:
+    """(15,) joint angles [rad] around an object of no size."""
+    return HANDS[hand]().reference_joints(0.0)
+
+
+@functools.cache
+def home_table() -> tuple[np.ndarray, np.ndarray]:
+    """Return (H, 3) homes [m], world, and (H, K, 3) palm positions from there [m] after 1, 2, ... control steps."""
+    table = np.loadtxt(TABLE_FILE, delimiter=",", ndmin=2)
+    return table[:, :PALM_DOF], table[:, PALM_DOF:].reshape(len(table), -1, PALM_DOF)

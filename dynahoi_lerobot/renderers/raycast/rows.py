@@ -1,0 +1,320 @@
+"""One shape and sixteen rays from the camera: depth, lighting and texture at the points where they enter the shape.
+
+The loops over the rays hold no branches and stay loops, so that compilers turn them into vector instructions; that is
+most of the speed on a CPU. Shapes are passed by number, as the processor waits for a copy that it has just stored in
+small parts and loads as a whole. Ray i has the direction ``(xs[i], ys[i], -1)`` in the camera's frame.
+"""
+
+# ruff: noqa: PLR0917 - kernels take their arguments by position
+
+from __future__ import annotations
+
+import warp as wp
+
+from dynahoi_lerobot.renderers.raycast.shapes import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    PLANE,
+    enter_box,
+    enter_capsule,
+    enter_cylinder,
+    enter_ellipsoid,
+    enter_plane,
+    enter_sphere,
+    normal_box,
+    normal_capsule,
+    normal_cylinder,
+    normal_ellipsoid,
+    normal_plane,
+    normal_sphere,
+    uv_box,
+    uv_capsule,
+    uv_cylinder,
+    uv_ellipsoid,
+    uv_plane,
+    uv_sphere,
+)
+from dynahoi_lerobot.renderers.raycast.textures import Textures, level_of, texel
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, Indices, Row, Shape
+from dynahoi_lerobot.scene.model import SHININESS
+
+HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
+"""Blinn exponent, computed as OpenGL does."""
+
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
+
+
+@wp.func
+def ray_of(from_camera: wp.mat33, x: float, y: float) -> wp.vec3:
+    """Return the direction (x, y, -1) of the camera's frame, turned into another frame."""
+    return wp.vec3(
+        from_camera[0, 0] * x + from_camera[0, 1] * y - from_camera[0, 2],
+        from_camera[1, 0] * x + from_camera[1, 1] * y - from_camera[1, 2],
+        from_camera[2, 0] * x + from_camera[2, 1] * y - from_camera[2, 2],
+    )
+
+
+def _entering(enter: wp.Function) -> wp.Function:
+    """Return a function that intersects one type of shape with every ray of a row."""
+
+    @wp.func
+    def entered(size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, xs: Row, ys: Row) -> Row:
+        row = Row()
+        for i in range(TILE):
+            row[i] = enter(size, o, ray_of(from_camera, xs[i], ys[i]))
+        return row
+
+    return entered
+
+
+def _lighting(normal: wp.Function) -> wp.Function:
+    """Return a function that computes the lighting at the points of a row."""
+
+    @wp.func
+    def lit(
+        size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, fill: wp.vec3, depths: Row, xs: Row, ys: Row
+    ) -> tuple[Row, Row]:
+        diffuse = Row()
+        filled = Row()
+        for i in range(TILE):
+            n = normal(size, o + depths[i] * ray_of(from_camera, xs[i], ys[i]))
+            diffuse[i] = wp.dot(n, light)
+            filled[i] = wp.dot(n, fill)
+        return diffuse, filled
+
+    return lit
+
+
+def _shining(normal: wp.Function) -> wp.Function:
+    """Return a function that computes the highlights at the points of a row."""
+
+    @wp.func
+    def shining(size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, depths: Row, xs: Row, ys: Row) -> Row:
+        row = Row()
+        for i in range(TILE):
+            ray = ray_of(from_camera, xs[i], ys[i])
+            n = normal(size, o + depths[i] * ray)
+            halfway = wp.normalize(light - wp.normalize(ray))
+            facing = wp.where(wp.dot(n, light) > 0.0, wp.dot(n, halfway), 0.0)
+            row[i] = wp.pow(wp.max(facing, 0.0), HIGHLIGHT_EXPONENT)
+        return row
+
+    return shining
+
+
+def _texturing(uv: wp.Function, normal: wp.Function) -> wp.Function:
+    """Return a function that samples the shape's texture at the points of a row."""
+
+    @wp.func
+    def textured(
+        shapes: wp.array2d[Shape],
+        w: int,
+        s: int,
+        textures: Textures,
+        pixel_rad: float,
+        middle: int,
+        depths: Row,
+        xs: Row,
+        ys: Row,
+    ) -> Row:
+        row = Row()
+        shape = shapes[w, s]
+        ray = ray_of(shape.from_camera, xs[middle], ys[middle])
+        n = normal(shape.size, shape.camera + depths[middle] * ray)
+        facing = wp.abs(wp.dot(n, ray)) / wp.length(ray)
+        level = level_of(textures, shape.repeats_per_m * depths[middle] * pixel_rad, facing)
+        start, side = shape.texture * textures.texels_each + textures.starts[level], textures.sides[level]
+        for i in range(TILE):
+            at = uv(shape.size, shape.camera + depths[i] * ray_of(shape.from_camera, xs[i], ys[i]))
+            at = wp.cw_mul(at, shape.repeat)
+            row[i] = texel(
+                textures.texels, start, side, textures.filtered, at[0] - wp.floor(at[0]), at[1] - wp.floor(at[1])
+            )
+        return row
+
+    return textured
+
+
+_enter_plane, _light_plane, _shine_plane = _entering(enter_plane), _lighting(normal_plane), _shining(normal_plane)
+_enter_sphere, _light_sphere, _shine_sphere = _entering(enter_sphere), _lighting(normal_sphere), _shining(normal_sphere)
+_enter_capsule, _light_capsule, _shine_capsule = (
+    _entering(enter_capsule),
+    _lighting(normal_capsule),
+    _shining(normal_capsule),
+)
+_enter_cylinder, _light_cylinder, _shine_cylinder = (
+    _entering(enter_cylinder),
+    _lighting(normal_cylinder),
+    _shining(normal_cylinder),
+)
+_enter_ellipsoid, _light_ellipsoid, _shine_ellipsoid = (
+    _entering(enter_ellipsoid),
+    _lighting(normal_ellipsoid),
+    _shining(normal_ellipsoid),
+)
+_enter_box, _light_box, _shine_box = _entering(enter_box), _lighting(normal_box), _shining(normal_box)
+_texture_plane, _texture_sphere = _texturing(uv_plane, normal_plane), _texturing(uv_sphere, normal_sphere)
+_texture_capsule, _texture_box = _texturing(uv_capsule, normal_capsule), _texturing(uv_box, normal_box)
+_texture_cylinder = _texturing(uv_cylinder, normal_cylinder)
+_texture_ellipsoid = _texturing(uv_ellipsoid, normal_ellipsoid)
+
+
+@wp.func
+def enter_row(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> Row:
+    """Return the depths [m] at which a row of rays from the camera enters a shape, negative where it does not."""
+    geom_type = shapes[w, s].geom_type
+    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+    if geom_type == PLANE:
+        return _enter_plane(size, camera, from_camera, xs, ys)
+    if geom_type == CAPSULE:
+        return _enter_capsule(size, camera, from_camera, xs, ys)
+    if geom_type == BOX:
+        return _enter_box(size, camera, from_camera, xs, ys)
+    if geom_type == CYLINDER:
+        return _enter_cylinder(size, camera, from_camera, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _enter_ellipsoid(size, camera, from_camera, xs, ys)
+    return _enter_sphere(size, camera, from_camera, xs, ys)
+
+
+@wp.func
+def light_row(
+    shapes: wp.array2d[Shape], w: int, s: int, fill: wp.vec3, depths: Row, xs: Row, ys: Row
+) -> tuple[Row, Row]:
+    """Return the cosines between normal and light and between normal and ``fill``."""
+    geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
+    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+    if geom_type == PLANE:
+        return _light_plane(size, camera, from_camera, light, fill, depths, xs, ys)
+    if geom_type == CAPSULE:
+        return _light_capsule(size, camera, from_camera, light, fill, depths, xs, ys)
+    if geom_type == BOX:
+        return _light_box(size, camera, from_camera, light, fill, depths, xs, ys)
+    if geom_type == CYLINDER:
+        return _light_cylinder(size, camera, from_camera, light, fill, depths, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _light_ellipsoid(size, camera, from_camera, light, fill, depths, xs, ys)
+    return _light_sphere(size, camera, from_camera, light, fill, depths, xs, ys)
+
+
+@wp.func
+def highlight_row(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, ys: Row) -> Row:
+    """Return the highlights at the points of a row (Blinn, 1977)."""
+    geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
+    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+    if geom_type == PLANE:
+        return _shine_plane(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == CAPSULE:
+        return _shine_capsule(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == BOX:
+        return _shine_box(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == CYLINDER:
+        return _shine_cylinder(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _shine_ellipsoid(size, camera, from_camera, light, depths, xs, ys)
+    return _shine_sphere(size, camera, from_camera, light, depths, xs, ys)
+
+
+@wp.func
+def texture_row(
+    shapes: wp.array2d[Shape],
+    w: int,
+    s: int,
+    textures: Textures,
+    pixel_rad: float,
+    middle: int,
+    depths: Row,
+    xs: Row,
+    ys: Row,
+) -> Row:
+    """Return the brightness of the shape's texture, 0 to 1, as sharp as ray ``middle`` of those that show it allows.
+
+    ``pixel_rad`` is the angle between the rays of neighbouring pixels [rad], ``depths`` those of the points [m].
+    """
+    geom_type = shapes[w, s].geom_type
+    if geom_type == PLANE:
+        return _texture_plane(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    if geom_type == CAPSULE:
+        return _texture_capsule(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    if geom_type == BOX:
+        return _texture_box(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    if geom_type == CYLINDER:
+        return _texture_cylinder(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _texture_ellipsoid(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    return _texture_sphere(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+
+
+TIE = wp.constant(1.0e-6)
+"""Relative depth difference below which the later of two geoms is visible, as in MuJoCo."""
+MISSED = wp.constant(1.0e30)
+"""Depth of what is not met: beyond all others."""
+
+
+@wp.struct
+class LightFrame:
+    """A world's light frame, whose z axis points towards the light.
+
+    Attributes:
+        camera: position of the camera [m].
+        from_camera: rotation from the camera's axes.
+        spread: angular radius of the light [rad].
+    """
+
+    camera: wp.vec3
+    from_camera: wp.mat33
+    spread: float
+
+
+@wp.struct
+class Worlds:
+    """What there is in each world of a batch, and in which tiles of its image.
+
+    Attributes:
+        shapes: (N, S) shapes.
+        lists, counts: (N, tiles, S) shapes that a tile may show, and (N, tiles) how many.
+        casters, caster_counts: shapes that may shade what a tile shows, likewise.
+        caster_lows, caster_highs: (N, S) corners of boxes around the shapes that cast shadows [m], light frame.
+        light_frames: (N,) light frames.
+        diffuse, specular: (N, lights) colours of the light, of which the first counts.
+    """
+
+    shapes: wp.array2d[Shape]
+    lists: wp.array3d[int]
+    counts: wp.array2d[int]
+    casters: wp.array3d[int]
+    caster_counts: wp.array2d[int]
+    caster_lows: wp.array2d[wp.vec3]
+    caster_highs: wp.array2d[wp.vec3]
+    light_frames: wp.array[LightFrame]
+    diffuse: wp.array2d[wp.vec3]
+    specular: wp.array2d[wp.vec3]
+
+
+@wp.func
+def trace_row(worlds: Worlds, w: int, tile: int, xs: Row, ys: Row, least_alpha: float) -> tuple[Row, Indices]:
+    """Return depth [m] and index of the nearest shape (-1 for none) whose alpha is at least ``least_alpha``."""
+    depths = Row(FAR)
+    visible = Indices(-1)
+    for k in range(worlds.counts[w, tile]):
+        s = worlds.lists[w, tile, k]
+        if worlds.shapes[w, s].alpha >= least_alpha:
+            depths, visible = meet_shape(worlds.shapes, w, s, depths, visible, xs, ys)
+    return depths, visible
+
+
+@wp.func
+def meet_shape(
+    shapes: wp.array2d[Shape], w: int, s: int, depths: Row, visible: Indices, xs: Row, ys: Row
+) -> tuple[Row, Indices]:
+    """Return depths and indices with those of shape ``s`` where it is nearer."""
+    row = enter_row(shapes, w, s, xs, ys)
+    nearest, seen = Row(), Indices()
+    for i in range(TILE):
+        limit = depths[i] + TIE * wp.max(depths[i], 1.0)
+        ahead = wp.where(row[i] > 0.0, row[i], MISSED)
+        nearest[i] = wp.where(ahead <= limit, row[i], depths[i])
+        seen[i] = wp.where(ahead <= limit, s, visible[i])
+    return nearest, seen

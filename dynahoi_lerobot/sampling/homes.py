@@ -1,0 +1,240 @@
+"""Where the hand waits: a home that makes the drawn intercept the earliest reachable one, with the target in view.
+
+The target never comes to the home by itself, and lies in no preferred direction from it, so that neither a hand that
+stands still nor one that always goes the same way catches it. The open hand is clear of tables, ramps and walls.
+
+Visibility and clearance are decided for one reference hand, whatever hand the recipe plays, so that every hand starts
+at the same place in the same episodes. All hands carry the same camera at the same place; only what of the view they
+hide differs. The hand does not collide with fixtures, so nothing else would stop it from waiting inside a table, where
+its camera sees what no real one could.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_SPEED_M_S
+from dynahoi_lerobot.core.numerics import product, quat_to_matrix
+from dynahoi_lerobot.hands.base import SKIN_GROUP
+from dynahoi_lerobot.motions.launch import Box
+from dynahoi_lerobot.sampling.benchmark import HOLD_CLEARANCE_M
+from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES, Timing
+from dynahoi_lerobot.scene.model import ARENA_HALF_M
+from dynahoi_lerobot.scene.scene import Scene, compile_scene
+from dynahoi_lerobot.scene.signed_distance import signed_distance
+
+DIRECTIONS = 192
+"""Homes that are tried for one motion."""
+MIN_CLEARANCE_M = 0.075
+"""Least distance of the target from the palm centre until control starts."""
+MIN_FRONT_M = 0.015
+"""Least distance of the target in front of the palm centre, along +x, until control starts."""
+MIN_VISIBLE_SHARE = 0.9
+"""Least share of the window's frames in which the camera sees the target's centre."""
+HOME_HEIGHT_M = (0.15, 2.2)
+MAX_HOME_ASIDE_M = 1.7
+REFERENCE_HAND = "capsule"
+VIEW_MARGIN = 0.92
+"""Share of the half field of view, from its middle, in which a point counts as seen."""
+MIN_DEPTH_M = 0.05
+SILHOUETTE_SIZE = 96
+"""Rays along each side of the view with which the hand's silhouette is measured."""
+COLLIDING_GROUPS = np.array([group != SKIN_GROUP for group in range(mujoco.mjNGROUP)], np.uint8)
+"""The silhouette is that of the hand that collides, so that homes do not depend on how the hand is drawn."""
+GRID_M = 0.01
+"""Spacing of the points that stand for the hand; every point of it is within 9 mm of one (half a cell's diagonal)."""
+POINT_CLEARANCE_M = 0.02
+"""Least distance of those points from a fixture. It leaves the open hand at least 1.1 cm, the thickness of a finger's
+flesh around its axis (0.85 to 0.95 cm), so that fingers do not touch the fixture as they begin to close."""
+WAY_CLEARANCE_M = 0.03
+"""Least distance of the palm centre from a fixture on its straight way to the intercept: the localisation radius. Where
+the target itself is nearer to its table, that distance."""
+WAY_POINTS = 64
+
+
+def find_homes(path_w: np.ndarray, timing: Timing, fixtures: Sequence[Box], rng: np.random.Generator) -> np.ndarray:
+    """Return those homes for the palm centre, of some that are tried, that fit the motion until the intercept.
+
+    The home lies ``travel_m`` away from the intercept, so that a hand of fixed speed arrives there together with the
+    target and could not have met it at an earlier frame. A policy that knows the speed can therefore infer the
+    intercept from the motion it observes. Homes from which the hand leaves in a direction near a drawn one come first:
+    where the camera must see the target, most homes have it in front, and a hand that always went forwards would gain.
+
+    Args:
+        path_w: (F, 3) path of the untouched target at every frame [m], world, at least to the intercept.
+        timing: frames and travel of the episode.
+        fixtures: the boxes around the motion, which the waiting hand must not touch, nor the palm on its way.
+        rng: source of the directions tried.
+
+    Returns:
+        (K, 3) positions [m], world, best first; none if none of those tried will do.
+    """
+    start, intercept = timing.window_frames, timing.intercept_frame
+    homes = path_w[intercept] - timing.travel_m * _draw_directions(rng)
+    homes = homes.astype(np.float32).astype(np.float64)  # as datasets store it
+    homes = homes[_in_workspace(homes)]
+    homes = homes[~_reachable_earlier(path_w[start:intercept], homes)]
+    homes = homes[_clear_of(path_w[start : intercept + 1], homes)]
+    homes = homes[_watches(path_w[: start + 1], homes)]
+    return homes[keeps_clear(homes, path_w[intercept], fixtures)]
+
+
+def choose_home(path_w: np.ndarray, timing: Timing, homes: np.ndarray) -> np.ndarray | None:
+    """Return the first of ``homes`` (K, 3) that the target never reaches by itself, or None.
+
+    Args:
+        path_w: (F, 3) path of the untouched target over the whole episode [m], world.
+        timing: frames and travel of the episode.
+        homes: from ``find_homes``.
+    """
+    clear = _clear_of(path_w[timing.window_frames :], homes)
+    return homes[clear.argmax()] if clear.any() else None
+
+
+def _draw_directions(rng: np.random.Generator) -> np.ndarray:
+    """(K, 3) unit vectors from home to the intercept, world, those nearest to one of them first."""
+    directions = rng.normal(size=(DIRECTIONS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions[np.argsort(-product(directions, directions[0]), kind="stable")]
+
+
+def in_arena(path_w: np.ndarray) -> bool:
+    """Tell whether a path (F, 3) [m], world, is finite and stays between the walls and above the floor."""
+    inside = (np.abs(path_w[:, :2]) < ARENA_HALF_M).all() and (path_w[:, 2] > 0.0).all()
+    return bool(inside and np.isfinite(path_w).all())
+
+
+def _in_workspace(homes: np.ndarray) -> np.ndarray:
+    """(K,) whether the gantry reaches the homes with room to spare."""
+    low, high = HOME_HEIGHT_M
+    aside = (np.abs(homes[:, :2]) < MAX_HOME_ASIDE_M).all(axis=1)
+    return (homes[:, 2] > low) & (homes[:, 2] < high) & aside
+
+
+def _reachable_earlier(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
+    """(K,) whether the hand could have met the target before the intercept; ``path_w`` starts at control start."""
+    frames = np.arange(len(path_w))
+    distance = np.linalg.norm(path_w - homes[:, None], axis=-1)  # (K, n)
+    in_reach = distance <= HAND_SPEED_M_S * CONTROL_DT * frames
+    return in_reach[:, MIN_APPROACH_FRAMES:].any(axis=1)
+
+
+def _watches(window_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
+    """(K,) whether the target is clear of the hand, in front of it and in view in the window, path (W + 1, 3)."""
+    relative = window_w - homes[:, None]  # (K, W + 1, 3) from the palm centre, world axes
+    fits = (np.linalg.norm(relative, axis=-1) > MIN_CLEARANCE_M).all(axis=1)
+    fits &= (relative[..., 0] > MIN_FRONT_M).all(axis=1)
+    fits[fits] = visible(relative[fits]).mean(axis=1) >= MIN_VISIBLE_SHARE
+    return fits
+
+
+def _clear_of(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
+    """(K,) whether a hand that stays at home is out of the target's way; path (F, 3), straight between frames."""
+    steps = np.diff(path_w, axis=0)  # (F - 1, 3)
+    from_start = homes[:, None] - path_w[:-1]  # (K, F - 1, 3)
+    share = np.einsum("kfd,fd->kf", from_start, steps) / np.maximum((steps**2).sum(axis=1), 1e-12)
+    nearest = from_start - np.clip(share, 0.0, 1.0)[..., None] * steps
+    return (np.linalg.norm(nearest, axis=-1) > HOLD_CLEARANCE_M).all(axis=1)
+
+
+def visible(points: np.ndarray) -> np.ndarray:
+    """Tell which points the camera of the open reference hand sees.
+
+    Args:
+        points: (..., 3) relative to the palm centre [m], world axes.
+
+    Returns:
+        (...) bool.
+    """
+    pos, rotation, half = _camera()
+    local = product(points - pos, rotation)  # x right, y up, z backwards
+    depth = np.maximum(-local[..., 2], MIN_DEPTH_M)
+    plane = local[..., :2] / (half * depth[..., None])  # -1 to 1 across the view
+    in_view = (-local[..., 2] > MIN_DEPTH_M) & (np.abs(plane) < VIEW_MARGIN).all(axis=-1)
+    column, row = np.moveaxis(((np.clip(plane, -1, 1) + 1) / 2 * (SILHOUETTE_SIZE - 1)).round().astype(int), -1, 0)
+    return in_view & (np.linalg.norm(local, axis=-1) < _hand_distance()[row, column])
+
+
+def _camera() -> tuple[np.ndarray, np.ndarray, float]:
+    """Position (3,) [m] and rotation (3, 3) of the camera in the palm's frame, and tangent of half its view."""
+    scene = compile_scene(REFERENCE_HAND)
+    model, camera = scene.model, scene.camera
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.cam_quat[camera])
+    return model.cam_pos[camera], rotation.reshape(3, 3), float(np.tan(np.radians(model.cam_fovy[camera]) / 2))
+
+
+@functools.cache
+def _hand_distance() -> np.ndarray:
+    """(K, K) distance of the open hand from the camera [m], infinite beside it; rows upwards, columns rightwards."""
+    scene, data = open_reference_hand()
+    _, rotation, half = _camera()
+    across = np.linspace(-half, half, SILHOUETTE_SIZE)
+    x, y = np.meshgrid(across, across)
+    rays = product(np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3), rotation.T)  # (K * K, 3)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    geom, distance = np.zeros(len(rays), np.int32), np.zeros(len(rays))
+    mujoco.mj_multiRay(
+        scene.model, data, data.cam_xpos[scene.camera], rays.ravel(), COLLIDING_GROUPS, True, -1, geom, distance, None,
+        len(rays), mujoco.mjMAXVAL,
+    )  # fmt: skip
+    hit = np.isin(geom, scene.hand_geoms) & (distance >= 0)
+    return np.where(hit, distance, np.inf).reshape(SILHOUETTE_SIZE, SILHOUETTE_SIZE)
+
+
+def open_reference_hand() -> tuple[Scene, mujoco.MjData]:
+    """Return the scene and kinematics of the open hand 1 m above the floor, with the target out of its view."""
+    scene = compile_scene(REFERENCE_HAND)
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos[:3]] = (0.0, 0.0, 1.0)
+    data.qpos[scene.hand_qpos[3:]] = scene.hand.open_joints()
+    data.qpos[scene.target_qpos : scene.target_qpos + 3] = (0.0, 0.0, 100.0)
+    mujoco.mj_forward(scene.model, data)
+    return scene, data
+
+
+def keeps_clear(homes: np.ndarray, intercept_w: np.ndarray, fixtures: Sequence[Box]) -> np.ndarray:
+    """Tell from which homes neither the waiting hand nor the palm centre on its way comes too near to a fixture.
+
+    The fingers do on the last centimetres, where the target lies on a table.
+
+    Args:
+        homes: (K, 3) positions of the palm centre [m], world.
+        intercept_w: (3,) where the target is met [m], world.
+        fixtures: the boxes around the motion.
+
+    Returns:
+        (K,) bool.
+    """
+    clear = np.ones(len(homes), bool)
+    share = np.linspace(0.0, 1.0, WAY_POINTS)[:, None]
+    for box in fixtures:
+        hand_m = box_distance(homes[:, None] + hand_points(), box).min(axis=1)
+        way_m = box_distance(homes[:, None] + share * (intercept_w - homes)[:, None], box)  # (K, P)
+        allowed_m = np.minimum(WAY_CLEARANCE_M, way_m[:, -1])
+        clear &= (hand_m > POINT_CLEARANCE_M) & (way_m.min(axis=1) >= allowed_m)
+    return clear
+
+
+def box_distance(points: np.ndarray, box: Box) -> np.ndarray:
+    """Return (...) signed distance [m] of points (..., 3) [m], world, to the surface of a box, negative inside."""
+    local = (points - box.pos) @ quat_to_matrix(np.asarray(box.quat))
+    return signed_distance("box", local, np.asarray(box.half_size))
+
+
+@functools.cache
+def hand_points() -> np.ndarray:
+    """(P, 3) points all over the open reference hand [m], from the palm centre: grids in its geoms' bounding boxes."""
+    scene, data = open_reference_hand()
+    points = []
+    for geom in scene.hand_geoms:
+        middle, half = np.split(scene.model.geom_aabb[geom], 2)
+        lines = [np.linspace(-h, h, int(np.ceil(2 * h / GRID_M)) + 1) for h in half]
+        local = middle + np.array(list(itertools.product(*lines)))
+        points.append(data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T)
+    return np.concatenate(points) - data.site_xpos[scene.palm_site]

@@ -1,0 +1,63 @@
+"""Conversions of rotations against MuJoCo's, at every size of angle."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.core.numerics import matrix_to_quat, matrix_to_rotvec, quat_to_matrix
+
+ANGLES_RAD = [0.0, 1e-12, 1e-8, 1e-4, 0.5, 2.0, np.pi - 1e-4, np.pi - 1e-8, np.pi]
+
+
+def rotations(angle_rad: float) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 4) quaternions and (K, 3, 3) matrices by MuJoCo, about random axes and the three coordinate axes."""
+    axes = np.vstack([np.random.default_rng(2).normal(size=(60, 3)), np.eye(3), -np.eye(3)])
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    quats, matrices = np.zeros((len(axes), 4)), np.zeros((len(axes), 9))
+    for quat, matrix, axis in zip(quats, matrices, axes, strict=True):
+        mujoco.mju_axisAngle2Quat(quat, axis, angle_rad)
+        mujoco.mju_quat2Mat(matrix, quat)
+    return quats, matrices.reshape(-1, 3, 3)
+
+
+@pytest.mark.parametrize("angle_rad", ANGLES_RAD)
+def test_quaternions_become_mujocos_matrices(angle_rad: float):
+    quats, matrices = rotations(angle_rad)
+    np.testing.assert_allclose(quat_to_matrix(quats), matrices, atol=1e-14)
+
+
+@pytest.mark.parametrize("angle_rad", ANGLES_RAD)
+def test_matrices_become_mujocos_quaternions(angle_rad: float):
+    _, matrices = rotations(angle_rad)
+    ours = matrix_to_quat(matrices)
+    assert (ours[:, 0] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(ours, axis=1), 1.0)
+    for quat, matrix in zip(ours, matrices, strict=True):
+        theirs = np.zeros(4)
+        mujoco.mju_mat2Quat(theirs, matrix.ravel())
+        assert abs(theirs @ quat) == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(quat_to_matrix(ours), matrices, atol=1e-12)
+
+
+@pytest.mark.parametrize("angle_rad", ANGLES_RAD)
+def test_rotation_vectors_have_the_angle_and_turn_back_into_the_matrix(angle_rad: float):
+    _, matrices = rotations(angle_rad)
+    vectors = matrix_to_rotvec(matrices)
+    # the angle enters a matrix as 1 - cos, whose rounding hides angles within 1e-8 of pi
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), angle_rad, atol=3e-8)
+    for vector, matrix in zip(vectors, matrices, strict=True):
+        quat, back = np.zeros(4), np.zeros(9)
+        angle = np.linalg.norm(vector)
+        mujoco.mju_axisAngle2Quat(quat, vector / angle if angle else np.array([1.0, 0.0, 0.0]), angle)
+        mujoco.mju_quat2Mat(back, quat)
+        np.testing.assert_allclose(back.reshape(3, 3), matrix, atol=1e-7)
+
+
+def test_many_at_once_are_each_alone():
+    matrices = np.stack([rotations(angle)[1][:7] for angle in ANGLES_RAD])  # (9, 7, 3, 3)
+    vectors = matrix_to_rotvec(matrices)
+    assert vectors.shape == (len(ANGLES_RAD), 7, 3)
+    alone = [[matrix_to_rotvec(matrix) for matrix in row] for row in matrices]
+    np.testing.assert_array_equal(vectors, np.array(alone))

@@ -1,0 +1,347 @@
+"""The environments keep gymnasium's promises and the benchmark's protocol."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
+
+from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_spec
+from dynahoi_lerobot.sampling.splits import kind_seed
+from dynahoi_lerobot.world.batch import WorldBatch
+
+SMALL = {"image_size": 16}
+BLIND = SMALL | {"image_size": 0}
+CONSTANT = {"kind": "constant", "image_size": 0, "threads": 1}
+
+
+def made(kind: str, **options) -> gym.Env:
+    register_envs()
+    split = "ood_motion" if kind in BENCHMARK.splits["ood_motion"].motions else "test"
+    return gym.make(f"dynahoi/{kind}-v0", **{"split": split, **SMALL, **options})
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_gymnasiums_checker_finds_nothing() -> None:
+    check_env(made("all", render_mode="rgb_array").unwrapped)
+
+
+@pytest.mark.parametrize("kind", MOTIONS.names())
+def test_every_kind_of_motion_is_an_id_whose_observations_are_in_its_space(kind: str) -> None:
+    env = made(kind, image_size=0)
+    for observation in (env.reset(seed=3)[0], env.step(env.action_space.sample())[0]):
+        assert env.observation_space.contains(observation)
+    spec = env.unwrapped._vector._batch.specs[0]
+    assert (spec.motion.name, env.unwrapped.task_description) == (kind, spec.task)
+
+
+def follow_expert(env: DynahoiVectorEnv, steps: int) -> list[tuple]:
+    """Play the demonstrator's commands in every world and return what each step returned."""
+    results = []
+    for _ in range(steps):
+        commands = Intercept().act(env._batch.world_state(env._batch.observe(images=False)))
+        results.append(env.step(commands.astype(np.float32)))
+    return results
+
+
+def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None:
+    env = DynahoiVectorEnv(2, kind="constant", **BLIND)
+    env.reset(seed=[0, 1], options={"lerobot_new_rollout": True})
+    results = follow_expert(env, env._max_episode_steps)
+    terminated = np.stack([r[2] for r in results])
+    assert terminated.sum(axis=0).tolist() == [1, 1]
+    for world in range(2):
+        step = int(terminated[:, world].argmax())
+        _, reward, _, truncated, info = results[step]
+        assert (reward[world], truncated[world], info["is_success"][world]) == (1.0, False, True)
+        assert {name for name in METRICS.names() if not np.isnan(info[name][world])} >= {"S_loc", "S_gra", "R_time"}
+        assert info["S_loc"][world] == info["S_gra"][world] == 1.0
+        assert sum(r[1][world] for r in results) == 1.0
+
+
+def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_the_last() -> None:
+    env = DynahoiVectorEnv(1, kind="vertical_circle", **BLIND)
+    observation, _ = env.reset(seed=[0])
+    spec = env._batch.specs[0]
+    assert spec is not None
+    hold = observation["agent_pos"]
+    flags = [env.step(hold)[2:4] for _ in range(spec.window_frames + spec.length_frames + 1)]
+    assert [bool(t or u) for (t, u) in [(f[0][0], f[1][0]) for f in flags]].index(True) == len(flags) - 1
+    assert flags[-1][1][0]
+
+
+def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
+    env = DynahoiVectorEnv(1, kind="constant", **BLIND)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    env.reset(seed=[0])
+    first = env._batch.specs[0]
+    while not (results := follow_expert(env, 1)[0])[2][0]:
+        pass
+    assert env._batch.specs[0] is first, "the terminal observation still belongs to the episode that ended"
+    observation, reward, terminated, truncated, _ = env.step(np.zeros((1, 18), np.float32))
+    fresh = env._batch.specs[0]
+    assert fresh is not None
+    assert fresh is not first
+    assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
+    np.testing.assert_allclose(observation["agent_pos"][0, :3], 0.0, atol=1e-6)
+    del results
+
+
+def test_one_episode_mode_freezes_finished_worlds() -> None:
+    env = DynahoiVectorEnv(1, kind="constant", **BLIND)
+    env.reset(seed=[0], options={"lerobot_new_rollout": True})
+    while not follow_expert(env, 1)[0][2][0]:
+        pass
+    frame = env._batch.frame[0]
+    env.step(np.zeros((1, 18), np.float32))
+    assert env._batch.frame[0] == frame
+
+
+def test_the_terminal_observation_shows_the_last_frame_also_in_one_episode_mode() -> None:
+    env = DynahoiVectorEnv(1, kind="constant", **SMALL)
+    env.reset(seed=[0], options={"lerobot_new_rollout": True})
+    while not (step := follow_expert(env, 1)[0])[2][0]:
+        pass
+    assert step[0]["pixels"]["ego"][0].std() > 5.0
+    after, *_ = env.step(np.zeros((1, 18), np.float32))
+    assert not after["pixels"]["ego"].any(), "a world that stands still costs no rendering"
+
+
+def test_seeds_number_the_episodes_of_kind_and_split() -> None:
+    env = DynahoiVectorEnv(3, kind="lob", split="test_small", **BLIND)
+    env.reset(seed=4)
+    names = Recipe(split="test").motion_names
+    expected = [names.index("lob") + 22 * (number % 5) for number in (4, 5, 6)]
+    assert [spec.seed for spec in env._batch.specs if spec is not None] == expected
+    assert [kind_seed(Recipe(split="test_small"), "lob", n) for n in (4, 5, 6)] == expected
+
+
+def test_env_and_rollout_play_the_same_episode() -> None:
+    kept = []
+    env = DynahoiVectorEnv(1, on_episode=kept.append, **BLIND)
+    env.reset(seed=[7])
+    while not kept:
+        follow_expert(env, 1)
+    recipe = Recipe(split="test", **SMALL)
+    (episode,) = evaluate(WorldBatch(recipe, 1), Intercept(), [sample_spec(recipe, 7)])
+    np.testing.assert_allclose(kept[0].state, episode.state, atol=1e-6)  # the env's actions were rounded to float32
+    assert kept[0].stage == episode.stage == "captured"
+
+
+@pytest.mark.parametrize(
+    "action",
+    [np.zeros((2, 18)), np.zeros((1, 17)), np.full((1, 18), np.nan), np.full((1, 18), 1j), np.full((1, 18), "0.5")],
+)
+def test_bad_actions_are_refused_and_nothing_moves(action: np.ndarray) -> None:
+    env = DynahoiVectorEnv(1, **BLIND)
+    env.reset(seed=[0])
+    before = env._batch._batch.state.copy()
+    with pytest.raises(ValueError, match="action"):
+        env.step(action)
+    np.testing.assert_array_equal(env._batch._batch.state, before)
+
+
+def test_direct_act_has_no_window() -> None:
+    env = DynahoiEnv(kind="struck", protocol="direct_act", **BLIND)
+    observation, _ = env.reset(seed=0)
+    assert observation["phase"].tolist() == [0.0, 1.0]
+    assert env._vector._batch.specs[0].window_frames == 0
+
+
+def test_without_images_nothing_is_rendered() -> None:
+    env = DynahoiVectorEnv(1, **BLIND)
+    observation, _ = env.reset(seed=[0])
+    assert "pixels" not in observation
+    assert not env._batch.cameras._renderers
+
+
+def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:
+    kept = []
+    contact = {"capture": "contact", "on_episode": kept.append}
+    env = DynahoiVectorEnv(1, kind="constant", image_size=0, **contact)
+    observation, _ = env.reset(seed=[0])
+    assert observation["touch"].shape == (1, 5)
+    expert, strongest = EXPERTS["match"](), 0.0
+    while not kept:
+        batch = env._batch
+        commands = expert.act(batch.world_state(batch.observe(images=False)))
+        observation, _, _, _, info = env.step(commands.astype(np.float32))
+        assert env.observation_space.contains(observation)
+        strongest = max(strongest, float(observation["touch"].max()))
+    assert strongest > 1.0
+    assert kept[0].stage == "held"
+    assert info["is_success"][0]
+    plain = DynahoiVectorEnv(1, kind="constant", image_size=0)
+    assert "touch" not in plain.reset(seed=[0])[0]
+
+
+def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Play one episode a world; return rewards, whether it acts and distances [m] (T, N) each, and successes (N,)."""
+    observation, _ = env.reset(seed=0, options={"lerobot_new_rollout": True})
+    batch, rewards, phases, distances = env._batch, [], [], []
+    ended, success = np.zeros(env.num_envs, bool), np.zeros(env.num_envs, bool)
+    while not ended.all():
+        phases.append(is_acting(observation["phase"]))
+        distances.append(np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1))
+        command = (
+            Intercept().act(batch.world_state(batch.observe(images=False))) if expert else observation["agent_pos"]
+        )
+        observation, reward, terminated, truncated, info = env.step(command.astype(np.float32))
+        rewards.append(np.where(ended, 0.0, reward))
+        success |= info["is_success"]
+        ended |= terminated | truncated
+    distances.append(np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1))
+    return np.array(rewards), np.array(phases), np.array(distances), success
+
+
+@pytest.mark.parametrize("expert", [True, False])
+def test_the_sum_is_how_much_closer_the_palm_came_in_units_of_a_decimetre_and_the_success(expert: bool):
+    rewards, phases, distances, success = played(DynahoiVectorEnv(2, reward="dense", **CONSTANT), expert=expert)
+    assert (rewards[~phases] == 0).all(), "nothing can be done in the observation window"
+    first = phases.argmax(axis=0)
+    for world in range(2):
+        came_m = distances[first[world], world] - distances[-1, world]
+        assert rewards[:, world].sum() == pytest.approx(came_m / 0.1 + success[world], abs=0.05)
+    assert success.tolist() == [expert, expert]
+
+
+def test_a_sparse_reward_is_the_success_and_both_play_the_same_episode():
+    dense = played(DynahoiVectorEnv(2, reward="dense", **CONSTANT), expert=True)
+    sparse = played(DynahoiVectorEnv(2, **CONSTANT), expert=True)
+    assert sparse[0].sum(axis=0).tolist() == [1.0, 1.0]
+    np.testing.assert_array_equal(dense[2], sparse[2])
+
+
+def test_a_copy_has_the_same_reward_and_an_unknown_one_is_refused():
+    assert pickle.loads(pickle.dumps(DynahoiVectorEnv(1, reward="dense", **CONSTANT))).reward == "dense"
+    with pytest.raises(ValueError, match="unknown reward 'shaped'; known: sparse, dense"):
+        DynahoiVectorEnv(1, reward="shaped", **CONSTANT)
+
+
+OPTIONS: dict[str, Any] = {"kind": "lob", "image_size": 16, "views": ("side",), "capture": "contact", "threads": 1}
+COPIES: list[Callable] = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
+
+
+def single(**options: Any) -> DynahoiEnv:
+    return DynahoiEnv(**{**OPTIONS, **options})
+
+
+def vector(**options: Any) -> DynahoiVectorEnv:
+    return DynahoiVectorEnv(2, **{**OPTIONS, **options})
+
+
+ENVS = pytest.mark.parametrize("make", [single, vector])
+
+
+def assert_same(one: dict, other: dict) -> None:
+    assert one.keys() == other.keys()
+    for key, value in one.items():
+        if isinstance(value, dict):
+            assert_same(value, other[key])
+        else:
+            np.testing.assert_array_equal(value, other[key], key)
+
+
+@ENVS
+@pytest.mark.parametrize("copied", COPIES)
+def test_a_copy_plays_what_the_original_plays(make: Callable, copied: Callable) -> None:
+    env = make(protocol="direct_act", split="val")
+    env.reset(seed=1)
+    env.step(env.action_space.sample())
+    twin = copied(env)
+    with pytest.raises(ResetNeeded, match="call reset first"):
+        twin.step(env.action_space.sample())
+    action = env.reset(seed=5)[0]["agent_pos"]
+    assert_same(env.reset(seed=5)[0], twin.reset(seed=5)[0])
+    for one, other in zip(env.step(action), twin.step(action), strict=True):
+        assert_same({"": one}, {"": other})
+    assert (twin.render_mode, twin.observation_space) == (env.render_mode, env.observation_space)
+
+
+@pytest.mark.parametrize("copied", COPIES)
+def test_a_copy_of_a_made_env_keeps_its_id_and_its_wrappers(copied: Callable) -> None:
+    register_envs()
+    env = gym.make("dynahoi/ramp-v0", image_size=0)
+    twin = copied(env)
+    assert twin.spec.id == env.spec.id == "dynahoi/ramp-v0"
+    assert_same(env.reset(seed=2)[0], twin.reset(seed=2)[0])
+
+
+def test_a_copy_of_lerobots_task_reports_to_a_log_of_the_same_folder(tmp_path: Path) -> None:
+    env = TaskEnv(1, log=ResultsLog(tmp_path, Recipe(split="test", image_size=16)), **OPTIONS)
+    twin = copy.deepcopy(env)
+    assert (twin._log.folder, twin.kind, twin.num_envs) == (tmp_path, "lob", 1)
+    assert twin._on_episode == twin._log.add
+
+
+@ENVS
+def test_a_closed_env_says_so(make: Callable) -> None:
+    env = make(render_mode="rgb_array")
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    for use in (env.reset, env.render, lambda: env.step(env.action_space.sample())):
+        with pytest.raises(ClosedEnvironmentError, match="this environment was closed; make a new one"):
+            use()
+
+
+@ENVS
+def test_the_first_call_is_reset(make: Callable) -> None:
+    env = make(render_mode="rgb_array")
+    for use in (env.render, lambda: env.step(env.action_space.sample())):
+        with pytest.raises(ResetNeeded, match="call reset first"):
+            use()
+
+
+@ENVS
+@pytest.mark.parametrize("mode", ["human", "ansi"])
+def test_unknown_render_modes_are_refused(make: Callable, mode: str) -> None:
+    with pytest.raises(ValueError, match=f"unknown render mode '{mode}'; known: rgb_array, or None"):
+        make(render_mode=mode)
+
+
+@ENVS
+@pytest.mark.parametrize("seed", [-1, 1.5, "3", 2**40, True, np.float64(2.0)])
+def test_seeds_are_whole_numbers_below_two_to_the_forty(make: Callable, seed: Any) -> None:
+    env = make(image_size=0)
+    with pytest.raises(ValueError, match=r"a seed must be an integer from 0 to 2\^40 - 1, got"):
+        env.reset(seed=seed)
+    with pytest.raises(ValueError, match=r"a seed must be an integer from 0 to 2\^40 - 1, got"):
+        vector(image_size=0).reset(seed=[0, seed])
+
+
+def test_a_batch_takes_one_seed_for_each_world_of_any_kind_of_integer() -> None:
+    env = vector(image_size=0)
+    for seed in (4, np.int64(4), [4, 5], np.array([4, 5]), (4, 5)):
+        env.reset(seed=seed)
+        assert env._numbers.tolist() == [4, 5]
+    env.reset(seed=[None, 2**40 - 1])
+    assert env._numbers[1] == 2**40 - 1
+    with pytest.raises(ValueError, match="one seed for each of 2 worlds, got 3"):
+        env.reset(seed=[1, 2, 3])
+
+
+def test_options_are_fields_of_a_recipe_and_unknown_ones_are_refused() -> None:
+    env = DynahoiVectorEnv(1, recipe=Recipe(split="val", image_size=0), control_class="late", views=["side"])
+    assert env.recipe == Recipe(split="val", image_size=0, control_class="late", views=("side",))
+    with pytest.raises(ValueError, match="colour"):
+        DynahoiEnv(colour="red")

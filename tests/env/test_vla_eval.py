@@ -1,0 +1,228 @@
+"""The benchmark through vla-eval's own runner, and the entry that it reads."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from vla_eval.benchmarks.base import Benchmark
+from vla_eval.cli.config_loader import load_config
+from vla_eval.cli.smoke import SmokeTest, run_validate, smoke_test_from_path
+from vla_eval.config import DockerConfig, EvalConfig
+from vla_eval.recording import NullEpisodeRecorder
+from vla_eval.registry import resolve_import_string
+from vla_eval.runners.sync_runner import SyncEpisodeRunner
+
+from dynahoi_lerobot.env.vla_eval import DynahoiBenchmark
+from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.motions import CATEGORIES
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.splits import kind_seeds
+
+
+class Server:
+    """A model server in the same process: the expert, who knows the episode, or a hand that holds still."""
+
+    def __init__(self, benchmark: DynahoiBenchmark, *, moves: bool) -> None:
+        self.benchmark, self.moves, self.observations = benchmark, moves, []
+
+    async def start_episode(self, payload: dict) -> None:
+        self.task = payload["task"]
+
+    async def act(self, observation: dict) -> dict:
+        self.observations.append(observation)
+        if not self.moves:
+            return {"actions": observation["states"]}
+        batch = self.benchmark._env._batch
+        return {"actions": Intercept().act(batch.world_state(batch.observe(images=False)))[0]}
+
+    async def end_episode(self, result: dict) -> None:
+        self.result = result
+
+
+def run(benchmark: DynahoiBenchmark, kind: str, *, moves: bool) -> Server:
+    server = Server(benchmark, moves=moves)
+    task = next(task for task in benchmark.get_tasks() if task["name"] == kind)
+    runner = SyncEpisodeRunner()
+    asyncio.run(runner.run_episode(benchmark, {**task, "episode_idx": 1}, server, recorder=NullEpisodeRecorder()))
+    return server
+
+
+def test_the_expert_succeeds_and_a_still_hand_does_not():
+    benchmark = DynahoiBenchmark(image_size=32)
+    caught, missed = run(benchmark, "planar", moves=True), run(benchmark, "planar", moves=False)
+    assert caught.result["metrics"]["success"] is True
+    assert caught.result["metrics"]["S_loc"] == 1.0
+    assert missed.result["metrics"]["success"] is False
+    assert missed.result["metrics"]["S_loc"] == 0.0
+    assert missed.result["steps"] > caught.result["steps"]
+    assert set(caught.result["metrics"]) - {"success"} <= set(METRICS.names())
+    benchmark.cleanup()
+
+
+def test_observations_follow_the_convention():
+    benchmark = DynahoiBenchmark(image_size=32, kinds=["lob", "constant"])
+    assert benchmark.get_tasks() == [
+        {"name": "lob", "suite": "projectile"},
+        {"name": "constant", "suite": "straight_line"},
+    ]
+    server = run(benchmark, "lob", moves=False)
+    first = server.observations[0]
+    assert first["images"]["ego"].shape == (32, 32, 3)
+    assert first["images"]["ego"].dtype == np.uint8
+    assert first["states"].shape == (18,)
+    assert "Catch" in first["task_description"]
+    assert server.task["name"] == "lob"
+    np.testing.assert_array_equal(benchmark.get_hold_action({"actions": np.ones(18)})["actions"], 1.0)
+
+
+@pytest.mark.parametrize("mode", ["cpu", "gpu"])
+def test_it_renders_anywhere_and_is_found_by_its_name(mode: str):
+    name = "dynahoi_lerobot.env.vla_eval:DynahoiBenchmark"
+    assert resolve_import_string(name) is DynahoiBenchmark
+    assert mode in DynahoiBenchmark.render_backends
+    assert DynahoiBenchmark.configure_render(mode) == {}
+
+
+class Chunks(Server):
+    """Hands out four actions an inference: x is the frame in which that began, z the place in the chunk [mm]."""
+
+    def __init__(self, benchmark: DynahoiBenchmark) -> None:
+        super().__init__(benchmark, moves=True)
+        self.frames: list[int] = []
+
+    async def act(self, observation: dict) -> dict:
+        frame, call = int(self.benchmark._env._batch.frame[0]), len(self.frames) % 4
+        self.frames.append(frame)
+        seen = frame if call == 0 else self.seen
+        self.seen = seen
+        action = observation["states"].copy()
+        action[:3] = 0.001 * seen, 0.0, 0.001 * call
+        return {"actions": action}
+
+
+def test_the_world_moves_on_while_a_server_infers():
+    benchmark = DynahoiBenchmark(image_size=32, inference="async", latency_ms=100.0, n_action_steps=4)
+    server = Chunks(benchmark)
+    given: list[np.ndarray] = []
+    task = {"name": "constant", "episode_idx": 0}
+    observation = benchmark.make_obs(benchmark.reset(task), task)
+    step, moved = benchmark._env._batch.step, given.append
+    benchmark._env._batch.step = lambda commands, ids: (moved(commands[0]), step(commands, ids))
+    for _ in range(12):
+        result = benchmark.step(asyncio.run(server.act(observation)))
+        observation = benchmark.make_obs(result.obs, task)
+    assert server.frames == [0, 0, 0, 1, 2, 2, 2, 3, 4, 4, 4, 5]
+    # Ready after two frames: the third and fourth action of the inference two frames before.
+    assert [(round(1000 * x), round(1000 * z)) for x, _, z in (command[:3] for command in given[2:])] == [
+        (0, 2),
+        (0, 3),
+        (2, 2),
+        (2, 3),
+    ]
+    assert benchmark.get_metadata()["max_steps"] == 2 * 256
+
+
+def test_a_server_whose_chunks_are_over_before_they_are_ready_is_a_sentence():
+    with pytest.raises(ValueError, match=r"'the model server' executes 2 actions of a chunk.* must be at least 3"):
+        DynahoiBenchmark(inference="async", latency_ms=100.0, n_action_steps=2)
+
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "envs" / "vla_eval"
+CONFIGS = pytest.mark.parametrize("path", sorted(FOLDER.glob("*.yaml")), ids=lambda path: path.name)
+
+
+def entry(path: Path) -> EvalConfig:
+    (only,) = load_config(str(path))["benchmarks"]
+    return EvalConfig.from_dict(only)
+
+
+def benchmark_of(path: Path) -> Benchmark:
+    config = entry(path)
+    return resolve_import_string(config.benchmark)(**config.params)
+
+
+@CONFIGS
+def test_the_harness_takes_the_config(path: Path):
+    test = smoke_test_from_path(path)
+    assert isinstance(test, SmokeTest)
+    assert test.category == "benchmark"
+    assert (run_validate([test]).status, run_validate([test]).message) == ("pass", "1/1 configs valid")
+    docker = DockerConfig.from_dict(load_config(str(path))["docker"])
+    assert docker.build is not None
+    assert Path(docker.build.dockerfile_path).resolve() == FOLDER / "Dockerfile"
+
+
+@CONFIGS
+def test_every_episode_is_another_one(path: Path):
+    config, benchmark = entry(path), benchmark_of(path)
+    tasks, split = benchmark.get_tasks(), config.params["split"]
+    assert {task["suite"] for task in tasks} == set(CATEGORIES)
+    recipe = Recipe(split=split)
+    held = [len(kind_seeds(recipe, task["name"])) for task in tasks]
+    assert len(tasks) == len(BENCHMARK.splits[split].motions)
+    assert config.episodes_per_task == min(held), "more would wrap around"
+
+
+DOCKERFILE = FOLDER / "Dockerfile"
+IMAGE_ROOT = "/workspace"
+VALIDATE = """
+import sys
+from pathlib import Path
+from vla_eval.cli.smoke import run_validate, smoke_test_from_path
+print(run_validate([smoke_test_from_path(Path(sys.argv[1]))]).message)
+"""
+"""What ``vla-eval test --validate`` does, for one config."""
+
+
+def instructions() -> list[tuple[str, str]]:
+    """Return the keyword and the rest of every line that is no comment."""
+    lines = [line for line in DOCKERFILE.read_text().splitlines() if line and not line.startswith("#")]
+    return [(keyword, rest) for keyword, _, rest in (line.partition(" ") for line in lines)]
+
+
+def carry_out(keyword: str, rest: str, workspace: Path, environment: dict[str, str]) -> None:
+    """Do what COPY or RUN says in ``workspace``, installing with uv, which keeps downloads, as pip would."""
+    if keyword == "COPY":
+        *sources, target = rest.split()
+        for source in (path for pattern in sources for path in ROOT.glob(pattern.rstrip("/"))):
+            copy(source, workspace / target)
+    elif keyword == "RUN":
+        command = rest.replace("pip install --no-cache-dir", "uv pip install --quiet --no-sources")
+        subprocess.run(command, shell=True, cwd=workspace, env=environment, check=True)
+
+
+def copy(source: Path, target: Path) -> None:
+    """Copy as Docker does: what is in a folder, and a file into the folder that ``target`` is."""
+    target.mkdir(parents=True, exist_ok=True)
+    if source.is_dir():
+        shutil.copytree(source, target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+    else:
+        shutil.copy(source, target)
+
+
+@pytest.mark.slow
+def test_the_instructions_lead_to_a_harness_that_has_the_benchmark(tmp_path: Path):
+    workspace, environment = tmp_path / "workspace", tmp_path / "environment"
+    version = dict(instructions())["FROM"].removeprefix("python:").removesuffix("-slim")
+    subprocess.run(["uv", "venv", "--quiet", "--python", version, environment], check=True)
+    here = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "PYTEST"))}
+    here |= {"VIRTUAL_ENV": str(environment), "PATH": f"{environment / 'bin'}:{here['PATH']}", "MPLBACKEND": "Agg"}
+    for keyword, rest in instructions():
+        carry_out(keyword, rest, workspace, here)
+    said = {keyword: json.loads(rest) for keyword, rest in instructions() if keyword in ("ENTRYPOINT", "CMD")}
+    assert (environment / "bin" / said["ENTRYPOINT"][0]).is_file()
+    assert said["CMD"][0] == "run"
+    config = workspace / Path(said["CMD"][-1]).relative_to(IMAGE_ROOT)
+    command = [environment / "bin" / "python", "-c", VALIDATE, config]
+    said_of_config = subprocess.run(command, cwd=workspace, env=here, capture_output=True, text=True, check=True).stdout
+    assert said_of_config.strip() == "1/1 configs valid"

@@ -1,0 +1,205 @@
+"""What the ray casters show is what is there, in the colours it has, and as mujoco_warp draws it."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.renderers import RENDERERS
+from dynahoi_lerobot.scene.model import SHOWN_GROUPS
+from dynahoi_lerobot.scene.scene import Scene
+from dynahoi_lerobot.world.batch import WorldBatch
+from tests.world.playing import wait, world
+
+SIZE = 64
+SAME_HUE = 0.95
+"""Least cosine between a median colour and the tint it should have: shading changes its brightness, not its hue."""
+
+
+@pytest.fixture(scope="module", params=["tiles", "flat", "warp"])
+def watching(request: pytest.FixtureRequest, specs: list[EpisodeSpec]) -> WorldBatch:
+    """One world for each kind, at the start of its control phase; tests must not step it."""
+    batch = world(specs[:22], image_size=SIZE, renderer=request.param)
+    wait(batch)
+    return batch
+
+
+@pytest.fixture(scope="module")
+def images(watching: WorldBatch) -> np.ndarray:
+    return watching.cameras.render()
+
+
+@pytest.fixture(scope="module")
+def labels(watching: WorldBatch) -> np.ndarray:
+    return watching.cameras.segmentation()
+
+
+def test_images_have_the_promised_shape_and_content(images: np.ndarray):
+    assert images.shape == (22, SIZE, SIZE, 3)
+    assert images.dtype == np.uint8
+    assert len({image.tobytes() for image in images}) == 22
+    assert (images.reshape(22, -1).std(axis=1) > 10).all(), "no image is blank"
+
+
+def test_every_label_is_a_geom_that_this_world_shows(
+    watching: WorldBatch, labels: np.ndarray, specs: list[EpisodeSpec]
+):
+    assert labels.shape == (22, SIZE, SIZE)
+    assert labels.dtype == np.int32
+    for spec, seen in zip(specs, labels, strict=False):
+        extra = set(np.unique(seen)) - {-1} - _shown(watching.scene, spec)
+        names = [watching.scene.model.geom(int(geom)).name for geom in extra]
+        assert not names, f"{spec.motion.name} of a {spec.target.name} shows {names}"
+
+
+def test_the_target_has_its_colour_where_the_labels_say_it_is(
+    watching: WorldBatch, images: np.ndarray, labels: np.ndarray, specs: list[EpisodeSpec]
+):
+    compared = 0
+    for spec, image, seen in zip(specs, images, labels, strict=False):
+        pixels = image[np.isin(seen, watching.scene.target_geoms)]
+        if len(pixels) >= 8:
+            # the median, as pixels on edges hold some of what is behind
+            assert _cosine(np.median(pixels, axis=0), spec.appearance.target_rgb) > SAME_HUE, spec.motion.name
+            compared += 1
+    assert compared >= 12
+
+
+def test_skin_floor_and_backdrop_have_their_colours(
+    watching: WorldBatch, images: np.ndarray, labels: np.ndarray, specs: list[EpisodeSpec]
+):
+    scene, compared = watching.scene, 0
+    for spec, image, seen in zip(specs, images, labels, strict=False):
+        for geoms, rgb in (
+            (np.concatenate([scene.hand_geoms, scene.skin_geoms]), spec.appearance.skin_rgb),
+            ([scene.floor_geom], spec.appearance.floor_rgb),
+            (scene.wall_geoms, spec.appearance.wall_rgb),
+        ):
+            pixels = image[np.isin(seen, geoms)]
+            if len(pixels) > 50:  # a table may cover the floor
+                assert _cosine(np.median(pixels, axis=0), rgb) > SAME_HUE
+                compared += 1
+    assert compared >= 60
+
+
+def test_the_target_appears_where_the_camera_geometry_puts_it(
+    watching: WorldBatch, labels: np.ndarray, specs: list[EpisodeSpec]
+):
+    """The middle of its pixels is the projection of its centre, to three and a half pixels."""
+    scene = watching.scene
+    camera = scene.model.camera(scene.camera)
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, camera.quat)
+    focal = SIZE / 2 / np.tan(np.radians(camera.fovy[0]) / 2)
+    compared = 0
+    for i, seen in enumerate(labels):
+        rows, columns = np.nonzero(np.isin(seen, scene.target_geoms))
+        centre = watching.target_pose[i, :3] - watching.state[i, :3] - camera.pos
+        right, up, back = centre @ axes.reshape(3, 3)
+        inside = max(abs(right), abs(up)) / -back < 0.8 * SIZE / 2 / focal
+        if len(rows) >= 12 and inside and specs[i].target.name not in ("cup", "ring", "bottle"):
+            expected = (SIZE / 2 - up / -back * focal, SIZE / 2 + right / -back * focal)
+            assert (rows.mean() + 0.5, columns.mean() + 0.5) == pytest.approx(expected, abs=3.5)
+            compared += 1
+    assert compared >= 5
+
+
+def test_worlds_that_are_not_asked_for_are_black_and_the_others_unchanged(watching: WorldBatch, images: np.ndarray):
+    some = watching.cameras.render(np.array([4, 17]))
+    np.testing.assert_array_equal(some[[4, 17]], images[[4, 17]])
+    assert not np.delete(some, [4, 17], axis=0).any()
+
+
+def test_pictures_follow_the_world(specs: list[EpisodeSpec]):
+    batch = world([specs[3]], image_size=SIZE)
+    before = batch.cameras.render()
+    batch.step(batch.executed)
+    moved = batch.cameras.render()
+    assert (before != moved).any()
+    batch.reset([0], [specs[3]])
+    np.testing.assert_array_equal(batch.cameras.render(), before)
+
+
+def _shown(scene: Scene, spec: EpisodeSpec) -> set[int]:
+    """Geoms that a world of ``spec`` may show."""
+    shown = {scene.floor_geom, *scene.wall_geoms, *scene.hand_geoms.tolist(), *scene.skin_geoms, *scene.sleeve_geoms}
+    shown |= set(scene.furniture_geoms[: len(spec.appearance.furniture)])
+    free = {shape: list(ids) for shape, ids in scene.slots.items()}
+    shown |= {free[primitive.shape].pop(0) for primitive in spec.target.primitives}
+    launch = spec.motion.launch(spec.target)
+    shown |= set(scene.box_geoms[: len(launch.boxes)])
+    shown |= {scene.tether_geom} if launch.tether else set()
+    return shown | ({scene.striker_geom} if launch.striker else set())
+
+
+def _cosine(color: np.ndarray, tint: tuple[float, float, float]) -> float:
+    return float(color @ np.asarray(tint) / np.linalg.norm(color) / np.linalg.norm(tint))
+
+
+ODD_SIZE = 72
+"""Not a multiple of a tile's side, so that the last tiles stick out [px]."""
+FRAMES = (0, 9, 30)
+"""The hand closes in between, so that shapes come near the camera."""
+MOST_DIFFERENT = 2e-4
+"""Share of pixels, on edges of shapes, that rounding may give to either side."""
+VISIBLE = 2
+"""Grey levels of 255."""
+
+
+def play(specs: list[EpisodeSpec], renderer: str, threads: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Return pictures (F, N, H, W, 3) and labels (F, N, H, W) while the hand closes."""
+    batch = world(specs, image_size=ODD_SIZE, threads=threads, renderer=renderer)
+    pictures, labels = [], []
+    for frame in range(max(FRAMES) + 1):
+        if frame in FRAMES:
+            pictures.append(batch.cameras.render())
+            labels.append(batch.cameras.segmentation())
+        commands = batch.executed.copy()
+        commands[:, 3:] += 0.05
+        batch.step(np.clip(commands, *batch.command_limits()))
+    return np.stack(pictures), np.stack(labels)
+
+
+@pytest.fixture(scope="module")
+def drawn(specs: list[EpisodeSpec]) -> tuple[np.ndarray, np.ndarray]:
+    return play(specs[:22], "tiles")
+
+
+def test_without_soft_light_it_draws_what_mujoco_warp_draws(
+    drawn: tuple[np.ndarray, np.ndarray], specs: list[EpisodeSpec]
+) -> None:
+    """``flat`` is the same ray caster with shadows, soft light, filtering and smooth edges switched off."""
+    flat, flat_labels = play(specs[:22], "flat")
+    pictures, labels = play(specs[:22], "warp")
+    difference = np.abs(pictures.astype(int) - flat).max(axis=-1)
+    assert pictures.std(axis=(2, 3, 4)).min() > 5.0
+    assert (difference > VISIBLE).mean() < MOST_DIFFERENT
+    assert (labels != flat_labels).mean() < MOST_DIFFERENT
+    assert len(np.unique(labels)) > 30, "many geoms were seen"
+    np.testing.assert_array_equal(drawn[1], flat_labels, "soft light changes no label")
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_threads_do_not_change_a_byte(
+    drawn: tuple[np.ndarray, np.ndarray], specs: list[EpisodeSpec], threads: int
+) -> None:
+    np.testing.assert_array_equal(play(specs[:22], "tiles", threads)[0], drawn[0])
+
+
+def test_neighbours_do_not_change_a_byte(drawn: tuple[np.ndarray, np.ndarray], specs: list[EpisodeSpec]) -> None:
+    alone, _ = play(specs[7:8], "tiles")
+    np.testing.assert_array_equal(alone[:, 0], drawn[0][:, 7])
+
+
+def test_a_shape_it_cannot_draw_is_refused(specs: list[EpisodeSpec]) -> None:
+    batch: WorldBatch = world(specs[:1])
+    geom = int(np.flatnonzero(np.isin(batch.scene.model.geom_group, SHOWN_GROUPS))[0])
+    kind = batch.scene.model.geom_type[geom]
+    batch.scene.model.geom_type[geom] = mujoco.mjtGeom.mjGEOM_MESH.value
+    try:
+        with pytest.raises(ValueError, match=r"'tiles' cannot draw MuJoCo's geom types \[7\]; use 'warp'"):
+            RENDERERS["tiles"](batch.scene, batch._batch, 32)
+    finally:
+        batch.scene.model.geom_type[geom] = kind

@@ -1,0 +1,62 @@
+"""Every view shows the same worlds, whoever draws them; depth is a distance, segmentation names what is there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.renderers.views import COLORS, DEPTH_LEVEL_M, EXTRA_VIEWS
+from dynahoi_lerobot.scene.model import LARGEST_SLOT_M
+from dynahoi_lerobot.world.batch import WorldBatch
+from tests.world.playing import world
+
+SIZE = 72
+MOST_DIFFERENT = 2e-3
+"""Share of pixels, on edges of shapes, that rounding may give to either side."""
+LEVELS = 2
+
+
+@pytest.fixture(scope="module")
+def batch(specs: list[EpisodeSpec]) -> WorldBatch:
+    return world(specs[:22:3], image_size=SIZE, views=EXTRA_VIEWS)
+
+
+@pytest.mark.parametrize("view", EXTRA_VIEWS)
+def test_tiles_draw_what_mujoco_warp_draws(view: str, batch: WorldBatch, specs: list[EpisodeSpec]) -> None:
+    flat, other = (world(specs[:22:3], image_size=SIZE, renderer=name) for name in ("flat", "warp"))
+    ours, theirs = flat.cameras.render(view=view).astype(int), other.cameras.render(view=view)
+    if view != "side":
+        np.testing.assert_array_equal(batch.cameras.render(view=view), ours, "soft light changes colours only")
+    assert (np.abs(ours - theirs).max(axis=-1) > LEVELS).mean() < MOST_DIFFERENT
+    assert ours.std(axis=(1, 2, 3)).min() > 5.0
+
+
+def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
+    """The target's nearest pixel lies before its centre, by no more than the largest object is wide."""
+    labels, depth = batch.cameras.segmentation(), batch.cameras.depth()
+    camera = batch._batch.bind("cam_xpos")[:, batch.scene.camera]
+    axis = -batch._batch.bind("cam_xmat")[:, batch.scene.camera].reshape(-1, 3, 3)[:, :, 2]
+    centre = ((batch.target_pose[:, :3] + batch.home_pos_w - camera) * axis).sum(axis=1)
+    seen = 0
+    for i in range(batch.size):
+        on_target = depth[i][np.isin(labels[i], batch.scene.target_geoms)]
+        if len(on_target) > 10:
+            seen += 1
+            assert 0.0 < centre[i] - on_target.min() < LARGEST_SLOT_M
+    assert seen > 3
+
+
+def test_pictures_of_depth_and_segmentation(batch: WorldBatch) -> None:
+    pictures = batch.observe(images=True).images
+    metres = batch.cameras.depth()
+    grey = pictures["ego_depth"][..., 0]
+    near = (metres > 0) & (metres < 2.5)
+    assert near.any()
+    np.testing.assert_allclose(grey[near] * DEPTH_LEVEL_M, metres[near], atol=DEPTH_LEVEL_M)
+    assert (grey[metres == 0] == 255).all()
+    is_target = np.isin(batch.cameras.segmentation(), batch.scene.target_geoms)
+    assert (pictures["ego_segmentation"][is_target] == COLORS["target"]).all()
+    assert not (pictures["ego_segmentation"][~is_target] == COLORS["target"]).all(axis=-1).any()
+    for thing in ("hand", "target"):
+        assert (pictures["side_segmentation"] == COLORS[thing]).all(axis=-1).any(axis=(1, 2)).mean() > 0.7

@@ -1,0 +1,271 @@
+"""Inference that takes time, against timelines computed by hand."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.rollout.inference import Inference, QueuedPolicy, RealTimeAgent, StepwiseInference, frames_of
+
+STILL = -1.0
+
+
+class Clock(ChunkAgent):
+    """Plans 100 x (frame it sees) + (frame the action is for), five at a time."""
+
+    name = "clock"
+    accepts_guidance = True
+
+    def __init__(self, seconds: tuple[float, float] = (0.0, 0.0)) -> None:
+        self.seconds = np.array(seconds)
+        self.calls: list[tuple] = []
+        self.guided = False
+        self.reset(2)
+
+    def reset(self, count: int) -> None:
+        self.t = 0
+
+    def act(self, observation: Observation) -> np.ndarray:
+        raise AssertionError("a chunk was asked for")
+
+    def enable_guidance(self) -> None:
+        self.guided = True
+
+    def watch(self, observation: Observation) -> None:
+        self.t += 1
+
+    def plan(
+        self,
+        observation: Observation,
+        worlds: np.ndarray,
+        *,
+        executed: np.ndarray | None = None,
+        delays: np.ndarray | None = None,
+    ) -> Plan:
+        told = [None if values is None else values.tolist() for values in (executed, delays)]
+        self.calls.append((self.t, worlds.tolist(), *told))
+        actions = 100 * self.t + self.t + np.arange(5.0)
+        self.t += 1
+        chunks = np.broadcast_to(actions[None, :, None], (len(worlds), 5, 18))
+        return Plan(chunks, self.seconds[worlds], [self.t - 1] * len(worlds))
+
+    def corrected(self, worlds: np.ndarray, expectations: Sequence[int], ages: Sequence[int]) -> np.ndarray:
+        """What the chunk is for and how old it is, at the frame noted last, as 100 x (frame it saw) + (frame now)."""
+        assert [seen + age for seen, age in zip(expectations, ages, strict=True)] == [self.t - 1] * len(worlds)
+        return np.repeat([[100.0 * seen + self.t - 1] for seen in expectations], 18, axis=1)
+
+
+def observation() -> Observation:
+    still = np.full((2, 18), STILL, np.float32)
+    return Observation({}, still, np.zeros((2, 30), np.float32), one_hot_phase(np.ones(2, bool)), ("", ""))
+
+
+def played(agent: RealTimeAgent, frames: int) -> np.ndarray:
+    """(2, frames) what is commanded, as (frame that was seen) x 100 + (frame that it is for)."""
+    agent.reset(2)
+    return np.array([agent.act(observation())[:, 0] for _ in range(frames)]).T
+
+
+def test_the_old_chunk_goes_on_until_the_next_is_ready_and_what_is_past_of_that_is_skipped():
+    # Inferences begin at frames 0, 3, 6, 9 and are ready three frames later.
+    agent = RealTimeAgent(Clock(), Inference("async", 150.0))
+    for _ in range(2):  # the second time after a reset
+        for world in played(agent, 11):
+            assert world.tolist() == [STILL, STILL, STILL, 3, 4, 4, 306, 307, 307, 609, 610]
+    assert agent.report() == {"inference_frames": 3.0}
+
+
+def test_without_latency_every_frame_has_its_own_chunk():
+    assert played(RealTimeAgent(Clock(), Inference("async", 0.0)), 4)[0].tolist() == [0, 101, 202, 303]
+
+
+def test_a_measured_latency_is_that_of_each_world():
+    # World 0 needs one frame, world 1 two; the histories count every frame.
+    clock = Clock(seconds=(0.04, 0.1))
+    commands = played(RealTimeAgent(clock, Inference("async", None)), 6)
+    assert commands.tolist() == [[STILL, 1, 102, 203, 304, 405], [STILL, STILL, 2, 3, 204, 205]]
+    assert clock.calls[:4] == [
+        (0, [0, 1], None, None),
+        (1, [0], None, None),
+        (2, [0, 1], None, None),
+        (3, [0], None, None),
+    ]
+
+
+def test_real_time_chunking_tells_what_is_executed_and_how_long_it_will_take():
+    clock = Clock()
+    played(RealTimeAgent(clock, Inference("rtc", 100.0)), 7)
+    # The chunk of frame 0 is ready at frame 2; then two of its actions are past and two will be by the next.
+    assert [call[2:] for call in clock.calls] == [(None, [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
+    assert clock.guided
+
+
+def test_an_agent_that_plans_from_where_the_hand_will_be_is_told_in_mode_async_as_well():
+    clock = Clock()
+    clock.accepts_prefix = True
+    played(RealTimeAgent(clock, Inference("async", 100.0)), 5)
+    assert [call[2:] for call in clock.calls] == [(None, [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
+    assert not clock.guided, "guidance is for real-time chunking"
+
+
+def test_a_correction_replaces_what_is_left_of_the_running_chunk_in_every_frame():
+    clock = Clock()
+    clock.corrects = True
+    for world in played(RealTimeAgent(clock, Inference("async", 150.0, corrected=True)), 11):
+        # As without it, but for the frames after a chunk's last action, 5, which it goes beyond.
+        assert world.tolist() == [STILL, STILL, STILL, 3, 4, 5, 306, 307, 308, 609, 610]
+
+
+def test_a_correction_is_of_the_worlds_that_have_a_chunk():
+    clock = Clock(seconds=(0.04, 0.1))
+    clock.corrects = True
+    commands = played(RealTimeAgent(clock, Inference("async", None, corrected=True)), 6)
+    assert commands.tolist() == [[STILL, 1, 102, 203, 304, 405], [STILL, STILL, 2, 3, 204, 205]]
+
+
+@pytest.mark.parametrize(
+    "timing",
+    [Inference(), Inference("async", 150.0, corrected=True), Inference("rtc", 12.5), Inference("async", None)],
+)
+def test_a_label_gives_its_timing_back(timing: Inference):
+    assert Inference.from_label(timing.label) == timing
+
+
+@pytest.mark.parametrize("label", ["async", "async 1e999 ms", "soon 5 ms", "async 5 ms, later", "async .. ms"])
+def test_a_label_of_no_timing_is_refused(label: str):
+    with pytest.raises(ValueError, match=r"no inference|latency|convert"):
+        Inference.from_label(label)
+
+
+@pytest.mark.parametrize(
+    ("mode", "latency_ms", "corrected"),
+    [
+        ("late", 0.0, False),
+        ("sync", 50.0, False),
+        ("sync", None, False),
+        ("sync", 0.0, True),
+        ("async", -1.0, False),
+        ("async", float("nan"), False),
+    ],
+)
+def test_impossible_timings_are_refused(mode: str, latency_ms: float | None, corrected: bool):
+    with pytest.raises(ValueError, match=r"inference|correction"):
+        Inference(mode, latency_ms, corrected)
+
+
+@pytest.mark.parametrize(
+    "timing", [Inference("async", 250.0), Inference("async", 100.0, corrected=True), Inference("rtc", 100.0)]
+)
+def test_timings_that_an_agent_does_not_support_are_refused(timing: Inference):
+    """A chunk that is over before it is ready, a correction by an agent that corrects nothing, no guidance."""
+    clock = Clock()
+    clock.accepts_guidance = False
+    with pytest.raises(ValueError, match="'clock'"):
+        played(RealTimeAgent(clock, timing), 1)
+
+
+@pytest.mark.parametrize(("latency_ms", "frames"), [(0, 0), (1, 1), (50, 1), (51, 2), (150, 3), (370, 8)])
+def test_a_chunk_is_ready_at_the_first_frame_at_which_its_inference_has_ended(latency_ms: float, frames: int):
+    assert frames_of(latency_ms / 1000) == frames
+
+
+def test_experts_infer_nothing(capsys: pytest.CaptureFixture):
+    assert main(["evaluate", "--policy", "hold", "--inference", "async", "--inference-ms", "50"]) == 2
+    assert "--inference async needs a policy that plans chunks; 'hold' is an expert" in capsys.readouterr().err
+
+
+class Counter(ChunkAgent):
+    """Plans 100 x (frame it sees) + (frame the action is for), 12 at a time; the same with a queue of some of them."""
+
+    name = "counter"
+
+    def __init__(self, policy: QueuedPolicy) -> None:
+        self.policy, self.queue, self.seen = policy, deque[float](), list[int]()
+
+    def act(self, observation: Observation) -> np.ndarray:
+        raise AssertionError("a chunk was asked for")
+
+    def plan(self, observation: Observation, worlds: np.ndarray, **continued: np.ndarray) -> Plan:
+        t = float(observation.state[0, 0])
+        return Plan(np.broadcast_to((101 * t + np.arange(12.0))[None, :, None], (1, 12, 18)), np.zeros(1))
+
+    def select_action(self, frame: int) -> np.ndarray:
+        """As LeRobot's policies do: infer if the queue is empty, else answer from it without a look."""
+        self.seen.append(frame)
+        if not self.queue:
+            first = 101 * frame + self.policy.skipped_frames
+            self.queue.extend(float(first + i) for i in range(self.policy.n_action_steps))
+        return np.full((1, 18), self.queue.popleft())
+
+
+def stepwise(policy: QueuedPolicy, latency_ms: float, frames: int) -> tuple[list[float], list[int]]:
+    """What is executed in each frame, and the frame seen in each call, of a world that plays so many frames."""
+    counter, inference = Counter(policy), StepwiseInference(policy, Inference("async", latency_ms))
+    executed: list[float] = []
+    for _ in range(inference.calls(frames)):
+        command = inference.answer(counter.select_action(len(executed)), np.full((1, 18), STILL))
+        executed += [] if command is None else [float(command[0, 0])]
+    return executed[:frames], counter.seen
+
+
+def test_the_world_stands_still_while_the_queue_is_read_and_moves_in_its_last_calls():
+    executed, seen = stepwise(QueuedPolicy("six", 6), 150.0, 9)
+    assert executed == [STILL, STILL, STILL, 3, 4, 5, 306, 307, 308]
+    assert seen == [0, 0, 0, 0, 1, 2, 3, 3, 3, 3, 4, 5, 6, 6, 6, 6, 7, 8]
+
+
+def test_a_chunk_that_is_over_is_followed_by_its_last_action():
+    executed, _ = stepwise(QueuedPolicy("five", 5), 150.0, 9)
+    assert executed == [STILL, STILL, STILL, 3, 4, 4, 306, 307, 307]
+
+
+def test_a_policy_that_skips_what_is_past_sees_every_frame_once():
+    executed, seen = stepwise(QueuedPolicy("skipping", 3, skipped_frames=3, lookback_frames=12), 150.0, 9)
+    assert executed == [STILL, STILL, STILL, 3, 4, 5, 306, 307, 308]
+    assert seen == list(range(9))
+
+
+@pytest.mark.parametrize("latency_ms", [0.0, 50.0, 100.0, 150.0, 300.0])
+def test_it_is_the_timing_of_whole_chunks(latency_ms: float):
+    policy = QueuedPolicy("twelve", 12)
+    agent, expected = RealTimeAgent(Counter(policy), Inference("async", latency_ms)), []
+    agent.reset(1)
+    for frame in range(30):
+        state = np.full((1, 18), STILL, np.float32)
+        state[0, 0] = frame  # what `Counter.plan` reads
+        seen = Observation({}, state, np.zeros((1, 30), np.float32), one_hot_phase(np.ones(1, bool)), ("",))
+        expected.append(float(agent.act(seen)[0, 1]))
+    assert stepwise(policy, latency_ms, 30)[0] == expected
+
+
+def test_a_new_episode_begins_with_an_inference():
+    inference = StepwiseInference(QueuedPolicy("two", 2), Inference("async", 50.0))
+    still, action = np.full((1, 18), STILL), np.zeros((1, 18))
+    assert [inference.answer(action, still) is None for _ in range(3)] == [True, False, True]
+    inference.reset()
+    assert inference.answer(action, still) is None
+    command = inference.answer(action, still)
+    assert command is not None
+    assert command[0, 0] == STILL
+
+
+@pytest.mark.parametrize(
+    ("policy", "timing"),
+    [
+        (QueuedPolicy("p", 6), Inference("rtc", 150.0)),
+        (QueuedPolicy("p", 6), Inference("async", None)),
+        (QueuedPolicy("p", 3), Inference("async", 150.0)),
+        (QueuedPolicy("p", 2, 3), Inference("async", 150.0)),
+        (QueuedPolicy("p", 6, 4), Inference("async", 150.0)),
+        (QueuedPolicy("p", 6, 0, 5), Inference("async", 150.0)),
+    ],
+)
+def test_timings_that_a_queue_cannot_have_are_refused(policy: QueuedPolicy, timing: Inference):
+    with pytest.raises(ValueError, match=r"use async|declare it|'p'"):
+        StepwiseInference(policy, timing)

@@ -1,0 +1,125 @@
+"""What an episode stores of cameras, object and plan is what the simulator has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.numerics import quat_to_matrix
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.hands.base import EGO_CAMERA
+from dynahoi_lerobot.objects.primitives import from_table
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.rollout.recorder import camera_pose, episode_constants, intrinsics
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.scene.model import SIDE_CAMERA
+from dynahoi_lerobot.scene.scene import compile_scene
+from dynahoi_lerobot.world.batch import WorldBatch
+
+POSITION_ERROR_M = 1e-12
+"""Positions of the simulator are in float64."""
+
+
+def moved(hand: str, home_w: np.ndarray, palm_w: np.ndarray, joints: np.ndarray) -> mujoco.MjData:
+    """The scene with a hand elsewhere than at home."""
+    scene = compile_scene(hand)
+    data = mujoco.MjData(scene.model)
+    data.qpos[scene.hand_qpos] = np.concatenate([palm_w, joints])
+    data.mocap_pos[scene.side_mocap] = home_w
+    mujoco.mj_kinematics(scene.model, data)
+    mujoco.mj_camlight(scene.model, data)
+    return data
+
+
+@pytest.mark.parametrize("hand", HANDS.names())
+@pytest.mark.parametrize(("camera", "carried"), [(EGO_CAMERA, True), (SIDE_CAMERA, False)])
+def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(hand: str, camera: str, carried: bool):
+    rng, model = np.random.default_rng(3), compile_scene(hand).model
+    fixed = camera_pose(model, camera)
+    for _ in range(5):
+        home, palm = rng.uniform([-1, -1, 0.5], [1, 1, 1.5], (2, 3))
+        data = moved(hand, home, palm, rng.uniform(0, 1, 15))
+        found = data.camera(camera)
+        np.testing.assert_allclose(found.xpos, (palm if carried else home) + fixed[:3], atol=POSITION_ERROR_M)
+        np.testing.assert_allclose(found.xmat.reshape(3, 3), quat_to_matrix(fixed[3:]), atol=POSITION_ERROR_M)
+
+
+@pytest.mark.parametrize("camera", [EGO_CAMERA, SIDE_CAMERA])
+def test_a_point_appears_where_pose_and_intrinsics_project_it(specs: list[EpisodeSpec], camera: str):
+    """The target's middle among its pixels, in every world that shows more than 30 of them."""
+    size, shown = 128, 0
+    batch = WorldBatch(Recipe(image_size=size, views=("side",)), len(specs))
+    batch.reset(range(len(specs)), specs)
+    fx, fy, cx, cy = intrinsics(batch.scene.model, camera, size)
+    pose = camera_pose(batch.scene.model, camera)
+    pictures = np.isin(batch.cameras._renderer(camera).segmentation(np.arange(len(specs))), batch.scene.target_geoms)
+    for i, spec in enumerate(specs):
+        rows, columns = np.nonzero(pictures[i])
+        if len(rows) < 30 or len({*rows} & {0, size - 1}) or len({*columns} & {0, size - 1}):
+            continue
+        x, y, z = quat_to_matrix(pose[3:]).T @ (batch.target_pose[i, :3] - pose[:3])
+        projected = np.array([cx + fx * x / -z, cy - fy * y / -z])
+        extent = np.ptp(columns), np.ptp(rows)
+        middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
+        assert np.abs(projected - middle).max() < 0.5 + 0.25 * max(extent), spec.target.name
+        if spec.target.name == "ball":  # whose middle is exact
+            np.testing.assert_allclose(projected, middle, atol=0.75)
+        shown += 1
+    assert shown > 5
+
+
+def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
+    batch = WorldBatch(Recipe(), len(specs))
+    batch.reset(range(len(specs)), specs)
+    fields, scene = batch._fields.fields, batch.scene
+    for i, spec in enumerate(specs):
+        kept = episode_constants(batch, spec, None)
+        assert kept["object_mass"] == fields["body_mass"][i, scene.target_body]
+        np.testing.assert_array_equal(kept["object_inertia"], fields["body_inertia"][i, scene.target_body])
+        hand, *surfaces = (
+            fields["geom_friction"][i, list(geoms), 0].max()
+            for geoms in (scene.hand_geoms, scene.target_geoms, scene.box_geoms)
+        )
+        assert kept["object_friction"] == [hand, max(surfaces)], spec.motion.name
+        for solid, geom in zip(from_table(kept["object_primitives"]), scene.slots_of(spec.target), strict=True):
+            np.testing.assert_allclose(fields["geom_size"][i, geom], solid.half_size, rtol=1e-6, atol=1e-9)
+            np.testing.assert_allclose(fields["geom_pos"][i, geom], solid.pos, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("control", CONTROL_CLASSES.values(), ids=lambda control: control.name)
+def test_the_hand_does_what_the_expert_planned_first(specs: list[EpisodeSpec], control):
+    """The palm leaves home at the planned speed, and has the target when the lead time is over."""
+    chosen = specs[:22]
+    batch = WorldBatch(Recipe(split="test", control_class=control.name), len(chosen))
+    for episode in evaluate(batch, EXPERTS["intercept"](), chosen):
+        speed, lead_s = episode.first_plan
+        start = episode.meta.window_frames
+        assert speed <= min(control.palm_speed_m_s, 1.0) + 1e-6
+        assert lead_s == pytest.approx(round(lead_s / CONTROL_DT) * CONTROL_DT)
+        first = episode.first_localized
+        assert first is not None
+        assert first - start <= round(lead_s / CONTROL_DT)
+        if first > start + 2:
+            left = np.linalg.norm(episode.palm_pos_h[start + 2] - episode.palm_pos_h[start + 1]) / CONTROL_DT
+            assert left == pytest.approx(speed, abs=0.02), episode.meta.motion
+
+
+def test_policies_plan_nothing(specs: list[EpisodeSpec]):
+    (episode,) = evaluate(WorldBatch(Recipe(split="test"), 1), EXPERTS["hold"](), specs[:1])
+    assert episode.first_plan.tolist() == [0.0, 0.0]
+
+
+def test_every_attempt_of_a_planned_catch_has_its_own_meeting(specs: list[EpisodeSpec]):
+    expert, control = EXPERTS["match"](), CONTROL_CLASSES["standard"]
+    spec = replace(specs[0], hand="opposed")
+    meetings = [expert.first_meeting(spec, control, attempt) for attempt in (1, 2)]
+    assert meetings[0].frame != meetings[1].frame
+    seat = spec.oracle_path[meetings[0].frame] - meetings[0].palm_pos_w
+    assert np.linalg.norm(seat) < 0.06, "the target is in the hand then"

@@ -1,0 +1,138 @@
+"""Specs are functions of (recipe, seed); the intercept is the earliest; the hand waits where it can watch."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, HAND_SPEED_M_S, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.homes import REFERENCE_HAND, visible
+from dynahoi_lerobot.sampling.oracle_path import roll_ahead
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import MIN_OBSERVED_S, sample_spec, sample_specs
+from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES
+from dynahoi_lerobot.scene.scene import compile_scene
+
+TEST = Recipe(split="test", image_size=32)
+
+
+def assert_same(one: EpisodeSpec, other: EpisodeSpec) -> None:
+    """Every field is equal, arrays to the bit."""
+    for field in fields(EpisodeSpec):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(a, np.ndarray):
+            assert a.dtype == b.dtype
+            assert a.tobytes() == b.tobytes(), field.name
+        else:
+            assert a == b, field.name
+
+
+def test_a_spec_depends_on_nothing_else_in_the_call(specs: list[EpisodeSpec]):
+    for seed in (1, 13, 21):
+        assert_same(sample_spec(TEST, seed), specs[seed])
+    mixed = sample_specs(TEST, [40, 3, 12, 40, 21])
+    for spec in mixed:
+        assert_same(spec, specs[spec.seed])
+    assert [spec.seed for spec in mixed] == [40, 3, 12, 40, 21]
+
+
+def test_a_spec_does_not_depend_on_threads(specs: list[EpisodeSpec]):
+    for spec in sample_specs(TEST, range(22), threads=2):
+        assert_same(spec, specs[spec.seed])
+
+
+def test_what_is_drawn_does_not_depend_on_how_it_is_shown(specs: list[EpisodeSpec]):
+    for spec in sample_specs(replace(TEST, image_size=64), [0, 5]):
+        assert_same(replace(spec, fingerprint=""), replace(specs[spec.seed], fingerprint=""))
+
+
+def test_the_22_kinds_take_turns(specs: list[EpisodeSpec]):
+    assert [spec.motion.name for spec in specs] == list(BENCHMARK.splits["test"].motions) * 2
+    chosen = sample_specs(Recipe(motions=("vertical", "constant"), split="val"), range(3))
+    assert [spec.motion.name for spec in chosen] == ["vertical", "constant", "vertical"]
+
+
+def test_the_intercept_is_the_earliest_the_hand_can_reach(specs: list[EpisodeSpec]):
+    for spec in specs:
+        assert spec.oracle_path[spec.intercept_frame] == pytest.approx(spec.intercept_pos_w)
+        reachable = []
+        for frame in range(spec.window_frames + MIN_APPROACH_FRAMES, spec.horizon_frames):
+            distance = float(np.linalg.norm(spec.oracle_path[frame] - spec.home_pos_w))
+            if distance <= HAND_SPEED_M_S * (frame - spec.window_frames) * CONTROL_DT + 1e-12:
+                reachable.append(frame)
+        assert reachable[0] == spec.intercept_frame, f"{spec.motion.name} of seed {spec.seed}"
+
+
+def test_the_recording_holds_window_approach_and_grasp(specs: list[EpisodeSpec]):
+    for spec in specs:
+        assert spec.window_frames == max(MIN_WINDOW_FRAMES, int(np.ceil(0.2 * spec.length_frames)))
+        assert spec.intercept_frame + 6 <= spec.length_frames
+        assert spec.length_frames <= spec.motion.max_frames
+        assert spec.travel_m == pytest.approx(float(np.linalg.norm(spec.intercept_pos_w - spec.home_pos_w)))
+
+
+def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpec]):
+    """In the half view of the compiled camera, in front of the palm, not behind the hand, and clear of it."""
+    model = compile_scene().model
+    camera = model.camera("ego").id
+    axes = np.zeros(9)
+    mujoco.mju_quat2Mat(axes, model.cam_quat[camera])
+    slope = np.tan(np.radians(model.cam_fovy[camera] / 2))
+    for spec in specs:
+        seen = spec.oracle_path[: spec.window_frames + 1] - spec.home_pos_w
+        assert (seen[:, 0] > 0).all(), "the palm faces +x"
+        assert np.linalg.norm(seen, axis=1).min() > 0.07
+        right, up, back = ((seen - model.cam_pos[camera]) @ axes.reshape(3, 3)).T
+        in_view = (back < 0) & (np.abs(right) < -back * slope) & (np.abs(up) < -back * slope)
+        assert in_view.mean() >= 0.9
+        assert visible(seen).mean() >= 0.9
+
+
+@pytest.mark.parametrize("hand", [name for name in HANDS.names() if name != REFERENCE_HAND])
+def test_every_hand_plays_the_same_episodes_from_the_same_homes(hand: str, specs: list[EpisodeSpec]):
+    for other, spec in zip(sample_specs(replace(TEST, hand=hand), range(22)), specs, strict=False):
+        assert other.hand == hand
+        own = ("hand", "open_joints", "reference_joints", "fingerprint")
+        assert_same(replace(other, **{name: getattr(spec, name) for name in own}), spec)
+        assert other.reference_joints.shape == other.open_joints.shape == (FINGER_DOF,)
+        assert not np.array_equal(other.reference_joints, spec.reference_joints)
+
+
+def test_the_hand_hides_what_is_behind_it():
+    points = np.array([[0.1, 0.0, 0.05], [0.03, 0.05, -0.17], [1.0, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.2, 0.9, 0.0]])
+    np.testing.assert_array_equal(visible(points), [True, False, True, False, False])
+
+
+def test_what_is_let_go_is_seen_moving_before_control_starts(specs: list[EpisodeSpec]):
+    for spec in specs:
+        release_s = spec.motion.launch(spec.target).release_s
+        assert release_s <= max(0.0, spec.window_frames * CONTROL_DT - MIN_OBSERVED_S)
+
+
+def test_without_a_window_control_starts_at_once():
+    for spec in sample_specs(replace(TEST, protocol="direct_act"), range(4)):
+        assert spec.window_frames == 0
+        assert len(spec.oracle_path) == spec.length_frames + 1
+
+
+def test_the_oracle_rolls_each_world_alone(specs: list[EpisodeSpec]):
+    chosen = [specs[i] for i in (1, 7, 17, 21)]
+    motions, targets = [spec.motion for spec in chosen], [spec.target for spec in chosen]
+    together = roll_ahead(motions, targets, [30, 44, 12, 20], threads=2)
+    for spec, path in zip(chosen, together, strict=True):
+        np.testing.assert_array_equal(path, spec.oracle_path[: len(path)])
+    assert [len(path) for path in together] == [30, 44, 12, 20]
+
+
+@pytest.mark.parametrize("style", ["reveal", "neutral", "mixed"])
+def test_instructions_name_the_motion_only_where_they_may(style: str):
+    specs = sample_specs(Recipe(motions=("constant", "lateral"), instructions=style), range(20))
+    reveals = [spec.motion.phrase in spec.task for spec in specs]
+    assert {"reveal": all(reveals), "neutral": not any(reveals), "mixed": 0 < sum(reveals) < 20}[style]
+    assert all(spec.target.name in spec.task for spec in specs)

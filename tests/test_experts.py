@@ -1,0 +1,161 @@
+"""The demonstrator solves the benchmark; the floor does not; between them lies a straight extrapolation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.experts.base import WorldView
+from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.world.batch import WorldBatch
+
+
+def mean(episodes: list[Episode], metric: str) -> float:
+    values = [value for value in (measure(episode)[metric] for episode in episodes) if value is not None]
+    return float(np.mean(values))
+
+
+def play_all(name: str, specs: list[EpisodeSpec]) -> list[Episode]:
+    return list(evaluate(WorldBatch(Recipe(image_size=32), 22, threads=1), EXPERTS[name](), specs))
+
+
+def test_the_expert_catches_everything_at_the_first_attempt(expert_episodes: list[Episode]):
+    assert len(expert_episodes) == 44
+    assert mean(expert_episodes, "S_loc") == 1.0
+    assert mean(expert_episodes, "S_gra") == 1.0
+    assert all(episode.success and episode.stage == "captured" for episode in expert_episodes)
+    assert {episode.meta.attempts for episode in expert_episodes} == {1}
+
+
+def test_the_expert_plans_each_episode_anew(specs: list[EpisodeSpec]):
+    """Episodes come and go, and later ones may lie where earlier ones lay in memory."""
+    batch, busy = WorldBatch(Recipe(image_size=32), 1, threads=1), EXPERTS["intercept"]()
+    for spec in specs[:22]:
+        batch.reset([0], [replace(spec)])
+        while not batch.acting.all():
+            batch.step(batch.executed)
+        seen = batch.world_state(batch.observe(images=False))
+        np.testing.assert_array_equal(busy.act(seen), EXPERTS["intercept"]().act(seen))
+        batch.specs[0] = seen = None
+
+
+def test_the_expert_is_straight_smooth_and_early(expert_episodes: list[Episode]):
+    assert mean(expert_episodes, "Q_line") >= 0.98
+    assert mean(expert_episodes, "Q_smooth") >= 0.98
+    assert mean(expert_episodes, "R_time") >= 0.5
+
+
+def test_the_expert_meets_the_target_on_its_path(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
+    """It localises at the oracle's intercept or, faster than the hand that defines it, before; never later."""
+    for episode, spec in zip(expert_episodes, specs, strict=True):
+        assert episode.first_localized is not None
+        assert episode.first_localized <= spec.intercept_frame + 1
+        caught, path = episode.palm_pos_h[episode.first_localized], spec.oracle_path - spec.home_pos_w
+        around = path[episode.first_localized - 1 : episode.first_localized + 1]
+        along = np.linspace(around[0], around[1], 51)
+        assert np.linalg.norm(along - caught, axis=1).min() < LOCALIZATION_RADIUS_M + 0.03
+
+
+def test_evaluated_episodes_are_consistent_records(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
+    for episode, spec in zip(expert_episodes, specs, strict=True):
+        frames = len(episode)
+        assert spec.window_frames < frames <= spec.window_frames + spec.length_frames
+        assert (is_acting(episode.phase) == (np.arange(frames) >= spec.window_frames)).all()
+        assert not episode.localized[: spec.window_frames].any()
+        assert (np.diff(episode.localized.astype(int)) >= 0).all()
+        for name in ("state", "fingertips", "action", "target_pose", "target_velocity"):
+            assert getattr(episode, name).dtype == np.float32
+            assert np.isfinite(getattr(episode, name)).all(), name
+        assert episode.images == {}
+        # what was commanded at a frame is where the hand is at the next, to a millimetre and a degree
+        assert np.abs(episode.action[:-1, :3] - episode.state[1:, :3]).max() < 1e-3
+        assert np.abs(episode.action[:-1, 3:] - episode.state[1:, 3:]).max() < 0.02
+
+
+def test_a_hand_that_never_moves_catches_little(specs: list[EpisodeSpec]):
+    episodes = play_all("hold", specs)
+    assert mean(episodes, "S_loc") < 0.15
+    assert mean(episodes, "S_joint") == 0.0
+    for episode in episodes:
+        assert np.abs(episode.palm_pos_h - episode.palm_pos_h[0]).max() < 1e-3
+
+
+def test_baselines_that_see_nothing_are_not_privileged():
+    assert {name for name in EXPERTS.names() if not EXPERTS[name].privileged} == {"hold", "blind_path"}
+
+
+def test_knowing_the_velocity_is_worth_less_than_knowing_the_motion(specs: list[EpisodeSpec]):
+    assert 0.15 < mean(play_all("constant_velocity", specs[:22]), "S_joint") < 0.95
+
+
+@pytest.mark.parametrize("name", EXPERTS.names())
+def test_every_expert_is_deterministic_and_commands_every_joint(name: str, specs: list[EpisodeSpec]):
+    batch = WorldBatch(Recipe(image_size=32), 4, threads=1)
+    batch.reset(range(3), specs[:3])
+    for _ in range(specs[0].window_frames + 3):
+        world = batch.world_state(batch.observe(images=False))
+        commands = EXPERTS[name]().act(world)
+        np.testing.assert_array_equal(commands, EXPERTS[name]().act(world))
+        assert commands.shape == (4, 18)
+        assert np.isfinite(commands).all()
+        batch.step(commands[:3], np.arange(3))
+
+
+@pytest.mark.parametrize("control_class", CONTROL_CLASSES)
+def test_the_expert_catches_everything_in_every_control_class(control_class: str, specs: list[EpisodeSpec]):
+    batch = WorldBatch(Recipe(image_size=32, control_class=control_class), 22, threads=1)
+    episodes = list(evaluate(batch, EXPERTS["intercept"](), specs))
+    assert [episode.stage for episode in episodes] == ["captured"] * len(specs)
+    assert {episode.meta.control_class for episode in episodes} == {control_class}
+    for episode in episodes:
+        speed = np.linalg.norm(np.diff(episode.palm_pos_h, axis=0), axis=1) / CONTROL_DT
+        assert speed.max() < 1.02 * CONTROL_CLASSES[control_class].palm_speed_m_s
+
+
+def test_the_expert_recovers_from_disturbances(specs: list[EpisodeSpec]):
+    batch = WorldBatch(Recipe(image_size=32, disturbance_m=0.03), 22, threads=1)
+    episodes = list(evaluate(batch, EXPERTS["intercept"](), specs))
+    lost = [episode.meta.motion for episode in episodes if not episode.success]
+    assert len(lost) <= 0.1 * len(episodes)
+    assert set(lost) <= {"lob", "cross_throw", "bounce", "ramp"}, "only what passes once can get out of reach"
+
+
+STANDARD = CONTROL_CLASSES["standard"]
+
+
+def view_of(spec: EpisodeSpec, palm_w: np.ndarray, frame: int, **changes) -> WorldView:
+    """What an expert sees of a hand at ``palm_w`` (3,) with open fingers."""
+    state = np.concatenate([palm_w, spec.open_joints])
+    target_w, radius_m = spec.oracle_path[frame], LOCALIZATION_RADIUS_M
+    seen = WorldView(spec, state, frame, frame, target_w, np.zeros(3), False, 1, STANDARD, radius_m)
+    return replace(seen, **changes)
+
+
+def test_a_displaced_hand_goes_straight_to_the_earliest_point_that_it_can_reach(specs: list[EpisodeSpec]):
+    expert = EXPERTS["intercept"]()
+    for spec in specs[:22]:
+        palm, frame = spec.home_pos_w + [0.03, -0.05, 0.02], spec.window_frames
+        step = expert.command(view_of(spec, palm, frame))[:3] - palm
+        farthest_m = 0.5 * CONTROL_DT
+        assert np.linalg.norm(step) <= farthest_m + 1e-9
+        left = np.arange(1, spec.horizon_frames - frame)
+        gap = np.linalg.norm(spec.oracle_path[frame + 1 :] - palm, axis=1)
+        first = next(n for n in left if gap[n - 1] <= n * farthest_m and n >= 2)
+        towards = spec.oracle_path[frame + first] - palm
+        assert np.dot(step, towards) == pytest.approx(np.linalg.norm(step) * np.linalg.norm(towards), rel=1e-6)
+
+
+def test_after_the_catch_the_expert_holds(specs: list[EpisodeSpec]):
+    spec = specs[0]
+    palm = spec.home_pos_w + [0.1, 0.0, 0.0]
+    command = EXPERTS["intercept"]().command(view_of(spec, palm, spec.window_frames + 5, localized=True))
+    np.testing.assert_array_equal(command, np.concatenate([palm, spec.reference_joints]))

@@ -1,0 +1,200 @@
+"""What must hold of every registered object, with no line per object."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from itertools import chain
+
+import mujoco
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.core.numerics import quat_to_matrix
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.objects import OBJECTS, Primitive, TargetObject
+from dynahoi_lerobot.objects.base import FRICTION_RANGE, MASS_RANGE_KG
+from dynahoi_lerobot.objects.primitives import as_table, extent, from_table
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.scene.model import LARGEST_SLOT_M, SHAPES
+from dynahoi_lerobot.scene.scene import compile_scene
+from dynahoi_lerobot.scene.signed_distance import signed_distance
+
+NAMES = OBJECTS.names()
+IN_DISTRIBUTION = BENCHMARK.splits["train"].objects
+DRAWS, POINTS = 200, 20_000
+ADDITIVE = 1.22074408460575947536 ** -np.arange(1.0, 4.0)
+"""Powers of the root of x^4 = x + 1: multiples of them modulo 1 fill the unit cube evenly (the R3 sequence)."""
+
+
+def draws(name: str, count: int = DRAWS) -> list[TargetObject]:
+    rng = np.random.default_rng(11)
+    return [OBJECTS[name].sample(rng) for _ in range(count)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_is_a_function_of_the_seed(name: str):
+    assert draws(name, 3) == draws(name, 3)
+    assert len(set(draws(name, 3))) == 3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_mass_friction_and_sizes_are_in_range(name: str):
+    for target in draws(name):
+        assert target.name == name
+        assert MASS_RANGE_KG[0] <= target.mass_kg <= MASS_RANGE_KG[1]
+        assert FRICTION_RANGE[0] <= target.friction <= FRICTION_RANGE[1]
+        assert 0.01 < target.grasp_radius_m < 0.05
+        assert (target.roll_radius_m > 0) == OBJECTS[name].rolls
+        for primitive in target.primitives:
+            assert all(0.0 < size < LARGEST_SLOT_M for size in primitive.size)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_lengths_its_docstring_states_are_the_lengths_drawn(name: str):
+    """Every 'a to b' of the docstring is the range of some length: a size, a diameter, a distance or a ratio."""
+    text = OBJECTS[name].__doc__ or ""
+    stated = [(float(a), float(b)) for a, b in re.findall(r"([\d.]+) to ([\d.]+)", text)]
+    assert stated
+    lengths = _lengths(draws(name))
+    low, high = lengths.min(axis=0), lengths.max(axis=0)
+    for first, last in stated:
+        slack = 0.05 * (last - first)
+        inside = (low >= first - 1e-9) & (high <= last + 1e-9)
+        spans = inside & (low < first + slack) & (high > last - slack)
+        assert spans.any(), f"nothing is drawn from {first} to {last}"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_scene_has_a_slot_of_the_right_shape_for_each_primitive(name: str):
+    scene = compile_scene()
+    for target in draws(name, 50):
+        geoms = scene.slots_of(target)
+        assert len(set(geoms)) == len(target.primitives)
+        assert [scene.model.geom(geom).type for geom in geoms] == [SHAPES[p.shape] for p in target.primitives]
+
+
+def test_too_many_primitives_are_refused_by_name():
+    target = draws("egg", 1)[0]
+    crowded = replace(target, primitives=target.primitives * 3)
+    with pytest.raises(ValueError, match=r"object 'egg' needs 3 ellipsoid, but .* 1 box, 8 capsule, .* 1 ellipsoid"):
+        compile_scene().slots_of(crowded)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_stands_at_its_rest_height(name: str):
+    for target in draws(name, 20):
+        assert -_extent(target)[0, 2] == pytest.approx(target.rest_height_m, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_its_size_is_its_extent_and_its_solids_can_be_stored(name: str):
+    for target in draws(name, 5):
+        low, high = _extent(target)
+        np.testing.assert_allclose(extent(target.primitives), high - low, rtol=1e-9)
+        table = as_table(target.primitives)
+        assert table.shape == (len(target.primitives), 11)
+        np.testing.assert_array_equal(as_table(from_table(table)), table)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_origin_is_its_centre_of_mass(name: str):
+    """To 2 % of the extent, four standard errors of as many random points; solids that overlap count once."""
+    for target in draws(name, 3):
+        points, (low, high) = _points_inside(target), _extent(target)
+        extent = (high - low).max()
+        assert (points.std(axis=0) / np.sqrt(len(points))).max() < 0.005 * extent
+        np.testing.assert_allclose(points.mean(axis=0), 0.0, atol=0.02 * extent)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_inertia_is_what_mujoco_computes_from_its_solids(name: str):
+    """Both count what solids share twice. MuJoCo's is about the centre of mass and is shifted here to the origin."""
+    for target in draws(name, 5):
+        inertia = _mujoco_inertia(target)
+        np.testing.assert_allclose(np.diag(inertia), target.inertia, rtol=1e-6)
+        products = inertia - np.diag(np.diag(inertia))
+        assert np.abs(products).max() < 1e-6 * max(target.inertia), "the object's axes are its principal axes"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_counting_overlaps_twice_changes_the_inertia_little(name: str):
+    """By at most 16 %, four standard errors of as many random points."""
+    for target in draws(name, 2):
+        squares = _points_inside(target) ** 2
+        about_axes = squares.sum(axis=1, keepdims=True) - squares
+        mean = about_axes.mean(axis=0)
+        assert (about_axes.std(axis=0) / np.sqrt(len(squares)) / mean).max() < 0.04
+        np.testing.assert_allclose(target.inertia, target.mass_kg * mean, rtol=0.16)
+
+
+@pytest.mark.parametrize("hand", HANDS.names())
+def test_larger_objects_are_grasped_with_smaller_rotations(hand: str):
+    radii = np.linspace(0.015, 0.045, 61)
+    joints = np.array([HANDS[hand]().reference_joints(radius) for radius in radii])
+    assert joints.shape == (61, 15)
+    assert (np.diff(joints, axis=0) <= 1e-12).all()
+    in_use = sorted({target.grasp_radius_m for name in IN_DISTRIBUTION for target in draws(name, 20)})
+    total = np.array([HANDS[hand]().reference_joints(radius).sum() for radius in in_use])
+    assert (np.diff(total) < 0).all()
+    assert (joints > 0).all(), "every joint takes part in every grasp"
+
+
+def _lengths(targets: list[TargetObject]) -> np.ndarray:
+    """(K, L) candidate lengths [cm] and ratios of one kind."""
+    rows = []
+    for target in targets:
+        sizes = [size for primitive in target.primitives for size in primitive.size]
+        away = [float(np.linalg.norm(primitive.pos)) for primitive in target.primitives]
+        ratios = [a / b for p in target.primitives for a in p.size for b in p.size]
+        rows.append([*chain.from_iterable((100 * v, 200 * v) for v in (*sizes, *away)), *ratios])
+    return np.array(rows)
+
+
+def _top(primitive: Primitive, direction: np.ndarray) -> float:
+    """How far a solid extends along a unit vector (3,) from the object's origin [m], from its support function."""
+    x, y, z = direction @ quat_to_matrix(np.asarray(primitive.quat))
+    size = np.asarray(primitive.half_size)
+    reach = {
+        "sphere": size[0],
+        "capsule": size[0] + size[1] * abs(z),
+        "cylinder": size[0] * np.hypot(x, y) + size[1] * abs(z),
+        "ellipsoid": np.linalg.norm(size * (x, y, z)),
+        "box": size @ np.abs((x, y, z)),
+    }
+    return float(direction @ primitive.pos + reach[primitive.shape])
+
+
+def _extent(target: TargetObject) -> np.ndarray:
+    """(2, 3) lowest and highest coordinates of the object [m]."""
+    tops = [[max(_top(p, sign * axis) for p in target.primitives) for axis in np.eye(3)] for sign in (-1.0, 1.0)]
+    return np.array([[-1.0], [1.0]]) * tops
+
+
+def _mujoco_inertia(target: TargetObject) -> np.ndarray:
+    """(3, 3) inertia [kg m^2] about the object's origin, as MuJoCo's compiler finds it."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    body = spec.worldbody.add_body()
+    for primitive in target.primitives:
+        body.add_geom(type=SHAPES[primitive.shape], size=primitive.half_size, pos=primitive.pos, quat=primitive.quat)
+    model = spec.compile()
+    axes, offset = quat_to_matrix(model.body_iquat[1]), model.body_ipos[1]
+    own = axes @ np.diag(model.body_inertia[1]) @ axes.T
+    shift = model.body_mass[1] * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    return (own + shift) * target.mass_kg / model.body_mass[1]
+
+
+def _points_inside(target: TargetObject) -> np.ndarray:
+    """Points (K, 3) [m] of a sequence of low discrepancy in the box around the object that lie in any of its solids."""
+    low, high = _extent(target)
+    return _inside(target, low + (high - low) * ((np.arange(POINTS)[:, None] * ADDITIVE + 0.5) % 1.0))
+
+
+def _inside(target: TargetObject, points: np.ndarray) -> np.ndarray:
+    inside = np.zeros(len(points), bool)
+    for primitive in target.primitives:
+        local = (points - primitive.pos) @ quat_to_matrix(np.asarray(primitive.quat))
+        size = np.broadcast_to(primitive.half_size, local.shape)
+        inside |= signed_distance(primitive.shape, local, size) < 0
+    return points[inside]

@@ -1,0 +1,330 @@
+"""N worlds: the same bytes in any batch, limits of the hand, and what is observed from home."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.env import DynahoiVectorEnv
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.motions.straight_line import Constant
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.rollout.replay import ActionLog, replay
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
+from tests.world.playing import digests, wait, world
+
+SHORTEST = 6
+
+
+@pytest.fixture(scope="module")
+def every_kind(specs: list[EpisodeSpec]) -> list[EpisodeSpec]:
+    return specs[:22]
+
+
+@pytest.fixture(scope="module")
+def reference(every_kind: list[EpisodeSpec]) -> dict[int, str]:
+    """Without images: eight worlds, one thread, in order."""
+    return digests(every_kind, 8)
+
+
+@pytest.fixture(scope="module")
+def short(specs: list[EpisodeSpec]) -> list[EpisodeSpec]:
+    """Of every category, the episodes that are over soonest."""
+    chosen: dict[str, EpisodeSpec] = {}
+    for spec in sorted(specs, key=lambda s: s.intercept_frame):
+        chosen.setdefault(spec.motion.category, spec)
+    return list(chosen.values())[:SHORTEST]
+
+
+@pytest.fixture(scope="module")
+def pictures(short: list[EpisodeSpec]) -> dict[int, str]:
+    return digests(short, 1, images=True)
+
+
+@pytest.mark.parametrize(("size", "threads"), [(1, 1), (3, 2), (8, 2)])
+def test_states_depend_on_no_batch_size_and_no_thread_count(
+    every_kind: list[EpisodeSpec], reference: dict[int, str], size: int, threads: int
+):
+    assert digests(every_kind, size, threads) == reference
+
+
+def test_states_depend_on_no_neighbour_and_no_row(every_kind: list[EpisodeSpec], reference: dict[int, str]):
+    assert digests(every_kind[::-1], 5) == reference
+    companions = digests([every_kind[i] for i in (3, 21, 8, 0)], 4)
+    assert companions == {seed: reference[seed] for seed in companions}
+
+
+@pytest.mark.parametrize(("size", "threads"), [(3, 1), (8, 2)])
+def test_pixels_depend_on_no_batch_size_and_no_neighbour(
+    short: list[EpisodeSpec], pictures: dict[int, str], size: int, threads: int
+):
+    assert len(set(pictures.values())) == len(short)
+    assert digests(short[::-1], size, threads, images=True) == pictures
+
+
+def test_another_process_sees_the_same_bytes(short: list[EpisodeSpec], pictures: dict[int, str]):
+    seeds = [spec.seed for spec in short[:2]]
+    command = [sys.executable, "-m", "tests.world.playing", *map(str, seeds)]
+    root = Path(__file__).parents[2]
+    told = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
+    assert ast.literal_eval(told.splitlines()[-1]) == {seed: pictures[seed] for seed in seeds}
+
+
+def test_resetting_one_world_leaves_the_others_untouched(every_kind: list[EpisodeSpec]):
+    batch = world(every_kind[:6])
+    wait(batch)
+    before, images = batch._batch.state.copy(), batch.cameras.render()
+    batch.reset([2], [every_kind[9]])
+    others = [0, 1, 3, 4, 5]
+    np.testing.assert_array_equal(batch._batch.state[others], before[others])
+    np.testing.assert_array_equal(batch.cameras.render()[others], images[others])
+    undisturbed = world(every_kind[:6])
+    wait(undisturbed)
+    for _ in range(5):
+        batch.step(batch.executed[others], np.array(others))
+        undisturbed.step(undisturbed.executed)
+    np.testing.assert_array_equal(batch._batch.state[others], undisturbed._batch.state[others])
+
+
+def test_a_world_remembers_nothing_of_its_last_episode(every_kind: list[EpisodeSpec], reference: dict[int, str]):
+    """One world plays struck, pendulum, ramp and wall in turn; fixtures, welds and masses must not linger."""
+    order = [s for s in every_kind if s.motion.category in ("impact_response", "pendulum", "inclined_rolling")]
+    once = digests([*order, *order[::-1]], 1)
+    assert once == {seed: reference[seed] for seed in once}
+
+
+RECIPE = Recipe(split="test", image_size=32)
+SHIFT_W = np.array([0.5, -0.25, 0.125])
+ROUNDING = 2e-6
+"""Of positions up to 3 m in single precision [m]."""
+
+
+def shifted(spec: EpisodeSpec) -> EpisodeSpec:
+    """The episode of a target in straight motion with everything in it elsewhere in the world."""
+    assert isinstance(spec.motion, Constant)
+    return replace(
+        spec,
+        motion=replace(spec.motion, meeting=tuple((np.asarray(spec.motion.meeting) + SHIFT_W).tolist())),
+        home_pos_w=spec.home_pos_w + SHIFT_W,
+        intercept_pos_w=spec.intercept_pos_w + SHIFT_W,
+        oracle_path=spec.oracle_path + SHIFT_W,
+    )
+
+
+def test_the_first_observation_is_the_same_wherever_the_home_is(specs: list[EpisodeSpec]):
+    observation = world(specs).observe(images=False)
+    assert not observation.state[:, :PALM_DOF].any()
+    np.testing.assert_allclose(observation.state, np.tile(observation.state[0], (len(specs), 1)), atol=ROUNDING)
+    np.testing.assert_allclose(observation.fingertips, np.tile(observation.fingertips[0], (len(specs), 1)), atol=5e-6)
+
+
+def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]):
+    here = next(spec for spec in specs if spec.motion.name == "constant")
+    one, other = world([here]), world([shifted(here)])
+    rng = np.random.default_rng(3)
+    while not one.localized[0] and one.frame[0] < here.window_frames + 12:
+        command = np.concatenate([rng.uniform(-0.3, 0.3, PALM_DOF), rng.uniform(0, 1, HAND_DOF - PALM_DOF)])[None]
+        for batch in (one, other):
+            batch.step(command)
+        for name in ("state", "commanded", "target_pose", "target_velocity", "palm_distance"):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name)
+    np.testing.assert_allclose(other.home_pos_w - one.home_pos_w, SHIFT_W[None], atol=1e-12)
+
+
+def test_the_action_space_does_not_tell_the_home_and_holds_every_reachable_command(specs: list[EpisodeSpec]):
+    env = DynahoiVectorEnv(4, split="test", image_size=0)
+    low, high = env.single_action_space.low, env.single_action_space.high
+    np.testing.assert_array_equal(low[:PALM_DOF], -high[:PALM_DOF])
+    bounds = []
+    for seed in (0, 4):
+        env.reset(seed=seed)
+        bounds.append((env.single_action_space.low, env.single_action_space.high))
+    np.testing.assert_array_equal(bounds[0], bounds[1])
+    batch = world(specs[:4], control_class="unlimited")
+    wait(batch)
+    for side in (-1.0, 1.0):
+        for _ in range(60):
+            batch.step(np.full((4, HAND_DOF), side * 50.0))
+        assert (batch.commanded >= low).all()
+        assert (batch.commanded <= high).all()
+
+
+def test_an_episode_keeps_its_home_apart(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
+    for episode, spec in zip(expert_episodes, specs, strict=True):
+        np.testing.assert_array_equal(episode.home_position, spec.home_pos_w)  # exactly, in single precision
+        np.testing.assert_allclose(
+            episode.intercept_position + episode.home_position, spec.intercept_pos_w, atol=ROUNDING
+        )
+        assert not episode.state[0, :PALM_DOF].any()
+        np.testing.assert_allclose(
+            episode.target_pose[: spec.window_frames, :3] + episode.home_position,
+            spec.oracle_path[: spec.window_frames],
+            atol=0.01 if spec.motion.category in ("inclined_rolling", "impact_response") else ROUNDING,
+        )
+
+
+@pytest.mark.parametrize("control_class", ["standard", "late"])
+def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[EpisodeSpec]):
+    """Over whole episodes with commands beyond every limit: those of the slides lie elsewhere in each home frame."""
+    recipe = replace(RECIPE, control_class=control_class)
+    for spec in specs[2:20:6]:
+        rng = np.random.default_rng(spec.seed)
+        commands = rng.normal(0, [1.5] * PALM_DOF + [1.0] * (HAND_DOF - PALM_DOF), (40, HAND_DOF))
+        (first,) = replay(recipe, [ActionLog(spec.seed, np.repeat(commands, 2, axis=0)[:60])], images=False)
+        (again,) = replay(recipe, [ActionLog(spec.seed, first.action)], images=False)
+        for name in ("state", "action", "fingertips", "target_pose"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(first, name), err_msg=name)
+
+
+SEEING = Recipe(split="test", image_size=16, views=("side",))
+BLIND = replace(SEEING, protocol="observe_then_blind")
+
+
+def played(recipe: Recipe) -> list:
+    specs = sample_specs(recipe, range(6))
+    episodes = evaluate(WorldBatch(recipe, 3), EXPERTS[recipe.expert](), specs, images=True)
+    return sorted(episodes, key=lambda episode: episode.meta.seed)
+
+
+def test_the_cameras_see_the_window_and_nothing_after_it():
+    for seeing, blind in zip(played(SEEING), played(BLIND), strict=True):
+        assert blind.success
+        np.testing.assert_array_equal(blind.state, seeing.state)
+        window = blind.meta.window_frames
+        for view in ("ego", "side"):
+            np.testing.assert_array_equal(blind.images[view][:window], seeing.images[view][:window])
+            assert seeing.images[view][window:].any(axis=(1, 2, 3)).all()
+            assert not blind.images[view][window:].any()
+
+
+def test_a_model_without_memory_is_refused(capsys: pytest.CaptureFixture):
+    words = ["evaluate", "--policy", "vlm", "--model", "m", "--protocol", "observe_then_blind"]
+    assert main(words) == 2
+    assert "decides by what it sees while acting, which is nothing under observe_then_blind" in capsys.readouterr().err
+
+
+ARRIVAL_PALM_M, ARRIVAL_JOINT_RAD = 0.001, 0.015
+"""How close a joint is at the end of the frame, at 1 m/s and 10 rad/s; links pull at each other a little."""
+
+
+@pytest.fixture
+def hands(specs: list[EpisodeSpec]) -> WorldBatch:
+    """Four worlds in the control phase."""
+    batch = world(specs[:4], control_class="unlimited")
+    wait(batch)
+    return batch
+
+
+def test_every_joint_arrives_at_its_command_at_the_end_of_the_frame(hands: WorldBatch):
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        step = np.hstack([rng.uniform(-0.05, 0.05, (4, PALM_DOF)), rng.uniform(-0.5, 0.5, (4, HAND_DOF - PALM_DOF))])
+        wanted = np.clip(hands.executed + step, *hands.command_limits())
+        hands.step(wanted)
+        np.testing.assert_array_equal(hands.commanded, wanted.astype(np.float32))
+        error = np.abs(hands.state - wanted)
+        assert error[:, :PALM_DOF].max() < ARRIVAL_PALM_M
+        assert error[:, PALM_DOF:].max() < ARRIVAL_JOINT_RAD
+
+
+def waiting(specs: list[EpisodeSpec], **options) -> WorldBatch:
+    """Four worlds whose next command is the first of the control phase, or takes effect then."""
+    batch = world(specs[:4], **options)
+    while not batch.accepting.all():
+        batch.step(batch.executed)
+    return batch
+
+
+@pytest.mark.parametrize("control_class", CONTROL_CLASSES)
+def test_palm_and_joints_keep_to_the_speed_limits_and_the_palm_to_its_direction(control_class: str, specs):
+    hands, control = waiting(specs, control_class=control_class), CONTROL_CLASSES[control_class]
+    direction = np.array([3.0, -2.0, 6.0]) / 7
+    before = hands.executed.copy()
+    for _ in range(1 + control.latency_frames):
+        hands.step(np.hstack([before[:, :PALM_DOF] + 5 * direction * [0.2, 0.2, 0.2], before[:, PALM_DOF:] + 2.0]))
+    moved = hands.executed - before
+    np.testing.assert_allclose(
+        moved[:, :PALM_DOF], np.tile(control.palm_speed_m_s * CONTROL_DT * direction, (4, 1)), rtol=1e-5
+    )
+    np.testing.assert_allclose(moved[:, PALM_DOF:].max(axis=1), control.joint_speed_rad_s * CONTROL_DT, rtol=1e-5)
+
+
+def test_a_late_command_takes_effect_three_frames_after_it_was_given(specs: list[EpisodeSpec]):
+    hands = waiting(specs, control_class="late")
+    home = hands.executed.copy()
+    assert not hands.acting.all(), "the window goes on until the first command takes effect"
+    hands.step(home + ([0.01] + [0.0] * 17))
+    for _ in range(3):
+        np.testing.assert_array_equal(hands.executed, home)
+        hands.step(home)
+    np.testing.assert_allclose(hands.executed[:, 0] - home[:, 0], 0.01, atol=1e-6)
+    hands.step(home)
+    np.testing.assert_array_equal(hands.executed, home)
+
+
+def test_under_contact_each_axis_of_the_gantry_has_its_limit(specs: list[EpisodeSpec]):
+    hands = waiting(specs, capture="contact", hand="opposed")
+    before = hands.executed.copy()
+    hands.step(before + ([1.0, -1.0, 0.01] + [0.0] * 15))
+    np.testing.assert_allclose(hands.executed - before, np.tile([0.1, -0.1, 0.01] + [0.0] * 15, (4, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_commands_beyond_the_range_end_at_its_limit(hands: WorldBatch, side: float):
+    for _ in range(60):
+        hands.step(np.full((4, HAND_DOF), side * 50.0))
+    limit = hands.servo.high if side > 0 else hands.servo.low
+    reached = hands.executed + np.hstack([hands.home_pos_w, np.zeros((4, HAND_DOF - PALM_DOF))])
+    np.testing.assert_allclose(reached, np.tile(limit, (4, 1)), atol=1e-6)
+    np.testing.assert_allclose(hands.state, hands.executed, atol=0.01)
+
+
+@pytest.mark.parametrize("in_window", [True, False])
+@pytest.mark.parametrize(
+    "bad", [np.nan, np.inf, -np.inf, (3, HAND_DOF), (4, HAND_DOF - 1), (HAND_DOF,), (4, HAND_DOF, 1)]
+)
+def test_a_bad_command_moves_nothing(specs: list[EpisodeSpec], bad: float | tuple[int, ...], in_window: bool):
+    """One that is not finite, or of a wrong shape; not a bit of the batch changes."""
+    batch = world(specs[:4])
+    if not in_window:
+        wait(batch)
+    commands = np.zeros(bad) if isinstance(bad, tuple) else batch.executed.copy()
+    if not isinstance(bad, tuple):
+        commands[2, 7] = bad
+    state, frame, executed = batch._batch.state.copy(), batch.frame.copy(), batch.executed.copy()
+    with pytest.raises(ValueError, match="shape" if isinstance(bad, tuple) else f"world 2 must be finite, got {bad}"):
+        batch.step(commands)
+    np.testing.assert_array_equal(batch._batch.state, state)
+    np.testing.assert_array_equal(batch.frame, frame)
+    np.testing.assert_array_equal(batch.executed, executed)
+
+
+def test_in_the_window_commands_are_ignored_and_the_hand_holds_still(specs: list[EpisodeSpec]):
+    batch = world(specs[:8])
+    rng = np.random.default_rng(0)
+    while not batch.acting.any():
+        batch.step(rng.normal(size=(8, HAND_DOF)))
+        np.testing.assert_allclose(batch.state, 0.0, atol=1e-4)
+    assert not batch.localized.any()
+
+
+def test_the_phase_turns_with_the_last_frame_of_the_window(specs: list[EpisodeSpec]):
+    batch = world(specs[:8])
+    for frame in range(12):
+        phase = batch.observe(images=False).phase
+        expected = [[0, 1] if frame >= spec.window_frames else [1, 0] for spec in specs[:8]]
+        np.testing.assert_array_equal(phase, expected)
+        batch.step(batch.executed)

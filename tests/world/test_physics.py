@@ -1,0 +1,108 @@
+"""The target keeps to its path: prescribed ones to the closed form, all of them to the oracle."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco.batch import Batch
+
+from dynahoi_lerobot.core.conventions import CONTROL_DT, PHYSICS_DT, SUBSTEPS
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
+from dynahoi_lerobot.motions.inclined_rolling import RollingMotion
+from dynahoi_lerobot.scene.scene import compile_scene
+from dynahoi_lerobot.scene.world_fields import GRAVITY_W, WorldFields, drive_for
+from tests.drawing import draw_motion
+from tests.world.playing import world
+
+PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, PrescribedMotion)]
+EXACT_M = 1e-9
+CONTACT_RICH_M = {"projectile": 1e-6, "inclined_rolling": 0.01, "impact_response": 0.01}
+"""Contacts amplify rounding: with a hand in the scene the solver stops after other iterations."""
+
+
+def test_untouched_targets_follow_their_oracle_paths(specs: list[EpisodeSpec]):
+    """Until something is localised, in the scene with a hand, whose commands are noise."""
+    every_kind = specs[:22]
+    batch, rng = world(every_kind), np.random.default_rng(4)
+    for frame in range(min(spec.horizon_frames for spec in every_kind)):
+        for i, spec in enumerate(every_kind):
+            tolerance = CONTACT_RICH_M.get(spec.motion.category, EXACT_M)
+            if not batch.localized[i]:
+                error = np.abs(batch.target_pose[i, :3] + spec.home_pos_w - spec.oracle_path[frame]).max()
+                assert error < tolerance, f"{spec.motion.name} is {error} m off at frame {frame}"
+        commands = batch.executed.copy()
+        commands[:, :3] = rng.uniform(-0.05, 0.05, (len(every_kind), 3))
+        commands[:, 3:] = rng.uniform(0.0, 1.0, (len(every_kind), 15))
+        batch.step(commands)
+    assert (~batch.localized).sum() > 11, "most targets must have stayed untouched"
+
+
+@pytest.mark.parametrize("kind", PRESCRIBED)
+def test_a_driven_target_is_on_its_closed_form_at_every_physics_step(kind: str):
+    drawn = draw_motion(kind, 3)
+    motion = drawn.motion
+    assert isinstance(motion, PrescribedMotion)
+    times = np.arange(1, 20 * SUBSTEPS + 1) * PHYSICS_DT
+    position, velocity = _drive(kind, driven_frames=20, frames=20)
+    np.testing.assert_allclose(position, motion.position(times), atol=EXACT_M)
+    # the velocity of a step is the mean over it, so it is half a step late
+    np.testing.assert_allclose(velocity, motion.velocity(times - PHYSICS_DT / 2), atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", PRESCRIBED)
+def test_letting_go_is_continuous_in_position_and_velocity(kind: str):
+    """From the step at which the force stops, gravity alone changes the velocity: no impulse."""
+    position, velocity = _drive(kind, driven_frames=10, frames=12)
+    released = 10 * SUBSTEPS
+    change = np.diff(velocity[released - 1 :], axis=0)
+    np.testing.assert_allclose(change, np.tile(GRAVITY_W * PHYSICS_DT, (len(change), 1)), atol=1e-9)
+    np.testing.assert_allclose(np.diff(position[released - 1 :], axis=0), velocity[released:] * PHYSICS_DT, atol=1e-12)
+
+
+def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_frame(specs: list[EpisodeSpec]):
+    spec = next(s for s in specs if s.motion.name == "lateral")
+    batch = world([spec])
+    for _ in range(spec.window_frames):
+        np.testing.assert_allclose(batch.target_velocity[0, 3:], [0.0, 0.0, spec.spin_rad_s], atol=1e-6)
+        batch.step(batch.executed)
+    turned = spec.yaw_rad + spec.spin_rad_s * spec.window_frames * CONTROL_DT
+    half = np.array([np.cos(turned / 2), np.sin(turned / 2)])
+    assert abs(batch.target_pose[0, [3, 6]] @ half) == pytest.approx(1.0, abs=1e-6)
+    assert isinstance(spec.motion, PrescribedMotion)
+    now = np.array([spec.window_frames * CONTROL_DT])
+    half_a_step = 0.012  # of physics, at a peak of 1.5 m/s and 1 Hz [m/s]
+    np.testing.assert_allclose(batch.target_velocity[0, :3], spec.motion.velocity(now)[0], atol=half_a_step)
+
+
+def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpec]):
+    """A rolling target turns about the horizontal across its slope, whatever its own axes do: w = n x v / r."""
+    spec = next(s for s in specs if s.motion.name == "ramp")
+    assert isinstance(spec.motion, RollingMotion)
+    batch = world([spec])
+    _, normal = spec.motion.slope_axes()
+    while batch.frame[0] < spec.intercept_frame - 1:
+        batch.step(batch.executed)
+    linear, angular = batch.target_velocity[0, :3], batch.target_velocity[0, 3:]
+    assert np.linalg.norm(linear) > 0.1
+    expected = np.cross(normal, linear) / spec.target.roll_radius_m
+    np.testing.assert_allclose(angular, expected, atol=0.05 * np.linalg.norm(expected))
+
+
+def _drive(kind: str, driven_frames: int, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 3) positions and velocities after every physics step; the force stops after ``driven_frames``."""
+    drawn = draw_motion(kind, 3)
+    scene = compile_scene()
+    batch = Batch(scene.model, nsim=1, nthread=1)
+    rows, one = WorldFields(batch, scene), np.array([0])
+    drive = drive_for(drawn.motion, drawn.target, frames)
+    rows.reset(one)
+    rows.write_world(0, drawn.motion, drawn.target, drive, collides_with=0)
+    rows.finish(one)
+    at, dof = scene.target_qpos, scene.target_dof
+    force = np.zeros((1, frames * SUBSTEPS, scene.model.nv))
+    force[0, : driven_frames * SUBSTEPS, dof : dof + 3] = drive.force_w[:driven_frames].reshape(-1, 3)
+    applied = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
+    record = batch.rollout(force.shape[1], force, applied, record=("qpos", "qvel"))
+    return record["qpos"][0, :, at : at + 3], record["qvel"][0, :, dof : dof + 3]
