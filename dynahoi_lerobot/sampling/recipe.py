@@ -275,6 +275,9 @@ def load_recipe(path: Path | None) -> Recipe:
         return Recipe()
     if not isinstance(values, dict):
         raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
+    for name, value in values.items():
+        if (value is None and name != "hold_frames") or (isinstance(value, list) and None in value):
+            raise ValueError(f"{path}: {name} must not be null; leave it out for its default")
     for name in ("motions", "objects", "appearance", "views"):
         if isinstance(text := values.get(name), str):  # whose letters draccus would take for names
             raise ValueError(f"{path}: {name} must be a list, got {text!r}; write [{text}]")

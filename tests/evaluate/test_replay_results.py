@@ -31,7 +31,8 @@ def test_an_honest_result_replays(honest: Path, capsys: pytest.CaptureFixture[st
     assert "3 episodes drawn" in said
     for name in ("metrics.json", "episodes.parquet", "actions.npz"):
         assert hashlib.sha256((honest / name).read_bytes()).hexdigest() in said
-    assert "not the benchmark's" not in said
+    assert said.count("not the benchmark's") == 1
+    assert "not the benchmark's privileged: True" in said
 
 
 def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureFixture[str]):
