@@ -59,7 +59,8 @@ class DynahoiEnv(gym.Env):
         super().reset(seed=number)
         if number is None:
             number = int(self.np_random.integers(0, RANDOM_SEED_LIMIT))
-        observation, infos = self._vector.reset(seed=[number], options={**check_options(options), ONE_EPISODE_OPTION: True})
+        options = {**check_options(options), ONE_EPISODE_OPTION: True}
+        observation, infos = self._vector.reset(seed=[number], options=options)
         return _first(observation), _first(infos)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:

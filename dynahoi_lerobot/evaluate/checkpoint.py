@@ -56,6 +56,7 @@ STEPS: dict[str, frozenset[str]] = {
 """Processor steps that a checkpoint may name without ``--trust``, with the keys that their configs may have."""
 
 STEP_KEYS = frozenset({"registry_name", "class", "config", "state_file"})
+STATE_FILE = re.compile(r"[\w.-]+\.safetensors")
 
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
 """Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints have none."""
@@ -141,7 +142,7 @@ def load_policy(
     except PolicyError:
         raise
     except Exception as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
-        raise PolicyError(f"{folder} cannot be loaded: {_reason(error)}") from error
+        raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
     _check_fit(policy.state_dict(), shapes, folder)
     return policy, before, after
 
@@ -229,6 +230,8 @@ def _findings(folder: Path) -> Iterator[str]:
             raise PolicyError(f"{file} is neither a file nor a folder")
         elif file.suffix.lower() in PICKLES:
             yield f"{file} is a pickle, which runs code when it is opened"
+        elif file.suffix == ".safetensors":
+            _stored_shapes(file)
         elif file.suffix == ".json":
             yield from (f"{file} {problem}" for problem in _remote_code(_read_json(file)))
     config = _read_object(folder / CONFIG)
@@ -281,7 +284,7 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
             yield f"names the processor step {name!r}, which is not on the list of steps known to be safe"
         elif surplus := sorted(config.keys() - known):
             yield f"gives the step {name!r} the key {surplus[0]!r}, which is not on the list of its keys"
-        if (state := step.get("state_file")) is not None and (not isinstance(state, str) or Path(state).name != state):
+        if (state := step.get("state_file")) is not None and not STATE_FILE.fullmatch(str(state)):
             yield f"names the state file {state!r}, which is not inside the checkpoint"
 
 
@@ -328,7 +331,7 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:
-        raise PolicyError(f"{folder / CONFIG} is no config of a policy: {_reason(error)}") from error
+        raise PolicyError(f"{folder / CONFIG} is no config of a policy: {reason(error)}") from error
     known = [field.name for field in fields(config)]
     for setting in settings:
         key, equals, _ = setting.partition("=")
@@ -400,7 +403,7 @@ def _check_fit(state: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], 
             raise PolicyError(f"{folder / WEIGHTS} {what} weights for its config: {len(names)}, such as {names[0]}")
 
 
-def _reason(error: BaseException) -> str:
+def reason(error: BaseException) -> str:
     """Return the error's root cause in one line."""
     text = " ".join(f"{type(error).__name__}: {error.__cause__ or error}".split())
     return text if len(text) <= 300 else f"{text[:300]} ..."

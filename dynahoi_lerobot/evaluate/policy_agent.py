@@ -6,15 +6,38 @@ Nothing here imports torch or LeRobot before a policy is loaded.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 from typing import Any
 
 import numpy as np
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.core.features import CAMERA_KEY, ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
-from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, folder_weights, load_policy, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import (
+    PolicyError,
+    checked_folder,
+    folder_weights,
+    load_policy,
+    reason,
+    trained_for,
+)
 from dynahoi_lerobot.renderers.views import EXTRA_VIEWS
+
+
+def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
+    """Raise whatever a policy raises while it plays as a PolicyError, of which that is the cause."""
+
+    @wraps(method)
+    def call(*args: P.args, **options: P.kwargs) -> R:
+        try:
+            return method(*args, **options)
+        except PolicyError:
+            raise
+        except Exception as error:
+            raise PolicyError(f"the policy cannot play: {reason(error)}") from error
+
+    return call
 
 
 class PolicyAgent(ChunkAgent):
@@ -57,6 +80,7 @@ class PolicyAgent(ChunkAgent):
         self._policy.reset()
         self._chunk = None
 
+    @_in_a_sentence
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad]."""
         import torch
@@ -89,10 +113,12 @@ class PolicyAgent(ChunkAgent):
         self._policy.config.rtc_config = self._policy.config.rtc_config or RTCConfig()
         self._policy.init_rtc_processor()
 
+    @_in_a_sentence
     def watch(self, observation: Observation) -> None:
         """Add a frame to the policy's history, if it has one."""
         note_frame(self._policy, self._batch(observation))
 
+    @_in_a_sentence
     def plan(
         self,
         observation: Observation,
@@ -124,6 +150,7 @@ class PolicyAgent(ChunkAgent):
         """The (N, n, 18) normalised actions that are not executed yet; of a chunk that is over, where it led."""
         return self._chunk[:, min(executed, self._chunk.shape[1] - 1) :]
 
+    @_in_a_sentence
     def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
         """Return (n, 18) commands for the frame that was noted last, in place of those of chunks."""
         action = self._policy.corrected_action(worlds.tolist(), expectations, ages)

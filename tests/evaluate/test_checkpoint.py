@@ -124,6 +124,7 @@ def test_a_third_partys_step_plays_with_trust(checkpoint: Path) -> None:
         {"registry_name": "device_processor", "config": {"pretrained_path": "x"}},
         {"registry_name": "device_processor", "state_file": "../../secret.safetensors"},
         {"registry_name": "device_processor", "state_file": "/etc/passwd"},
+        {"registry_name": "device_processor", "state_file": ".."},
         {"registry_name": "device_processor", "state_file": ["x"]},
         {"registry_name": "device_processor", "config": {}, "import": "os"},
         {},
@@ -264,7 +265,7 @@ def loop(file: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [sparse, fifo, loop])
-@pytest.mark.parametrize("name", ["config.json", PREPROCESSOR, "more.json"])
+@pytest.mark.parametrize("name", ["config.json", PREPROCESSOR, "more.json", "more.safetensors"])
 def test_files_that_never_end_are_refused_at_once(damage: Callable[[Path], None], name: str, checkpoint: Path) -> None:
     (checkpoint / name).touch()
     damage(checkpoint / name)
@@ -288,6 +289,15 @@ def test_sizes_that_no_machine_has_are_refused(key: str, value: float, checkpoin
     with pytest.raises(PolicyError):
         PolicyAgent(str(checkpoint))
     assert time.process_time() - start < 1
+
+
+@pytest.mark.parametrize("setting", [{"fps": 1e-300}, {"image_size": 3}, {"noise_scale": 1e7, "image_size": 10**6}])
+def test_a_policy_that_fails_while_it_plays_is_one_sentence(
+    setting: dict[str, Any], checkpoint: Path, capsys: pytest.CaptureFixture
+) -> None:
+    change(checkpoint / "config.json", lambda config: config.update(setting))
+    assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
+    assert "the policy cannot play: " in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_nobody_is_asked_whether_to_run_code(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
