@@ -19,7 +19,7 @@ from support.sightless import fit, hits_at, meetings, numbers_seen, predict, voc
 
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.evaluate.intervals import wilson
+from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.experts.baselines import fixed_path
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs

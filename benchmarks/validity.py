@@ -21,7 +21,7 @@ from support.path_search import relative_paths, search_path
 
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.evaluate.intervals import wilson
+from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS

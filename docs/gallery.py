@@ -14,7 +14,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.actors import make_actor
+from dynahoi_lerobot.evaluate.arguments import make_actor
 from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS

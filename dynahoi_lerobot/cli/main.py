@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.files import check_output, printable
 
 COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report, on a CPU in minutes"),
@@ -72,8 +72,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return STOPPED
 
 
-def _shortened(sentence: str) -> str:
-    """Return the message without its middle if a value makes it very long."""
+def _shortened(text: str) -> str:
+    """Return the message in one printable line, without its middle if a value makes it very long."""
+    sentence = printable(" ".join(text.split()))
     return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
 
 

@@ -12,7 +12,7 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -98,10 +98,11 @@ def run(args: argparse.Namespace) -> int:
             "./policies/lerobot_policy_tracker, in a checkout"
         )
     out = args.out.resolve()
-    out.mkdir(parents=True, exist_ok=True)
+    size = TINY if args.tiny else Size(args.episodes, args.rounds, args.evaluation_episodes)
     start = time.monotonic()
     try:
-        _run_stages(out, TINY if args.tiny else Size(args.episodes, args.rounds, args.evaluation_episodes), start)
+        with working_folder(out, {"quickstart": asdict(size)}):
+            _run_stages(out, size, start)
     except StageError as error:
         print(f"dynahoi quickstart: {error}", file=sys.stderr)
         return 1

@@ -14,7 +14,7 @@ from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, pa
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.evaluate.actors import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.renderers.views import VIEWS

@@ -1,10 +1,10 @@
-"""Files: refuse unwritable places before the work starts, write atomically, hash."""
+"""Files and text: unwritable places refused before the work starts, files written whole, hashes, printable text."""
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 MAX_NAME_BYTES = 180
@@ -34,23 +34,30 @@ def check_output(path: Path) -> None:
         raise ValueError(f"{path} cannot be made: {place} is a file")
 
 
-def write_atomically(writers: dict[Path, Callable[[Path], object]]) -> None:
-    """Write every file under a temporary name, and rename them only when all are complete.
+def write_atomically(writers: Mapping[Path, Callable[[Path], object]]) -> None:
+    """Write every file under a temporary name, and rename them only when all are complete and on the disk.
 
     Args:
         writers: for each path, a function that writes the file to the path it is given. The files are renamed in this
             order, so the presence of the last implies that of the others. Folders are made.
     """
-    temporary = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in writers}
+    drafts = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in writers}
     try:
         for path, write in writers.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            write(temporary[path])
-        for path, file in temporary.items():
-            file.replace(path)
+            write(drafts[path])
+            with drafts[path].open("rb") as draft:
+                os.fsync(draft.fileno())
+        for path, draft in drafts.items():
+            draft.replace(path)
     finally:
-        for file in temporary.values():
-            file.unlink(missing_ok=True)
+        for draft in drafts.values():
+            draft.unlink(missing_ok=True)
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with whatever a terminal would obey, such as escapes and line ends, written out."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
 def sha256(path: Path) -> str:

@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
+from dynahoi_lerobot.core.files import write_atomically
+
 LOCK = "lock"
 
 
@@ -93,8 +95,8 @@ def _refuse_foreign(path: Path, record: str) -> None:
     """Refuse a folder with content but without a record; an interrupted start may have left its lock."""
     if (path / record).exists():
         return
-    ours = (LOCK, f".{record}.")
-    if foreign := sorted(entry.name for entry in path.iterdir() if not entry.name.startswith(ours)):
+    names = sorted(entry.name for entry in path.iterdir())
+    if foreign := [name for name in names if name != LOCK and not name.startswith(f".{record}.")]:
         raise FileExistsError(
             f"{path} holds {foreign[0]} but no {record}, so it is not the folder of an interrupted run; remove it or "
             "choose another folder"
@@ -102,18 +104,19 @@ def _refuse_foreign(path: Path, record: str) -> None:
 
 
 def _claim(path: Path, task: dict[str, Any], record: str) -> None:
-    """Write the task into a new folder; compare it with that of an old one."""
+    """Write the task into a new folder; compare it with that of an old one, and remove the drafts that it left."""
+    text = json.dumps(task, indent=4)
     if not (path / record).exists():
-        draft = path / f".{record}.{os.getpid()}"
-        draft.write_text(json.dumps(task, indent=4))
-        draft.replace(path / record)
+        write_atomically({path / record: lambda draft: draft.write_text(text)})
         return
     if (found := read_task(path, record)) is None:
         raise FileExistsError(f"{path / record} cannot be read; remove {path} or choose another folder")
-    if names := differences(found, task):
+    if names := differences(found, json.loads(text)):
         raise FileExistsError(
-            f"{path} holds unfinished work of another run (other {names}); remove it or choose another folder"
+            f"{path} holds the work of another run (other {names}); remove it or choose another folder"
         )
+    for draft in path.glob(".*.part"):
+        draft.unlink()
 
 
 def _locked(path: Path) -> TextIO:

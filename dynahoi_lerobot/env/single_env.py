@@ -14,6 +14,7 @@ from dynahoi_lerobot.env.vector_env import (
     RENDER_MODES,
     DynahoiVectorEnv,
     check_open,
+    check_options,
     check_seed,
 )
 
@@ -50,7 +51,7 @@ class DynahoiEnv(gym.Env):
             options: none are known.
 
         Raises:
-            ValueError: for a seed that is not such an integer.
+            ValueError: for a seed that is not such an integer, or options that are no dictionary.
             ClosedEnvironmentError: after ``close``.
         """
         check_open(self._vector.closed)
@@ -58,7 +59,8 @@ class DynahoiEnv(gym.Env):
         super().reset(seed=number)
         if number is None:
             number = int(self.np_random.integers(0, RANDOM_SEED_LIMIT))
-        observation, infos = self._vector.reset(seed=[number], options={**(options or {}), ONE_EPISODE_OPTION: True})
+        options = {**check_options(options), ONE_EPISODE_OPTION: True}
+        observation, infos = self._vector.reset(seed=[number], options=options)
         return _first(observation), _first(infos)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:

@@ -126,6 +126,8 @@ class DynahoiVectorEnv(VectorEnv):
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None")
         check_reward(reward)
+        check_whole("num_envs", num_envs, 1)
+        check_whole("threads", threads, 0)
         self.num_envs, self.kind, self.reward, self.render_mode = num_envs, kind, reward, render_mode
         played = recipe.changed(**fields)
         self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
@@ -153,12 +155,12 @@ class DynahoiVectorEnv(VectorEnv):
             options: see the class.
 
         Raises:
-            ValueError: for a seed that is not such an integer, a wrong number of them, or if inference takes time and
-                worlds would begin their next episodes at different frames.
+            ValueError: for a seed that is not such an integer, a wrong number of them, options that are no mapping, or
+                if inference takes time and worlds would begin their next episodes at different frames.
             ClosedEnvironmentError: after ``close``.
         """
         check_open(self.closed)
-        one_episode = bool((options or {}).get(ONE_EPISODE_OPTION, False))
+        one_episode = bool(check_options(options).get(ONE_EPISODE_OPTION, False))
         if self._inference is not None and not one_episode:
             option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
             raise ValueError(f"with inference async all worlds begin together; reset with {option}")
@@ -339,6 +341,27 @@ def check_reward(name: str) -> None:
     """
     if name not in REWARDS:
         raise ValueError(f"unknown reward {name!r}; known: {', '.join(REWARDS)}")
+
+
+def check_whole(name: str, value: Any, least: int) -> None:
+    """Refuse what is not an integer of at least ``least``.
+
+    Raises:
+        ValueError: naming the value received.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be an integer of at least {least}, got {value!r}")
+
+
+def check_options(options: Any) -> dict[str, Any]:
+    """Return the options of a reset, none for None.
+
+    Raises:
+        ValueError: if they are no dictionary.
+    """
+    if not isinstance(options, dict | None):
+        raise ValueError(f"the options of a reset must be a dictionary, or None, got {options!r}")
+    return options or {}
 
 
 def check_open(closed: bool) -> None:

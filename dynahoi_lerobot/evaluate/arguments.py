@@ -1,19 +1,78 @@
-"""The arguments of ``dynahoi evaluate``."""
+"""The arguments of commands that play: who moves the hand, and under which rules."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from typing import Any
 
+from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.agent import Actor
 from dynahoi_lerobot.core.arguments import add_field_arguments, number, path, whole
-from dynahoi_lerobot.evaluate.actors import TRAINED_FOR, add_trust_argument
+from dynahoi_lerobot.core.files import printable
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.splits import SMALL_TEST
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 
+VLM = "vlm"
+"""Name of the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
+
+TRAINED_FOR = ("control_class", "protocol", "image_size")
+"""Fields of a recipe that a policy may say it was trained for."""
+
+EXPERT_ALIAS = "expert"
+"""Name of the capture rule's own expert: ``intercept`` under attach, ``match`` under contact."""
+
 RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views"))
 """Fields of the recipe that are options of the command; the policy decides the views."""
+
+
+def make_actor(
+    name: str,
+    capture: str = "attach",
+    device: str | None = None,
+    settings: Sequence[str] = (),
+    *,
+    trust: bool = False,
+) -> Actor:
+    """Return the expert called ``name``, or else load the policy of that name.
+
+    Args:
+        name: an expert; ``expert`` for the capture rule's own; or a policy, as ``PolicyAgent`` takes it.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
+        device: torch device of a policy, its own if None.
+        settings: changes of a policy's config, ``KEY=VALUE`` each.
+        trust: load a policy even if that can run code of its own.
+
+    Raises:
+        UntrustedCheckpointError: if loading the policy could run code of its own, unless ``trust`` allows that.
+        ValueError: if there is no such policy, or its config cannot be changed so.
+    """
+    key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
+    if settings and key in (*EXPERTS.names(), VLM):
+        raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
+    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings, trust=trust)
+
+
+def add_trust_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare ``--trust``, which every command that loads a policy has."""
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="load the checkpoint even if that runs its own code, and print what (docs/notes/trust.md)",
+    )
+
+
+def playing_rules(given: dict[str, Any], actor: Actor) -> dict[str, Any]:
+    """Return fields of the recipe to play by: those ``given``, and what the actor was trained for, which is printed."""
+    trained = {name: value for name, value in actor.trained_for.items() if name not in given}
+    if trained:
+        told = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in trained.items())
+        print(f"{actor.name} plays as it was trained: {printable(told)}")
+    return trained | given
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -9,15 +9,17 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
+import reprlib
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.features import CAMERA_KEY
-from dynahoi_lerobot.core.files import sha256
+from dynahoi_lerobot.core.files import printable, sha256
 from dynahoi_lerobot.dataset.manifest import Manifest
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
@@ -53,11 +55,17 @@ STEPS: dict[str, frozenset[str]] = {
 }
 """Processor steps that a checkpoint may name without ``--trust``, with the keys that their configs may have."""
 
+STEP_KEYS = frozenset({"registry_name", "class", "config", "state_file"})
+STATE_FILE = re.compile(r"[\w.-]+\.safetensors")
+
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
 """Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints have none."""
 LARGEST_JSON = 2**25
-LARGEST_NUMBER = 10**7
-"""In ``config.json``, besides seeds and the settings of optimizers and schedulers."""
+LARGEST_NUMBER, MOST_FRAMES = 10**7, 1000
+"""In ``config.json``, besides seeds and the settings of optimizers and schedulers; an episode has a third of so many
+frames, and a policy keeps the images of those that it remembers."""
+FRAMES = re.compile(r"frames|horizon|stride|reach|decisions|chunk_size|(obs|action)_steps")
+"""In the names of settings that count frames."""
 UNBOUNDED_KEYS = ("optimizer_", "scheduler_", "noise_seed", "seed")
 SPARE = 4
 """How many times the weights of its file a policy may make while it is built: some drop layers or tie weights."""
@@ -105,13 +113,16 @@ def described_folder(path: str) -> Path:
     return _download(path, ["*.json"])
 
 
-def load_policy(folder: Path, device: str | None = None, settings: Sequence[str] = ()) -> tuple[Any, Any, Any]:
+def load_policy(
+    folder: Path, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
+) -> tuple[Any, Any, Any]:
     """Return the policy, preprocessor and postprocessor of a checked folder, loaded by LeRobot.
 
     Args:
         folder: of ``checked_folder``.
         device: torch device, the policy's own if None.
         settings: overrides of its config, ``KEY=VALUE`` each.
+        trust: let a repository that its config names run code, if the user says so.
 
     Raises:
         PolicyError: if LeRobot cannot load it, or its weights are not exactly those of its policy.
@@ -123,13 +134,15 @@ def load_policy(folder: Path, device: str | None = None, settings: Sequence[str]
     shapes = _stored_shapes(folder / WEIGHTS)
     overrides = {"device_processor": {"device": str(config.device)}}
     try:
-        with _bounded(shapes, folder):
+        with _bounded(shapes, folder), nullcontext() if trust else _no_questions():
             policy = get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
-        before, after = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
+            before, after = make_pre_post_processors(
+                config, pretrained_path=str(folder), preprocessor_overrides=overrides
+            )
     except PolicyError:
         raise
     except Exception as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
-        raise PolicyError(f"{folder} cannot be loaded: {_reason(error)}") from error
+        raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
     _check_fit(policy.state_dict(), shapes, folder)
     return policy, before, after
 
@@ -145,23 +158,28 @@ def trained_for(folder: Path) -> dict[str, Any]:
     The image size is that of the config's camera. The others come from the ``env`` of ``train_config.json``, or else
     from the recipe of the dataset that it names, if that is on this machine.
     """
-    config, training = (_optional_json(folder / name) for name in (CONFIG, TRAINING))
-    env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
+    config, training = (_read_object(file) if (file := folder / name).is_file() else {} for name in (CONFIG, TRAINING))
+    env, root = _inner(training, "env"), _inner(training, "dataset").get("root")
     rules = env if env.get("type") == "dynahoi" else _recipe_of(root)
     told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
-    camera = (config.get("input_features") or {}).get(CAMERA_KEY)
-    return told | ({"image_size": int(camera["shape"][-1])} if camera else {})
+    shape = _inner(config, "input_features", CAMERA_KEY).get("shape")
+    size = shape[-1] if isinstance(shape, list) and shape else None
+    return told | ({"image_size": size} if isinstance(size, int) else {})
 
 
-def _recipe_of(root: str | None) -> dict[str, Any]:
+def _inner(content: Any, *keys: str) -> dict[str, Any]:
+    """Return the object below ``keys``, an empty one if there is none."""
+    for key in keys:
+        content = content.get(key) if isinstance(content, dict) else None
+    return content if isinstance(content, dict) else {}
+
+
+def _recipe_of(root: Any) -> dict[str, Any]:
+    """Return the recipe of the dataset in ``root``, as far as there is one."""
     try:
-        return Manifest.read(Path(root)).provenance["recipe"] if root else {}
-    except (OSError, ValueError, KeyError):
+        return _inner(Manifest.read(Path(root)).provenance, "recipe") if isinstance(root, str) and root else {}
+    except (OSError, ValueError):
         return {}
-
-
-def _optional_json(file: Path) -> dict[str, Any]:
-    return _read_object(file) if file.is_file() else {}
 
 
 def _download(repository: str, patterns: list[str], revision: str | None = None) -> Path:
@@ -186,18 +204,24 @@ def _check_files(folder: Path, trust: bool) -> None:
         raise PolicyError(
             f"{folder} holds no policy (no {CONFIG})" + (f"; did you mean {nested[-1]}?" if nested else "")
         )
-    for finding in _findings(folder):
-        if not trust:
-            raise UntrustedCheckpointError(
-                f"{finding}; give --trust only if you would run a program from the same source"
-            )
-        print(f"--trust: {finding}", file=sys.stderr)
+    try:
+        findings = list(_findings(folder))
+    except RecursionError as error:
+        raise PolicyError(f"{folder} holds a JSON file that is nested too deep") from error
+    if findings and not trust:
+        raise UntrustedCheckpointError(
+            f"{findings[0]}; give --trust only if you would run a program from the same source"
+        )
+    for finding in findings:
+        print(f"--trust: {printable(finding)}", file=sys.stderr)
 
 
 def _findings(folder: Path) -> Iterator[str]:
     """Yield what could run code, or read files outside the folder, while the checkpoint is loaded."""
     boundary = _boundary(folder)
     for file in sorted(folder.rglob("*")):
+        if not file.name.isprintable():  # results name the weights that they are of
+            raise PolicyError(f"{folder} holds a file whose name cannot be printed: {file.name!r}")
         if not _resolved(file).is_relative_to(boundary):
             yield f"{file} is a link that leads out of the checkpoint"
         elif file.is_dir():
@@ -206,6 +230,8 @@ def _findings(folder: Path) -> Iterator[str]:
             raise PolicyError(f"{file} is neither a file nor a folder")
         elif file.suffix.lower() in PICKLES:
             yield f"{file} is a pickle, which runs code when it is opened"
+        elif file.suffix == ".safetensors":
+            _stored_shapes(file)
         elif file.suffix == ".json":
             yield from (f"{file} {problem}" for problem in _remote_code(_read_json(file)))
     config = _read_object(folder / CONFIG)
@@ -248,11 +274,9 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
     if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
         raise PolicyError(f"{file} holds no list of processor steps")
     for step in steps:
-        name, config, state = (
-            step.get("registry_name", step.get("class")),
-            step.get("config", {}),
-            step.get("state_file"),
-        )
+        name, config = step.get("registry_name", step.get("class")), step.get("config", {})
+        if surplus := sorted(step.keys() - STEP_KEYS):
+            yield f"gives the step {name!r} the entry {surplus[0]!r}, which LeRobot does not know"
         if not isinstance(config, dict):
             raise PolicyError(f"{file} gives the step {name!r} the config {config!r}, which is no mapping")
         known = STEPS.get(step["registry_name"]) if isinstance(step.get("registry_name"), str) else None
@@ -260,7 +284,7 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
             yield f"names the processor step {name!r}, which is not on the list of steps known to be safe"
         elif surplus := sorted(config.keys() - known):
             yield f"gives the step {name!r} the key {surplus[0]!r}, which is not on the list of its keys"
-        if state is not None and (not isinstance(state, str) or Path(state).name != state):
+        if (state := step.get("state_file")) is not None and not STATE_FILE.fullmatch(str(state)):
             yield f"names the state file {state!r}, which is not inside the checkpoint"
 
 
@@ -274,8 +298,10 @@ def _check_numbers(file: Path, content: Any, key: str = "") -> None:
     elif isinstance(content, list):
         for value in content:
             _check_numbers(file, value, key)
-    elif isinstance(content, int | float) and not abs(content) <= LARGEST_NUMBER:
-        raise PolicyError(f"{file} sets {key} to {content}; allowed are numbers up to {LARGEST_NUMBER}")
+    elif isinstance(content, int | float):
+        most = MOST_FRAMES if FRAMES.search(key) else LARGEST_NUMBER
+        if not abs(content) <= most:
+            raise PolicyError(f"{file} sets {key} to {reprlib.repr(content)}; allowed are numbers up to {most}")
 
 
 def _read_object(file: Path) -> dict[str, Any]:
@@ -305,7 +331,7 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:
-        raise PolicyError(f"{folder / CONFIG} is no config of a policy: {_reason(error)}") from error
+        raise PolicyError(f"{folder / CONFIG} is no config of a policy: {reason(error)}") from error
     known = [field.name for field in fields(config)]
     for setting in settings:
         key, equals, _ = setting.partition("=")
@@ -352,6 +378,18 @@ def _bounded(shapes: Mapping[str, tuple[int, ...]], folder: Path) -> Iterator[No
             hook.remove()
 
 
+@contextmanager
+def _no_questions() -> Iterator[None]:
+    """Answer nothing when transformers asks on the terminal whether to run the code of a repository, which is a no."""
+    answers = sys.stdin
+    with open(os.devnull) as nothing:
+        sys.stdin = nothing
+        try:
+            yield
+        finally:
+            sys.stdin = answers
+
+
 def _check_fit(state: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], folder: Path) -> None:
     """Refuse weights that are missing, surplus or misshapen; of tied weights a file holds one."""
     wanted = {name.removeprefix("model."): tensor for name, tensor in state.items()}  # as LeRobot's Pi policies do
@@ -365,7 +403,7 @@ def _check_fit(state: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], 
             raise PolicyError(f"{folder / WEIGHTS} {what} weights for its config: {len(names)}, such as {names[0]}")
 
 
-def _reason(error: BaseException) -> str:
+def reason(error: BaseException) -> str:
     """Return the error's root cause in one line."""
     text = " ".join(f"{type(error).__name__}: {error.__cause__ or error}".split())
     return text if len(text) <= 300 else f"{text[:300]} ..."

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext, suppress
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 from tqdm import tqdm
@@ -19,13 +18,19 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.core.rules import control_class_of, protocol_of
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.core.working_folder import exclusive
+from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
-from dynahoi_lerobot.evaluate.actors import VLM, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.arguments import RECIPE_OPTIONS, add_arguments
+from dynahoi_lerobot.evaluate.arguments import RECIPE_OPTIONS, VLM, add_arguments, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import episode_gif
-from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
-from dynahoi_lerobot.evaluate.run_info import WEIGHTS, command_line
+from dynahoi_lerobot.evaluate.results import (
+    WEIGHTS,
+    Results,
+    ResultsError,
+    ResultsRecorder,
+    RunInfo,
+    command_line,
+    read_results,
+)
 from dynahoi_lerobot.evaluate.table import results_table, stratum_table
 from dynahoi_lerobot.rollout.inference import SYNC, Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
@@ -69,8 +74,8 @@ def run(args: argparse.Namespace) -> int:
             WEIGHTS: dict(actor.weights),
         },
     )
-    with _claimed(args.out):
-        recorder = ResultsRecorder.resume(args.out, info) if args.out else ResultsRecorder()
+    with working_folder(args.out, info.task()) if args.out else nullcontext():
+        recorder = ResultsRecorder.resume(args.out) if args.out else ResultsRecorder()
         specs = _specs(args, recipe, recorder)
         args.batch_size = _batch_size(args, inference)
         for episodes in _played(args, recipe, actor, specs):
@@ -78,24 +83,22 @@ def run(args: argparse.Namespace) -> int:
             info.extra.update(actor.report())
             if args.out:
                 recorder.write(args.out, info)
-        results = recorder.write(args.out, info) if args.out else recorder.results(info)
+        results = _results(args, info, recorder, played=bool(specs))
     print(results_table([results]))
     if args.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
     if args.per_kind:
-        print("\n" + stratum_table(results))
+        print("\n" + stratum_table(results).as_text())
     return 0
 
 
-@contextmanager
-def _claimed(out: Path | None) -> Iterator[None]:
-    """Hold the lock of the result folder, if there is one."""
-    if out is None:
-        yield
-        return
-    out.mkdir(parents=True, exist_ok=True)
-    with exclusive(out):
-        yield
+def _results(args: argparse.Namespace, info: RunInfo, recorder: ResultsRecorder, *, played: bool) -> Results:
+    """Return all that is recorded; what an earlier run wrote whole stays as it is if nothing was left to play."""
+    if not args.out or played:
+        return recorder.results(info, args.out or Path())
+    with suppress(ResultsError):
+        return read_results(args.out)
+    return recorder.write(args.out, info)  # it ended between the renaming of two files
 
 
 def _real_time(actor: Actor, inference: Inference) -> Actor:
@@ -146,16 +149,13 @@ def _vlm(args: argparse.Namespace) -> Agent:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
     control = control_class_of(args.control_class or Recipe.control_class)
     prompt = Prompt(args.prompt, CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control))
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-    audit = args.out / "vlm.jsonl" if args.out else None
     client = VlmClient(
         args.model,
         args.base_url,
         timeout_s=args.request_timeout,
         prices=tuple(args.prices),
         prompt=prompt,
-        audit=audit,
+        log=args.out / "vlm.jsonl" if args.out else None,
     )
     return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
 
@@ -178,26 +178,18 @@ def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) 
 def _played(
     args: argparse.Namespace, recipe: Recipe, actor: Actor, specs: list[EpisodeSpec]
 ) -> Iterator[list[Episode]]:
-    """Play the episodes ``specs`` and yield them batch by batch, without images."""
+    """Play the episodes ``specs`` and yield them batch by batch, without images; the first are written as GIFs."""
     if not specs:
         return
     batch = WorldBatch(recipe, min(args.batch_size, len(specs)))
     gifs = args.gifs if args.out else 0
     with tqdm(total=len(specs), desc=f"{args.policy} on {args.split}", unit="episode") as progress:
         for start in range(0, len(specs), args.batch_size):
-            wanted = max(0, gifs - start)
-            episodes = evaluate(batch, actor, specs[start : start + args.batch_size], images=wanted > 0)
-            yield list(_reported(episodes, progress, args.out, wanted))
-
-
-def _reported(episodes: Iterator[Episode], progress: tqdm, out: Path | None, gifs: int) -> Iterator[Episode]:
-    """Yield the episodes without images, updating the progress bar; the first ``gifs`` are written as GIFs."""
-    for episode in islice(episodes, gifs):
-        progress.update()
-        if out is not None:
-            out.mkdir(parents=True, exist_ok=True)
-            episode_gif(out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
-        yield replace(episode, images={})
-    for episode in episodes:
-        progress.update()
-        yield replace(episode, images={})
+            played = []
+            for episode in evaluate(batch, actor, specs[start : start + args.batch_size], images=gifs > 0):
+                if gifs > 0:
+                    episode_gif(args.out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
+                    gifs -= 1
+                played.append(replace(episode, images={}))
+                progress.update()
+            yield played

@@ -6,16 +6,38 @@ Nothing here imports torch or LeRobot before a policy is loaded.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
 from typing import Any
 
 import numpy as np
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
 from dynahoi_lerobot.core.features import CAMERA_KEY, ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
-from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, folder_weights, load_policy, trained_for
-from dynahoi_lerobot.evaluate.frame_history import note_frame, queued_frame
+from dynahoi_lerobot.evaluate.checkpoint import (
+    PolicyError,
+    checked_folder,
+    folder_weights,
+    load_policy,
+    reason,
+    trained_for,
+)
 from dynahoi_lerobot.renderers.views import EXTRA_VIEWS
+
+
+def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
+    """Raise whatever a policy raises while it plays as a PolicyError, of which that is the cause."""
+
+    @wraps(method)
+    def call(*args: P.args, **options: P.kwargs) -> R:
+        try:
+            return method(*args, **options)
+        except PolicyError:
+            raise
+        except Exception as error:
+            raise PolicyError(f"the policy cannot play: {reason(error)}") from error
+
+    return call
 
 
 class PolicyAgent(ChunkAgent):
@@ -43,7 +65,7 @@ class PolicyAgent(ChunkAgent):
         self.name = path
         folder = checked_folder(path, trust=trust)
         _register_plugins()
-        self._policy, self._before, self._after = load_policy(folder, device, settings)
+        self._policy, self._before, self._after = load_policy(folder, device, settings, trust=trust)
         self.weights, self.trained_for = folder_weights(folder), trained_for(folder)
         self._chunk: Any = None
         inputs = self._policy.config.input_features
@@ -58,6 +80,7 @@ class PolicyAgent(ChunkAgent):
         self._policy.reset()
         self._chunk = None
 
+    @_in_a_sentence
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad]."""
         import torch
@@ -90,10 +113,12 @@ class PolicyAgent(ChunkAgent):
         self._policy.config.rtc_config = self._policy.config.rtc_config or RTCConfig()
         self._policy.init_rtc_processor()
 
+    @_in_a_sentence
     def watch(self, observation: Observation) -> None:
         """Add a frame to the policy's history, if it has one."""
         note_frame(self._policy, self._batch(observation))
 
+    @_in_a_sentence
     def plan(
         self,
         observation: Observation,
@@ -125,6 +150,7 @@ class PolicyAgent(ChunkAgent):
         """The (N, n, 18) normalised actions that are not executed yet; of a chunk that is over, where it led."""
         return self._chunk[:, min(executed, self._chunk.shape[1] - 1) :]
 
+    @_in_a_sentence
     def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
         """Return (n, 18) commands for the frame that was noted last, in place of those of chunks."""
         action = self._policy.corrected_action(worlds.tolist(), expectations, ages)
@@ -157,3 +183,36 @@ def _register_plugins() -> None:
     except ImportError as error:
         raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
     register_third_party_plugins()
+
+
+# -- the frames that a policy remembers, when not every frame asks it for an action -----------------------------------
+# `select_action` notes every frame and decides by itself when to predict a chunk; `predict_action_chunk` predicts at
+# once, and what it does about earlier frames differs from policy to policy.
+
+
+def note_frame(policy: Any, batch: dict[str, Any]) -> None:
+    """Note a preprocessed frame of all worlds in which no chunk is asked for; a policy without history ignores it."""
+    if hasattr(policy, "observe"):
+        policy.observe(batch)
+    else:
+        queued_frame(policy, batch)
+
+
+def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
+    """Add a frame to the observation queues of a policy that has them (Diffusion Policy, VQ-BeT, multi-task DiT).
+
+    Returns:
+        What ``predict_action_chunk`` of such a policy takes: the batch, with its images stacked under one key.
+    """
+    import torch
+    from lerobot.policies.utils import populate_queues
+    from lerobot.utils.constants import ACTION, OBS_IMAGES
+
+    queues = getattr(policy, "_queues", None) or {}
+    if OBS_IMAGES in queues:
+        images = [batch[key] for key in policy.config.image_features]
+        batch = batch | {OBS_IMAGES: torch.stack(images, dim=-4)}
+    if queues:  # a policy looks into the queue of every key of the batch, and that of actions may be empty
+        batch = {key: value for key, value in batch.items() if key != ACTION}
+    populate_queues(queues, batch)
+    return batch

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import reprlib
 import secrets
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -20,8 +21,9 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
 from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.rows import Row, episode_row
+from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
@@ -51,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
     recipe = open_recipe(results, args.salt or "")
     for name, digest in results.digests.items():
         print(f"sha256 {digest}  {results.folder / name}")
-    for name, (value, rule) in changed_rules(results).items():
-        print(f"not the benchmark's {name}: {value!r}, which is {rule!r}")
+    for name, (value, rule) in (changed_rules(results) | _unseen_rules(results)).items():
+        print(f"not the benchmark's {name}: {reprlib.repr(value)}, which is {reprlib.repr(rule)}")
     seed = secrets.randbits(32) if args.replay_seed is None else args.replay_seed
     chosen = drawn(len(results.rows), args.episodes, seed)
     findings = list(check_results(results, recipe))
@@ -107,6 +109,14 @@ def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
     rules = Recipe(split=split_of(info.split), capture=info.capture, control_class=results.control_class)
     played = asdict(results.recipe())
     return {name: (played[name], value) for name, value in asdict(rules).items() if played[name] != value}
+
+
+def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
+    """Return what a result says of its policy that is not as in the benchmark, and that no replay can tell."""
+    said = {"inference": results.inference, "privileged": results.privileged}
+    said["settings"] = results.info.extra.get("settings") or []
+    usual = {"inference": SYNC, "settings": [], "privileged": False}
+    return {name: (value, usual[name]) for name, value in said.items() if value != usual[name]}
 
 
 def check_results(results: Results, recipe: Recipe) -> Iterator[str]:

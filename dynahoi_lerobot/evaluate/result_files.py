@@ -1,4 +1,8 @@
-"""Reading and writing the three files of a result folder; whatever is damaged is one ``ResultsError``."""
+"""Reading and writing the three files of a result folder; whatever is damaged is one ``ResultsError``.
+
+Nothing in them is compressed, so that their sizes, which are limited by the number of episodes, bound what they decode
+to. Every file is read once, and its hash is that of the bytes that were decoded.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +18,8 @@ from zipfile import ZIP_STORED, ZipFile
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import HAND_DOF
-from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.evaluate.episode_row import Row, checked_rows, row_schema
+from dynahoi_lerobot.core.files import printable, write_atomically
+from dynahoi_lerobot.evaluate.rows import COLUMNS, COUNTS, Row, check_row, row_schema
 
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"
@@ -31,18 +35,22 @@ HEAD_TYPES: dict[str, type] = {
     "fingerprint": str,
     "benchmark": str,
     "command": str,
+    "extra": dict,
 }
-"""Keys that ``metrics.json`` must have, with the types of their values; ``extra``, a dict, may stand beside them."""
+"""Keys of ``metrics.json`` with the types of their values; ``extra`` may be missing."""
 
+UNIFORM = ("capture", "benchmark", "protocol", "control_class")
+"""Columns with one value in all rows; the first two have that of ``metrics.json``."""
 MOST_EPISODES = 20_000
 """Episodes of results that are read."""
 LARGEST_EPISODE = 2**16
 """Bytes of an episode in any of the files; its commands have 36,864 if it is as long as any."""
 HEADER, LARGEST_HEAD = 2**17, 2**24
 """Bytes that those files may have besides, and that ``metrics.json`` may have."""
-LONGEST_TEXT, LONGEST_NAME = 4096, 256
-"""Characters of a text in ``metrics.json``, and of one in a row."""
-ARRAYS = {"action", "offsets", "seed", "window_frames"}
+LONGEST_TEXT, LONGEST_NAME, MOST_NAMES = 4096, 256, 256
+"""Characters of a text in ``metrics.json``, and of one in a row; different texts of a column."""
+ARRAYS = {"action": "f4", "offsets": "i8", "seed": "i8", "window_frames": "i8"}
+"""Arrays of ``actions.npz``: the commands of all episodes end to end, those of episode i from ``offsets[i]`` on."""
 
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 
@@ -73,61 +81,73 @@ def write(folder: Path, head: dict[str, Any], rows: Sequence[Row], actions: Sequ
 def read(folder: Path) -> tuple[dict[str, Any], list[Row], list[np.ndarray], dict[str, str]]:
     """Return the content of ``metrics.json``, the rows, the (T, 18) actions of every episode and the files' sha256.
 
-    Files hold nothing compressed, so that their sizes, which are limited, bound what they decode to; every file is read
-    once, and its hash is that of the bytes that were decoded.
-
     Raises:
         ResultsError: one sentence that says what is missing or damaged.
     """
-    head, digest = _load(folder, METRICS_FILE, _read_head)
-    n = head["n"]
-    rows, rows_digest = _load(folder, EPISODES_FILE, partial(_read_rows, n=n), n)
-    actions, actions_digest = _load(
-        folder, ACTIONS_FILE, partial(_read_actions, seeds=[row["seed"] for row in rows]), n
-    )
+    head, digest = _load(folder, METRICS_FILE, _read_head, LARGEST_HEAD)
+    most = min(head["n"], MOST_EPISODES) * LARGEST_EPISODE + HEADER
+    rows, rows_digest = _load(folder, EPISODES_FILE, _read_rows, most)
+    actions, actions_digest = _load(folder, ACTIONS_FILE, partial(_read_actions, rows=rows), most)
     if not head["n"] == len(rows) == len(actions) > 0:
         counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
         raise ResultsError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
+    for name in UNIFORM:
+        if len(found := sorted({row[name] for row in rows} | {head[name] for name in [name] if name in head})) > 1:
+            raise ResultsError(f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}")
     return head, rows, actions, {METRICS_FILE: digest, EPISODES_FILE: rows_digest, ACTIONS_FILE: actions_digest}
 
 
-def _load(folder: Path, name: str, reader: Callable[[BytesIO], Any], n: int = 0) -> tuple[Any, str]:
-    """Return what a file of ``n`` episodes holds, and its sha256."""
+def read_saved(folder: Path) -> tuple[list[Row], list[np.ndarray]]:
+    """Return the rows and actions that an interrupted evaluation has saved, none before its first save.
+
+    It may have ended between the renaming of two files, so that one of them holds more episodes.
+
+    Raises:
+        ResultsError: one sentence that says what is damaged.
+    """
+    if not ((folder / EPISODES_FILE).exists() and (folder / ACTIONS_FILE).exists()):
+        return [], []
+    most = MOST_EPISODES * LARGEST_EPISODE
+    rows, _ = _load(folder, EPISODES_FILE, _read_rows, most)
+    actions, _ = _load(folder, ACTIONS_FILE, partial(_read_actions, rows=rows), most)
+    return rows[: len(actions)], actions[: len(rows)]
+
+
+def _load(folder: Path, name: str, reader: Callable[[BytesIO], Any], most: int) -> tuple[Any, str]:
+    """Return what a file of at most ``most`` bytes holds, and its sha256."""
     path = folder / name
     if not folder.is_dir():
         raise ResultsError(f"there is no result folder {folder}; {REMEDY}")
     if not path.is_file():
         raise ResultsError(f"{folder} holds no results: {name} is missing; {REMEDY}")
     try:
-        if (size := path.stat().st_size) > (
-            most := min(n, MOST_EPISODES) * LARGEST_EPISODE + HEADER if n else LARGEST_HEAD
-        ):
-            raise ValueError(f"{size} bytes are too many for {n} episodes; allowed are {most}")
+        if (size := path.stat().st_size) > most:
+            raise ValueError(f"{size} bytes are too many for its episodes; allowed are {most}")
         content = path.read_bytes()
         return reader(BytesIO(content)), sha256(content).hexdigest()
     except Exception as error:  # whatever a damaged file makes its reader raise, the remedy is the same
-        raise ResultsError(f"{path} is damaged ({type(error).__name__}: {error}); {REMEDY}") from error
+        reason = printable(" ".join(f"{type(error).__name__}: {error}".split()))
+        raise ResultsError(f"{path} is damaged ({reason}); {REMEDY}") from error
 
 
 def _read_head(file: BytesIO) -> dict[str, Any]:
     head = json.loads(file.getvalue().decode("utf-8"), parse_constant=_refuse_constant)
     if not isinstance(head, dict):
         raise TypeError(f"it must hold an object, not {type(head).__name__}")
+    head["extra"] = head.get("extra") or {}
     if missing := [key for key in HEAD_TYPES if key not in head]:
         raise KeyError(f"it lacks {', '.join(missing)}")
-    if surplus := sorted(head.keys() - HEAD_TYPES.keys() - {"extra"}):
+    if surplus := sorted(head.keys() - HEAD_TYPES.keys()):
         raise KeyError(f"it has the unknown key {surplus[0]!r}")
-    for key, wanted in (HEAD_TYPES | {"extra": dict}).items():
-        if not isinstance(value := head.get(key) or wanted(), wanted):
+    for key, wanted in HEAD_TYPES.items():
+        if not isinstance(value := head[key], wanted) or isinstance(value, bool):
             raise TypeError(f"{key} must be of type {wanted.__name__}, got {type(value).__name__}")
-    inference = (head.get("extra") or {}).get("inference") or ""
-    if not isinstance(inference, str):
+    if not isinstance(inference := head["extra"].get("inference") or "", str):
         raise TypeError(f"inference must be a text such as 'async 150 ms', got {inference!r}")
     for text in _texts(head):
-        if not text.isprintable():  # it would be obeyed by the terminal that it is printed on
-            raise ValueError(f"its texts must be printable, got {text[:80]!r}")
         if len(text) > LONGEST_TEXT:
             raise ValueError(f"its texts may have {LONGEST_TEXT} characters, got {len(text)}")
+        _check_printable(text)
     return head
 
 
@@ -144,6 +164,12 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(inner)
 
 
+def _check_printable(text: str) -> None:
+    """Refuse a text that would be obeyed by the terminal that it is printed on."""
+    if not text.isprintable():
+        raise ValueError(f"its texts must be printable, got {text[:80]!r}")
+
+
 def _refuse_constant(name: str) -> float:
     raise ValueError(f"{name} is no number of JSON")
 
@@ -155,19 +181,18 @@ def _write_rows(path: Path, rows: Sequence[Row]) -> None:
     pq.write_table(pa.Table.from_pylist(list(rows), schema=row_schema()), path, compression="none")
 
 
-def _read_rows(file: BytesIO, n: int) -> list[Row]:
-    """Return the ``n`` rows; texts are decoded once they are known to be short."""
+def _read_rows(file: BytesIO) -> list[Row]:
+    """Return the rows; texts are decoded once they are known to be short."""
     import pyarrow.parquet as pq
 
-    schema = row_schema()
-    texts = [field.name for field in schema if str(field.type) == "string"]
-    stored = pq.read_schema(file)
+    schema, stored = row_schema(), pq.read_schema(file)
+    texts = [name for name, kind in COLUMNS.items() if kind == "string"]
     parquet = pq.ParquetFile(file, read_dictionary=texts)  # equal texts stay one text, however many rows have it
     data = parquet.metadata
-    if data.num_rows != n or not 0 < n <= MOST_EPISODES:
-        raise ValueError(f"it has {data.num_rows} rows, {METRICS_FILE} says {n}; allowed are {MOST_EPISODES}")
+    if not 0 < data.num_rows <= MOST_EPISODES:
+        raise ValueError(f"it has {data.num_rows} rows; allowed are 1 to {MOST_EPISODES}")
     if differing := sorted(set(stored.names) ^ set(schema.names)) or [
-        f.name for f in schema if stored.field(f.name) != f
+        field.name for field in schema if stored.field(field.name) != field
     ]:
         raise TypeError(f"its column {differing[0]} is not one of {EPISODES_FILE}, or there twice, or of another type")
     groups = [data.row_group(i) for i in range(data.num_row_groups)]
@@ -175,15 +200,28 @@ def _read_rows(file: BytesIO, n: int) -> list[Row]:
         raise ValueError("its columns must not be compressed")
     table = parquet.read()
     for name in texts:
-        for chunk in table.column(name).chunks:
-            values = chunk.dictionary if hasattr(chunk, "dictionary") else chunk
-            if (longest := max((len(text) for text in values.to_pylist() if text), default=0)) > LONGEST_NAME:
-                raise ValueError(f"texts of {name} may have {LONGEST_NAME} characters, got {longest}")
-    return checked_rows(table.select(schema.names).cast(schema))
+        _check_names(name, {text for chunk in table.column(name).chunks for text in _different(chunk)})
+    rows = table.select(schema.names).cast(schema).to_pylist()
+    for row in rows:
+        check_row(row)
+    return rows
+
+
+def _different(chunk: Any) -> list[str | None]:
+    return (chunk.dictionary if hasattr(chunk, "dictionary") else chunk.unique()).to_pylist()
+
+
+def _check_names(column: str, names: set[str | None]) -> None:
+    """Refuse texts of a column that are too many, too long, or more than text."""
+    if len(names) > MOST_NAMES:
+        raise ValueError(f"{column} may have {MOST_NAMES} different texts, got {len(names)}")
+    for name in filter(None, names):
+        if len(name) > LONGEST_NAME:
+            raise ValueError(f"texts of {column} may have {LONGEST_NAME} characters, got {len(name)}")
+        _check_printable(name)
 
 
 def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
-    """Write all commands end to end; episode i is ``action[offsets[i]:offsets[i + 1]]``."""
     with path.open("wb") as file:  # an open file, because numpy appends .npz to a path
         np.savez(
             file,
@@ -194,23 +232,26 @@ def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray
         )
 
 
-def _read_actions(file: BytesIO, seeds: Sequence[int]) -> list[np.ndarray]:
-    """Return the (T, 18) actions of the episodes with these ``seeds``."""
+def _read_actions(file: BytesIO, rows: Sequence[Row]) -> list[np.ndarray]:
+    """Return the (T, 18) actions of all episodes, of which the first are those of ``rows``."""
     with ZipFile(file) as members:
         if any(member.compress_type != ZIP_STORED for member in members.infolist()):
             raise ValueError("its arrays must not be compressed")
     with np.load(file, allow_pickle=False) as archive:
-        if set(archive.files) != ARRAYS or len(archive.files) != len(ARRAYS):
+        if set(archive.files) != set(ARRAYS) or len(archive.files) != len(ARRAYS):
             raise KeyError(f"it must hold {', '.join(sorted(ARRAYS))}, not {', '.join(archive.files)[:LONGEST_TEXT]}")
-        actions, offsets, stored_seeds = archive["action"], archive["offsets"], archive["seed"]
-    if stored_seeds.tolist() != list(seeds):
-        raise ValueError(f"its seeds are not those of {EPISODES_FILE}")
-    if actions.ndim != 2 or actions.shape[1] != HAND_DOF or actions.dtype != np.float32:
-        raise ValueError(f"actions must be (K, {HAND_DOF}) float32, not {actions.shape} {actions.dtype}")
+        arrays = {name: archive[name] for name in ARRAYS}
+    actions, offsets = arrays["action"], arrays["offsets"]
+    for name, array in arrays.items():
+        columns = (HAND_DOF,) if name == "action" else ()
+        if array.dtype != ARRAYS[name] or array.shape[1:] != columns or not len(array):
+            raise ValueError(f"{name} must not be {array.shape} {array.dtype}")
+    for name in arrays.keys() & set(COUNTS):
+        wanted = [row[name] for row in rows][: len(arrays[name])]
+        if len(arrays[name]) != len(offsets) - 1 or arrays[name][: len(rows)].tolist() != wanted:
+            raise ValueError(f"its {name} are not those of {EPISODES_FILE}")
     if not np.isfinite(actions).all():
         raise ValueError("an action is not a finite number")
-    if offsets.ndim != 1 or offsets.dtype.kind != "i" or len(offsets) < 2:
-        raise ValueError(f"offsets must be (N + 1,) integers, not {offsets.shape} {offsets.dtype}")
     if offsets[0] != 0 or offsets[-1] != len(actions) or (np.diff(offsets) < 1).any():
         raise ValueError(f"offsets must rise from 0 to {len(actions)}")
     return np.split(actions, offsets[1:-1])

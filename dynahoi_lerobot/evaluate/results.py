@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,10 @@ import draccus
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate import result_files
-from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
-from dynahoi_lerobot.evaluate.result_files import ResultsError
-from dynahoi_lerobot.evaluate.run_info import RunInfo
+from dynahoi_lerobot.evaluate.result_files import LONGEST_TEXT, ResultsError
+from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
@@ -22,6 +23,45 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 __all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
+
+WEIGHTS = "weights"
+"""Key of the sha256 of a policy's files of weights, by name."""
+
+
+def command_line(words: Sequence[str]) -> str:
+    """Return a command line as results keep it: printable, its program without the folder, cut where it is too long."""
+    text = printable(" ".join([Path(words[0]).name, *words[1:]]))
+    return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 4] + " ..."
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What was evaluated and how.
+
+    Attributes:
+        policy: the policy's name or path.
+        split: the split that was played.
+        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
+        command: the exact command line.
+        fingerprint: identifies the code and recipe.
+        extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state, ``inference`` and
+            ``settings`` where inference took time or the policy's config was changed, ``recipe``, ``weights``, and
+            whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
+        benchmark: version of the benchmark.
+    """
+
+    policy: str
+    split: str
+    capture: str
+    command: str
+    fingerprint: str
+    extra: dict[str, Any] = field(default_factory=dict)
+    benchmark: str = BENCHMARK.version
+
+    def task(self) -> dict[str, Any]:
+        """Return what must be equal for an evaluation to be resumed."""
+        told = {name: self.extra.get(name) or "" for name in ("recipe", "inference", "settings", WEIGHTS)}
+        return {name: getattr(self, name) for name in ("policy", "split", "fingerprint", "benchmark")} | told
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +87,23 @@ class Results:
     @property
     def control_class(self) -> str:
         """The control class of its episodes."""
-        return ", ".join(sorted({row["control_class"] for row in self.rows}))
+        return self.rows[0]["control_class"]
 
     @property
     def protocol(self) -> str:
         """The protocol of its episodes."""
-        return ", ".join(sorted({row["protocol"] for row in self.rows}))
+        return self.rows[0]["protocol"]
 
     @property
     def capture(self) -> str:
         """The capture rule of its episodes."""
         return self.info.capture
+
+    @property
+    def render_noise(self) -> str:
+        """By how many of 255 levels the images were changed at most, ``0`` if they were not."""
+        recipe = self.info.extra.get("recipe")
+        return str(recipe.get("render_noise") or 0) if isinstance(recipe, dict) else "0"
 
     @property
     def inference(self) -> str:
@@ -69,14 +115,27 @@ class Results:
         """Whether who moved the hand saw the simulator's state."""
         return bool(self.info.extra.get("privileged"))
 
-    @property
-    def shown_policy(self) -> str:
-        """The policy's name or path, marked if it is privileged."""
-        return marked(self.info.policy, privileged=self.privileged)
+    def marked(self, name: str) -> str:
+        """Return a name of the policy as tables and reports show it: marked if it is privileged."""
+        return f"{name} (privileged)" if self.privileged else name
 
     def summary(self) -> Summary:
-        """Return every metric with its interval over all episodes."""
+        """Return every metric with its interval over all episodes; computed once."""
+        return self._summary
+
+    @cached_property
+    def _summary(self) -> Summary:
         return summarise_rows(self.rows)
+
+    def by(self, stratum: str) -> dict[str, Summary]:
+        """Return every metric for every label of ``stratum``; computed once."""
+        if stratum not in self._by_stratum:
+            self._by_stratum[stratum] = summarise_by(self.rows, stratum)
+        return self._by_stratum[stratum]
+
+    @cached_property
+    def _by_stratum(self) -> dict[str, dict[str, Summary]]:
+        return {}
 
     def recipe(self) -> Recipe:
         """Return what was played.
@@ -106,17 +165,12 @@ class Results:
             "policy": info.policy,
             "capture": info.capture,
             "metrics": _plain(self.summary()),
-            "per_kind": {kind: _plain(summary) for kind, summary in summarise_by(self.rows, "kind").items()},
+            "per_kind": {kind: _plain(summary) for kind, summary in self.by("kind").items()},
             "fingerprint": info.fingerprint,
             "benchmark": info.benchmark,
             "command": info.command,
             "extra": info.extra,
         }
-
-
-def marked(name: str, *, privileged: bool) -> str:
-    """Return a policy's name as tables and reports show it."""
-    return f"{name} (privileged)" if privileged else name
 
 
 class ResultsRecorder:
@@ -128,25 +182,13 @@ class ResultsRecorder:
         self._actions = list(actions)
 
     @classmethod
-    def resume(cls, folder: Path, info: RunInfo) -> ResultsRecorder:
-        """Return a recorder that resumes the results in ``folder``, an empty one if there are none.
+    def resume(cls, folder: Path) -> ResultsRecorder:
+        """Return a recorder that resumes what an interrupted run of the same task has saved in ``folder``.
 
         Raises:
-            ResultsError: if there are results and they are damaged, or of another evaluation than ``info``'s.
+            ResultsError: if what it saved is damaged.
         """
-        if Path(folder).is_file():
-            raise ResultsError(f"{folder} is a file; name a folder for the results")
-        if not (Path(folder) / result_files.METRICS_FILE).exists():
-            return cls()
-        earlier = read_results(folder)
-        for what, value in info.conditions.items():
-            if (before := earlier.info.conditions[what]) != value:
-                raise ResultsError(f"{folder} holds results with {what} {before}, not {value}; name another folder")
-        return cls(earlier.rows, earlier.actions)
-
-    def __len__(self) -> int:
-        """Return how many episodes are recorded."""
-        return len(self._rows)
+        return cls(*result_files.read_saved(folder))
 
     @property
     def seeds(self) -> set[int]:
@@ -176,55 +218,32 @@ class ResultsRecorder:
         Raises:
             ValueError: as ``write``.
         """
-        self._check(info)
-        return Results(folder, info, tuple(self._rows), tuple(self._actions))
-
-    def _check(self, info: RunInfo) -> None:
         if not self._rows:
             raise ValueError("no episode was recorded; results need at least one")
-        for noun, name, wanted in (
-            ("capture rule", "capture", info.capture),
-            ("benchmark", "benchmark", info.benchmark),
-        ):
-            stray = next((row for row in self._rows if row[name] != wanted), None)
+        for noun, name in (("capture rule", "capture"), ("benchmark", "benchmark")):
+            wanted, stray = getattr(info, name), [row for row in self._rows if row[name] != getattr(info, name)]
             if stray:
                 raise ValueError(
-                    f"seed {stray['seed']} was played under the {noun} {stray[name]!r}, "
+                    f"seed {stray[0]['seed']} was played under the {noun} {stray[0][name]!r}, "
                     f"the results say {wanted!r}; write one folder per {noun}"
                 )
+        return Results(folder, info, tuple(self._rows), tuple(self._actions))
 
 
-def write_results(
-    folder: Path,
-    episodes: Iterable[Episode],
-    *,
-    policy: str,
-    split: str,
-    capture: str,
-    command: str,
-    fingerprint: str,
-    extra: dict[str, Any] | None = None,
-    benchmark: str = BENCHMARK.version,
-) -> Results:
+def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:
     """Write the result folder of ``episodes``, which may be a generator, and return what it holds.
 
     Args:
         folder: made if it does not exist; earlier results in it are replaced.
         episodes: the played episodes; their images are not kept.
-        policy: the policy's name or path.
-        split: the split that was played.
-        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
-        command: the exact command line.
-        fingerprint: identifies the code and recipe.
-        extra: JSON values that a figure may need, such as ``{"n_obs_frames": 5}``.
-        benchmark: version of the benchmark.
+        info: what was evaluated and how.
 
     Raises:
         ValueError: if there is no episode, or one was played under another capture rule or version of the benchmark.
     """
     recorder = ResultsRecorder()
     recorder.extend(episodes)
-    return recorder.write(folder, RunInfo(policy, split, capture, command, fingerprint, dict(extra or {}), benchmark))
+    return recorder.write(folder, info)
 
 
 def read_results(folder: Path) -> Results:
@@ -235,8 +254,8 @@ def read_results(folder: Path) -> Results:
     """
     folder = Path(folder)
     head, rows, actions, digests = result_files.read(folder)
-    names = ("policy", "split", "capture", "command", "fingerprint", "benchmark")
-    info = RunInfo(**{name: head[name] for name in names}, extra=head.get("extra") or {})
+    names = ("policy", "split", "capture", "command", "fingerprint", "extra", "benchmark")
+    info = RunInfo(**{name: head[name] for name in names})
     return Results(folder, info, tuple(rows), tuple(actions), head, digests)
 
 

@@ -1,7 +1,8 @@
-"""Aggregation: every metric with its confidence interval, over all episodes or by stratum."""
+"""Every metric with its 95 % interval, over all episodes or by group: Wilson's for rates, the bootstrap's for means."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -9,10 +10,54 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.episode_row import Row, episode_row
-from dynahoi_lerobot.evaluate.intervals import bootstrap, wilson
-from dynahoi_lerobot.evaluate.strata import STRATA
+from dynahoi_lerobot.evaluate.rows import STRATA, Row, episode_row
 from dynahoi_lerobot.metrics import METRICS, Metric
+
+Z_95 = 1.959963984540054
+"""Two-sided 95 % quantile of the standard normal distribution."""
+RESAMPLES = 2000
+SEED = 0
+CHUNK = 2_000_000
+"""Resampled values held at once, so that memory stays bounded for any number of episodes."""
+
+
+def wilson(successes: int, count: int) -> tuple[float, float]:
+    """Return Wilson's 95 % score interval of a rate, within [0, 1].
+
+    Unlike the normal interval it is not empty at 0 or at ``count`` successes (E. B. Wilson, JASA 1927).
+
+    Raises:
+        ValueError: unless ``0 <= successes <= count`` and ``count > 0``.
+    """
+    if not 0 <= successes <= count or count == 0:
+        raise ValueError(f"a rate needs 0 <= successes <= count and count > 0, not {successes} of {count}")
+    rate, spread = successes / count, Z_95**2 / count
+    centre = (rate + spread / 2) / (1 + spread)
+    half = math.sqrt(rate * (1 - rate) * spread + spread**2 / 4) / (1 + spread)
+    # at the ends the interval touches 0 or 1 exactly; rounding must not push it past the rate
+    return max(0.0, min(centre - half, rate)), min(1.0, max(centre + half, rate))
+
+
+def bootstrap_means(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> np.ndarray:
+    """Return (resamples,) means of resamples with replacement of (n,) ``values``, independent of their order.
+
+    Raises:
+        ValueError: if there is no value.
+    """
+    values = np.sort(np.asarray(values, np.float64))
+    if values.size == 0:
+        raise ValueError("a bootstrap needs at least one value, got none")
+    rng = np.random.default_rng(seed)
+    rows = max(1, CHUNK // values.size)
+    counts = [min(rows, resamples - start) for start in range(0, resamples, rows)]
+    picks = (rng.integers(values.size, size=(count, values.size)) for count in counts)
+    return np.concatenate([values[pick].mean(axis=1) for pick in picks])
+
+
+def bootstrap(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> tuple[float, float]:
+    """Return the seeded 95 % percentile interval of the mean of (n,) ``values``, in their unit."""
+    low, high = np.percentile(bootstrap_means(values, resamples, seed), [2.5, 97.5])
+    return float(low), float(high)
 
 
 @dataclass(frozen=True)
@@ -42,10 +87,7 @@ Summary = dict[str, Estimate]
 
 
 def estimate(metric: Metric, values: Iterable[float | None]) -> Estimate:
-    """Return the mean of one metric over the episodes where it applies (a None is left out).
-
-    Rates get Wilson's interval, means the seeded bootstrap's.
-    """
+    """Return the mean of one metric over the episodes where it applies (a None is left out)."""
     known = np.array([value for value in values if value is not None], np.float64)
     if known.size == 0:
         return Estimate(None, None, None, metric.unit, 0)
@@ -63,8 +105,8 @@ def summarise_rows(rows: Sequence[Row]) -> Summary:
     return {name: estimate(metric, (row.get(name) for row in rows)) for name, metric in METRICS.items()}
 
 
-def split_rows(rows: Sequence[Row], stratum: str) -> dict[str, list[Row]]:
-    """Return the rows of every label of ``stratum``, in the stratum's order.
+def summarise_by(rows: Sequence[Row], stratum: str) -> dict[str, Summary]:
+    """Return every metric for every label of ``stratum``, in the stratum's order.
 
     Raises:
         ValueError: if there is no such stratum.
@@ -72,9 +114,4 @@ def split_rows(rows: Sequence[Row], stratum: str) -> dict[str, list[Row]]:
     if stratum not in STRATA:
         raise ValueError(f"unknown stratum {stratum!r}; known: {', '.join(STRATA)}")
     labels = STRATA[stratum].arrange({row[stratum] for row in rows})
-    return {label: [row for row in rows if row[stratum] == label] for label in labels}
-
-
-def summarise_by(rows: Sequence[Row], stratum: str) -> dict[str, Summary]:
-    """Return every metric for every label of ``stratum``, in the stratum's order."""
-    return {label: summarise_rows(group) for label, group in split_rows(rows, stratum).items()}
+    return {label: summarise_rows([row for row in rows if row[stratum] == label]) for label in labels}

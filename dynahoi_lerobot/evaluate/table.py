@@ -1,43 +1,105 @@
-"""Results as plain-text tables, in the column order of the paper."""
+"""Results as tables, which the terminal prints and the report shows."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by
+from dynahoi_lerobot.evaluate.summary import Estimate, Summary
 from dynahoi_lerobot.metrics import METRICS
 
-PAPER_COLUMNS = ("S_loc", "E_loc", "S_gra", "E_gra", "Q_smooth", "Q_line", "R_time")
-"""The seven metrics in the order of the paper's table "Online evaluation of mainstream policy models"."""
+MAIN_COLUMNS = ("S_loc", "S_joint", "S_gra_two_sided", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
+"""The paper's seven metrics, and beside its S_gra, which a fist passes, the grasp that a fist fails."""
 
-CONTACT_COLUMNS = ("S_hold", *PAPER_COLUMNS)
-"""The columns if any evaluation uses the capture rule contact."""
-
-
-LABELS = ("policy", "split", "protocol", "capture", "control", "inference", "benchmark")
-"""Titles of what is said about an evaluation in front of its numbers."""
+CONDITIONS = ("split", "protocol", "capture", "control", "inference", "render noise", "benchmark", "n")
+"""Titles of what is said about an evaluation beside its numbers: under others they do not compare."""
 
 
-def results_table(results: Sequence[Results], columns: Sequence[str] | None = None) -> str:
-    """Return one row per evaluation: what was run, number of episodes, and each metric with its interval."""
-    columns = columns or columns_for(results)
-    rows = [[*labels(result), str(len(result.rows)), *_cells(result.summary(), columns)] for result in results]
-    return _aligned([[*LABELS, "n", *map(heading, columns)], *rows], left=len(LABELS))
+@dataclass(frozen=True)
+class Cell:
+    """One cell.
+
+    Attributes:
+        text: what is printed.
+        detail: a smaller line under it.
+        key: the number to sort by; None sorts by the text.
+        mark: CSS class.
+    """
+
+    text: str
+    detail: str = ""
+    key: float | None = None
+    mark: str = ""
 
 
-def stratum_table(results: Results, stratum: str = "kind", columns: Sequence[str] | None = None) -> str:
-    """Return one row per label of ``stratum``, ``kind`` by default, each metric with its interval."""
+@dataclass(frozen=True)
+class Table:
+    """A table: a caption, its column titles and its rows."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def as_text(self) -> str:
+        """Return the lines of the table, its caption on top and columns with numbers flush right."""
+        texts = [[" ".join(filter(None, (cell.text, cell.detail))) for cell in row] for row in self.rows]
+        columns = [list(column) for column in zip(self.head, *texts, strict=True)]
+        for i, column in enumerate(columns):
+            width, right = max(map(len, column)), any(row[i].key is not None for row in self.rows)
+            columns[i] = [text.rjust(width) if right else text.ljust(width) for text in column]
+        lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
+        return "\n".join([*filter(None, [self.caption]), lines[0], "-" * max(map(len, lines)), *lines[1:]])
+
+
+def results_table(results: Sequence[Results]) -> str:
+    """Return one line per evaluation, each metric with its interval; what all of them share is in the first line."""
+    names = [result.marked(result.info.policy) for result in results]
+    return metrics_table(names, results, columns_for(results)).as_text()
+
+
+def metrics_table(labels: Sequence[str], results: Sequence[Results], columns: Sequence[str]) -> Table:
+    """Return a row for each evaluation; the best of those under equal conditions is marked.
+
+    Conditions that all evaluations share are in the caption, so that the metrics fit the page.
+    """
+    found = [conditions(result) for result in results]
+    differing = [i for i, values in enumerate(zip(*found, strict=True)) if len(set(values)) > 1]
+    shared = [f"{title} {found[0][i]}" for i, title in enumerate(CONDITIONS) if i not in differing]
+    best = _best(results, columns)
+    rows = tuple(
+        (
+            Cell(label),
+            *(_condition(CONDITIONS[i], found[place][i]) for i in differing),
+            *(metric_cell(result.summary()[name], "best" if (place, name) in best else "") for name in columns),
+        )
+        for place, (label, result) in enumerate(zip(labels, results, strict=True))
+    )
+    return Table(", ".join(shared), ("policy", *(CONDITIONS[i] for i in differing), *map(heading, columns)), rows)
+
+
+def stratum_table(
+    results: Results, stratum: str = "kind", columns: Sequence[str] | None = None, caption: str = ""
+) -> Table:
+    """Return one row per label of ``stratum``, each metric with its interval."""
     columns = columns or columns_for([results])
-    groups: Mapping[str, Summary] = summarise_by(results.rows, stratum)
-    counts = {label: sum(row[stratum] == label for row in results.rows) for label in groups}
-    rows = [[label, str(counts[label]), *_cells(summary, columns)] for label, summary in groups.items()]
-    return _aligned([[stratum, "n", *map(heading, columns)], *rows], left=1)
+    rows = tuple(
+        (Cell(label), _count(sum(row[stratum] == label for row in results.rows)), *_cells(summary, columns))
+        for label, summary in results.by(stratum).items()
+    )
+    return Table(caption, (stratum, "n", *map(heading, columns)), rows)
 
 
 def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
-    """Return the paper's columns, led by S_hold if any evaluation uses the capture rule contact."""
-    return CONTACT_COLUMNS if any(r.info.capture == "contact" for r in results) else PAPER_COLUMNS
+    """Return the main columns, led by S_hold if any evaluation uses the capture rule contact."""
+    return ("S_hold",) * any(r.info.capture == "contact" for r in results) + MAIN_COLUMNS
+
+
+def conditions(result: Results) -> list[str]:
+    """Return what ``CONDITIONS`` says about an evaluation."""
+    info, played = result.info, [result.protocol, result.capture, result.control_class]
+    return [info.split, *played, result.inference, result.render_noise, info.benchmark, str(len(result.rows))]
 
 
 def heading(name: str) -> str:
@@ -47,39 +109,43 @@ def heading(name: str) -> str:
     return f"{name}{unit} {'↑' if metric.direction == 'higher' else '↓'}"
 
 
-def printed(estimate: Estimate) -> str:
-    """Return ``value [low, high]``, fractions in per cent; a dash where no episode meets the condition."""
-    return " ".join(part for part in printed_parts(estimate) if part)
-
-
-def printed_parts(estimate: Estimate) -> tuple[str, str]:
-    """Return the value and its interval as ``printed`` joins them."""
+def metric_cell(estimate: Estimate, mark: str = "") -> Cell:
+    """Return a value and its interval, fractions in per cent; a dash where no episode meets the condition."""
     if estimate.value is None or estimate.low is None or estimate.high is None:
-        return "-", ""
+        return Cell("-")
     scale, digits = (100, 1) if estimate.unit == "fraction" else (1, 2)
     value, *ends = (f"{scale * end:.{digits}f}" for end in (estimate.value, estimate.low, estimate.high))
-    return value, f"[{', '.join(ends)}]"
+    return Cell(value, f"[{', '.join(ends)}]", estimate.value, mark)
 
 
-def labels(result: Results) -> list[str]:
-    """Return what ``LABELS`` says about an evaluation: under other conditions its numbers do not compare."""
-    info = result.info
-    played = [info.split, result.protocol, info.capture, result.control_class, result.inference]
-    return [result.shown_policy, *played, info.benchmark]
+def _best(results: Sequence[Results], columns: Sequence[str]) -> set[tuple[int, str]]:
+    """Return (row, metric) of the best values among rows under equal conditions, if there are two at least."""
+    groups: dict[tuple[str, ...], list[int]] = defaultdict(list)
+    for place, result in enumerate(results):
+        groups[tuple(conditions(result)[:-1])].append(place)
+    return {
+        (place, name)
+        for places in groups.values()
+        for name in columns
+        for place in _winners({place: results[place].summary()[name].value for place in places}, name)
+    }
 
 
-def _cells(summary: Summary, columns: Sequence[str]) -> list[str]:
-    return [printed(summary[name]) for name in columns]
+def _winners(values: dict[int, float | None], name: str) -> list[int]:
+    known = {place: value for place, value in values.items() if value is not None}
+    if len(known) < 2:
+        return []
+    top = max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
+    return [place for place, value in known.items() if value == top]
 
 
-def _aligned(table: list[list[str]], left: int) -> str:
-    """Return the lines of ``table``, its first ``left`` columns flush left and the others flush right."""
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if place < left else cell.rjust(width)
-            for place, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in table
-    ]
-    return "\n".join([lines[0], "-" * max(map(len, lines)), *lines[1:]])
+def _cells(summary: Summary, columns: Sequence[str]) -> list[Cell]:
+    return [metric_cell(summary[name]) for name in columns]
+
+
+def _condition(title: str, value: str) -> Cell:
+    return _count(int(value)) if title == "n" else Cell(value)
+
+
+def _count(number: int) -> Cell:
+    return Cell(str(number), key=number)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.evaluate.checkpoint import folder_weights
-from dynahoi_lerobot.evaluate.run_info import WEIGHTS, RunInfo
+from dynahoi_lerobot.evaluate.results import WEIGHTS, RunInfo
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from dynahoi_lerobot.core.arguments import number
-from dynahoi_lerobot.evaluate.actors import add_trust_argument
+from dynahoi_lerobot.evaluate.arguments import add_trust_argument
 from dynahoi_lerobot.generate import command
 from dynahoi_lerobot.onpolicy.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.rollout.teacher_labels import MakeAgent, record_on_policy

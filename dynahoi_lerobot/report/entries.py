@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 from dynahoi_lerobot.core.compatibility import refuse_to_mix
-from dynahoi_lerobot.evaluate.episode_row import IDENTITY, Row
-from dynahoi_lerobot.evaluate.results import Results, marked, read_results
-from dynahoi_lerobot.evaluate.summary import Summary, summarise_by
+from dynahoi_lerobot.core.files import printable
+from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
 
@@ -39,21 +37,6 @@ class Entry:
     label: str
     colour: str
 
-    @cached_property
-    def summary(self) -> Summary:
-        """Every metric over all episodes."""
-        return self.results.summary()
-
-    @cached_property
-    def _by_stratum(self) -> dict[str, dict[str, Summary]]:
-        return {}
-
-    def by(self, stratum: str) -> dict[str, Summary]:
-        """Return every metric for every label of ``stratum``; computed once."""
-        if stratum not in self._by_stratum:
-            self._by_stratum[stratum] = summarise_by(self.results.rows, stratum)
-        return self._by_stratum[stratum]
-
 
 def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = False) -> list[Entry]:
     """Read result folders, each once, best S_loc first.
@@ -63,13 +46,12 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
         MixedError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
             benchmark.
     """
-    unique = dict.fromkeys(Path(folder).resolve() for folder in folders)
-    results = [read_results(folder) for folder in unique]
+    results = [read_results(folder) for folder in dict.fromkeys(Path(folder).resolve() for folder in folders)]
     refuse_mixed_streams((result.folder, result.info.split) for result in results)
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in results]
         refuse_to_mix("benchmark", found, f"evaluate both under one version, or add {ALLOW_MISMATCH}")
-    results.sort(key=lambda result: -sum(row["S_loc"] for row in result.rows) / len(result.rows))
+    results.sort(key=lambda result: -(result.summary()["S_loc"].value or 0.0))
     labels = unique_labels(results)
     return [
         Entry(result, label, COLOURS[place % len(COLOURS)])
@@ -79,16 +61,20 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
     """Return a unique label per result: policy and inference, then folder and number if needed."""
-    names = [marked(short_name(result.info.policy), privileged=result.privileged) for result in results]
-    labels = [_timed(name, result.info.extra.get("inference")) for name, result in zip(names, results, strict=True)]
+    labels = [clip(_label(result)) for result in results]
     labels = [
-        clip(f"{label} ({result.folder.name})") if _is_repeated(label, labels) else label
+        clip(f"{label} ({result.folder.name})") if labels.count(label) > 1 else label
         for label, result in zip(labels, results, strict=True)
     ]
     return [
-        f"{label} #{labels[:place].count(label) + 1}" if _is_repeated(label, labels) else label
+        f"{label} #{labels[:place].count(label) + 1}" if labels.count(label) > 1 else label
         for place, label in enumerate(labels)
     ]
+
+
+def _label(result: Results) -> str:
+    name, inference = result.marked(short_name(result.info.policy)), result.info.extra.get("inference")
+    return f"{name}, {inference}" if inference else name
 
 
 def short_name(policy: str) -> str:
@@ -100,8 +86,7 @@ def short_name(policy: str) -> str:
 
 def clip(text: str, length: int = LABEL_LENGTH) -> str:
     """Return ``text`` in printable characters, shortened in the middle."""
-    clean = "".join(letter if letter.isprintable() else "?" for letter in text.strip())
-    half = (length - 1) // 2
+    clean, half = printable(text.strip()), (length - 1) // 2
     return clean if len(clean) <= length else f"{clean[:half]}…{clean[-half:]}"
 
 
@@ -109,11 +94,3 @@ def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
     """Return one row per distinct episode of all evaluations."""
     rows = {tuple(row[name] for name in IDENTITY): row for entry in entries for row in entry.results.rows}
     return list(rows.values())
-
-
-def _timed(name: str, inference: str | None) -> str:
-    return clip(f"{name}, {inference}") if inference else name
-
-
-def _is_repeated(label: str, labels: Sequence[str]) -> bool:
-    return Counter(labels)[label] > 1

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.report.clips import find_clips
+from dynahoi_lerobot.core.files import printable, write_atomically
+from dynahoi_lerobot.evaluate.compare import COMMANDS, compare, unequal_conditions
+from dynahoi_lerobot.evaluate.summary import Estimate
+from dynahoi_lerobot.evaluate.table import Cell, Table, columns_for, heading, metric_cell, metrics_table, stratum_table
+from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.report import figures
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
-from dynahoi_lerobot.report.figures.base import in_order
-from dynahoi_lerobot.report.tables import (
-    comparison_tables,
-    glossary,
-    main_metrics,
-    other_metrics,
-    stratum_tables,
-)
 
 FILE_NAME = "report.html"
+
+COMPARED = {
+    **{name: f"{heading(name)}: row minus column." for name in ("S_hold", "S_loc", "S_joint", "E_loc")},
+    COMMANDS: "Mean distance of the palm positions that they commanded in the same frames [cm].",
+}
+"""What paired evaluations are compared by, with the captions; metrics without pairs are omitted."""
+SIGNIFICANT = 0.05
+MOST_CLIPS = 12
+"""Clips shown per folder, the first by name; more would make the page too large."""
+LARGEST_CLIP_BYTES = 5_000_000
+GIF_HEADERS = (b"GIF87a", b"GIF89a")
 
 
 def render_report(
@@ -43,7 +51,16 @@ def render_report(
     if not folders:
         raise ValueError("a report needs at least one result folder, got none")
     entries = read_entries(folders, allow_version_mismatch=allow_version_mismatch)
-    html = _template().render(**page_content(entries, across))
+    return write_page(entries, out, across)
+
+
+def write_page(entries: Sequence[Entry], out: Path, across: Collection[str] = ()) -> Path:
+    """Write the page of ``entries`` as ``render_report`` does, and return its path."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    loader = FileSystemLoader(Path(__file__).with_name("templates"))
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    html = environment.get_template("report.html.j2").render(**page_content(entries, across))
     page = Path(out) / FILE_NAME if Path(out).is_dir() else Path(out)
     write_atomically({page: lambda path: path.write_text(html, encoding="utf-8")})
     return page
@@ -51,23 +68,77 @@ def render_report(
 
 def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict[str, Any]:
     """Return the template's variables."""
-    figures = [(figure, figure.render(entries)) for figure in in_order()]
+    labels, results = [entry.label for entry in entries], [entry.results for entry in entries]
+    main = columns_for(results)
+    other = [name for name in METRICS.names() if name not in main]
+    drawn = [(figure, figure.render(entries)) for figure in figures.FIGURES]
+    clips = [(entry.label, *clips_of(entry.results.folder)) for entry in entries]
     return {
         "entries": entries,
         "episodes": len(distinct_episodes(entries)),
-        "main_metrics": main_metrics(entries),
-        "other_metrics": other_metrics(entries),
+        "main_metrics": metrics_table(labels, results, main),
+        "other_metrics": metrics_table(labels, results, other),
         "comparisons": comparison_tables(entries, across),
-        "figures": [(figure, address) for figure, address in figures if address],
-        "per_kind": stratum_tables(entries, "kind"),
+        "figures": [(figure, address) for figure, address in drawn if address],
+        "per_kind": [stratum_table(entry.results, "kind", caption=entry.label) for entry in entries],
         "glossary": glossary(),
-        "clips": find_clips(entries),
+        "clips": [(label, shown, left_out) for label, shown, left_out in clips if shown],
     }
 
 
-def _template() -> Any:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+def glossary() -> Table:
+    """Return the definition of every registered metric: unit, direction, condition, formula and source."""
+    arrows = {"higher": "↑ higher", "lower": "↓ lower"}
+    rows = tuple(
+        tuple(map(Cell, (name, metric.unit, arrows[metric.direction], metric.condition or "all", metric.doc)))
+        for name, metric in METRICS.items()
+    )
+    return Table("Definitions of all metrics.", ("metric", "unit", "better", "episodes", "definition"), rows)
 
-    loader = FileSystemLoader(Path(__file__).with_name("templates"))
-    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    return environment.get_template("report.html.j2")
+
+def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) -> list[Table]:
+    """Return a matrix for each of ``COMPARED`` on the episodes that row and column both played.
+
+    Only evaluations under equal conditions are paired, except for those that are compared, ``across``.
+    """
+    tables = []
+    for name, caption in COMPARED.items():
+        cells = [[_compared(row, column, name, across) for column in entries] for row in entries]
+        if any(cell.key is not None for line in cells for cell in line):
+            rows = tuple((Cell(entry.label), *line) for entry, line in zip(entries, cells, strict=True))
+            tables.append(Table(caption, ("row, column", *(entry.label for entry in entries)), rows))
+    return tables
+
+
+def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> Cell:
+    if unequal := unequal_conditions(row.results, column.results, across):
+        return Cell("–", f"other {' and '.join(unequal)}")
+    result = compare(row.results, column.results, name, across=across, allow_version_mismatch=True)
+    if row is column or result is None:
+        return Cell("–")
+    unit = "cm" if name == COMMANDS else METRICS[name].unit
+    cell = metric_cell(Estimate(result.difference, result.low, result.high, unit, result.n))
+    if result.p_value is None:
+        return Cell(cell.text, f"{cell.detail} n = {result.n}", cell.key)
+    p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"
+    better = (result.difference > 0) == (METRICS[name].direction == "higher")
+    mark = ("better" if better else "worse") if result.p_value < SIGNIFICANT and result.difference else ""
+    return Cell(cell.text, f"{cell.detail} {p_value}, n = {result.n}", cell.key, mark)
+
+
+def clips_of(folder: Path) -> tuple[list[tuple[str, str]], int]:
+    """Return the names of a folder's first GIFs with their ``data:`` addresses, and the number of those left out."""
+    paths = [path for path in sorted(folder.glob("*.gif")) if _is_gif(path)]
+    shown = [
+        (printable(path.stem), "data:image/gif;base64," + base64.b64encode(path.read_bytes()).decode())
+        for path in paths[:MOST_CLIPS]
+    ]
+    return shown, len(paths) - len(shown)
+
+
+def _is_gif(path: Path) -> bool:
+    """Return whether this is a regular GIF of reasonable size; a link could embed any file."""
+    if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_CLIP_BYTES:
+        return False
+    with path.open("rb") as file:
+        return file.read(len(GIF_HEADERS[0])) in GIF_HEADERS

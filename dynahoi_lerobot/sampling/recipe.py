@@ -34,6 +34,7 @@ INSTRUCTION_STYLES = ("reveal", "neutral", "mixed")
 MIN_HOLD_FRAMES = 12
 """The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
 MAX_DISTURBANCE_M = 0.2
+MAX_RENDER_NOISE = 64
 IMAGE_SIZES_PX = (16, 1024)
 RECORDING = ("expert", "hold_frames", "disturbance_m", "keep_failures", "actor", "teacher_share")
 """Fields that matter only where a dataset is recorded."""
@@ -64,6 +65,7 @@ class Recipe:
         renderer: renderer of the images.
         hold_frames: frames to record after the intercept; all frames drawn for the episode by default.
         disturbance_m: standard deviation of the disturbance injected into the palm's commands [m].
+        render_noise: change every value of every image by at most so many of 255 levels, as renderers differ.
         salt: secret text that gives other episodes of the same benchmark; only a hash is stored.
         environment_state: show the simulator's truth as observation.environment_state, the target's pose and velocity.
         keep_failures: also store episodes that the expert fails, instead of drawing others in their place.
@@ -88,6 +90,7 @@ class Recipe:
     renderer: str = DEFAULT_RENDERER
     hold_frames: int | None = None
     disturbance_m: float = 0.0
+    render_noise: int = 0
     salt: str = field(default="", repr=False)
     environment_state: bool = False
     keep_failures: bool = False
@@ -123,6 +126,8 @@ class Recipe:
             raise ValueError(f"image_size must be {low} to {high} pixels, or 0 for no camera, got {self.image_size}")
         if not 0 <= self.disturbance_m <= MAX_DISTURBANCE_M:
             raise ValueError(f"disturbance_m must be 0 to {MAX_DISTURBANCE_M} m, got {self.disturbance_m}")
+        if not 0 <= self.render_noise <= MAX_RENDER_NOISE:
+            raise ValueError(f"render_noise must be 0 to {MAX_RENDER_NOISE} levels of 255, got {self.render_noise}")
         if self.hold_frames is not None and self.hold_frames < MIN_HOLD_FRAMES:
             raise ValueError(f"hold_frames must be at least {MIN_HOLD_FRAMES}, or null, got {self.hold_frames}")
         self._check_actor()
@@ -270,6 +275,9 @@ def load_recipe(path: Path | None) -> Recipe:
         return Recipe()
     if not isinstance(values, dict):
         raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
+    for name, value in values.items():
+        if (value is None and name != "hold_frames") or (isinstance(value, list) and None in value):
+            raise ValueError(f"{path}: {name} must not be null; leave it out for its default")
     for name in ("motions", "objects", "appearance", "views"):
         if isinstance(text := values.get(name), str):  # whose letters draccus would take for names
             raise ValueError(f"{path}: {name} must be a list, got {text!r}; write [{text}]")

@@ -1,56 +1,106 @@
-"""A client for an OpenAI-compatible endpoint, with one deadline per decision and an account of its requests."""
+"""A client for an OpenAI-compatible endpoint, with one deadline per decision and an account of its requests.
+
+A server may answer anything, the API key in any encoding included. So nothing that it says is stored or logged but what
+``reply`` has read of a valid answer, and token counts.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import math
+import logging
 import os
 import threading
 import time
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 
-from dynahoi_lerobot.vlm.account import Account, Cause, Usage
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, Prompt
-from dynahoi_lerobot.vlm.redaction import Redactor
 
 MAX_TOKENS = 4096
 MAX_TOKEN_COUNT = 10**9
 """A larger count for one request is not believed."""
-MAX_TIMEOUT_S = 86_400.0
-MAX_PRICE = 1e6
-MAX_LOGGED = 16_384
-"""Characters of an answer that are written to the log file."""
 FORMAT_REFUSED = (400, 422)
 """HTTP status codes with which servers refuse structured output."""
 BUSY = 429
 """HTTP status code with which servers ask for a pause."""
 BUSY_PAUSE_S = 1.0
 """Pause [s] where the server does not say how long; it doubles with each retry."""
-KEY_VARIABLE = "OPENAI_API_KEY"
-URL_VARIABLE = "OPENAI_BASE_URL"
+KEY_VARIABLE, URL_VARIABLE = "OPENAI_API_KEY", "OPENAI_BASE_URL"
 NO_KEY = "none"
 """Sent where no key is set; local servers check none."""
-MIN_KEY_LENGTH = 4
-"""A shorter key cannot be told from other text, so that it could not be kept out of what is stored."""
+WIRE_LOGGERS = ("openai", "httpx", "httpx2", "httpcore", "httpcore2")
+"""Loggers that print what a server sent, at level DEBUG."""
+
+
+class Cause(StrEnum):
+    """Why a request gave no commands: a fixed set, so that no server can add keys to a report."""
+
+    TIMEOUT = "timeout"
+    """The deadline of the decision passed."""
+    CONNECTION = "connection"
+    """Name resolution, TCP or TLS failed, the connection broke, or the response is not HTTP."""
+    HTTP_3XX = "http_3xx"
+    """A redirect; none is followed."""
+    HTTP_4XX = "http_4xx"
+    HTTP_5XX = "http_5xx"
+    HTTP_OTHER = "http_other"
+    MALFORMED = "malformed"
+    """The response body is not JSON, or not a chat completion with text."""
+    UNPLAYABLE = "unplayable"
+    """A chat completion whose text is not a valid answer."""
+    UNEXPECTED = "unexpected"
+    """Any other exception during a request."""
+
+
+@dataclass
+class Account:
+    """Totals over the requests of a run.
+
+    Attributes:
+        decisions: action chunks that were asked for.
+        failed: decisions without a valid answer, for which the hand held its pose.
+        failed_by: those, by the cause of the last request.
+        requests: HTTP requests, retries included.
+        failed_requests_by: requests without a valid answer, by cause.
+        prompt_tokens: counted by the server, over the requests whose usage is known.
+        completion_tokens: likewise.
+        unknown_usage: requests for which the server gave no valid token counts.
+        cost: of the known tokens, in the currency of the prices.
+        seconds: time spent waiting [s], summed over requests.
+        unlogged: requests that could not be written to the log file.
+    """
+
+    decisions: int = 0
+    failed: int = 0
+    failed_by: Counter[str] = field(default_factory=Counter)
+    requests: int = 0
+    failed_requests_by: Counter[str] = field(default_factory=Counter)
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
+    unknown_usage: int = 0
+    cost: float = 0.0
+    seconds: float = 0.0
+    unlogged: int = 0
 
 
 @dataclass
 class _Attempt:
-    """One request: the commands if its answer is valid, else the cause and what was wrong."""
+    """One request: the commands and skills if its answer is valid, else the cause and, in our words, the problem."""
 
     commands: np.ndarray | None = None
+    skills: list[tuple[str, int]] | None = None
     cause: Cause | None = None
     problem: str = ""
     status: int | None = None
     retry_after_s: float | None = None
-    text: str | None = None
-    usage: Usage | None = None
+    usage: tuple[int, int] | None = None
     seconds: float = 0.0
 
 
@@ -70,7 +120,7 @@ class VlmClient:
         retries: int = 2,
         prices: tuple[float, float] = (0.0, 0.0),
         prompt: Prompt = DEFAULT_PROMPT,
-        audit: Path | None = None,
+        log: Path | None = None,
     ) -> None:
         """Prepare requests to ``base_url``; the API key is read from the environment variable ``OPENAI_API_KEY``.
 
@@ -81,19 +131,16 @@ class VlmClient:
             retries: further requests after a failed one, as long as time is left.
             prices: of a million prompt and completion tokens, in any currency.
             prompt: what is asked.
-            audit: a JSON-lines file to which a line is appended for every request, with the text of the answer.
+            log: a JSON-lines file to which a line is appended for every request.
 
         Raises:
-            ValueError: for a number out of range, an invalid URL or key, if the endpoint is
-                OpenAI's and there is no key, or if the ``openai`` package is not installed.
+            ValueError: for an invalid URL or key, if the endpoint is OpenAI's and there is no key, or if the ``openai``
+                package is not installed.
         """
-        _check_numbers(timeout_s, retries, prices)
         self.account, self._prices, self._retries = Account(), prices, retries
-        self._model, self._audit, self._lock = model, audit, threading.Lock()
+        self._model, self._log, self._lock = model, log, threading.Lock()
         self._prompt, self._timeout_s, self._structured = prompt, timeout_s, True
-        self._redact = Redactor(_api_key(base_url))
-        self._redact.watch_loggers()
-        self._client = _connect(base_url, self._redact)
+        self._client = _connect(base_url)
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, daemon=True, name="vlm").start()
 
@@ -113,14 +160,18 @@ class VlmClient:
         messages = self._prompt.messages(task, state, image)
         attempt = asyncio.run_coroutine_threadsafe(self._decide(messages, task), self._loop).result()
         with self._lock:
-            self.account.add_decision(attempt.cause)
+            self.account.decisions += 1
+            if attempt.cause:
+                self.account.failed += 1
+                self.account.failed_by[attempt.cause] += 1
         return attempt.commands
 
     def report(self) -> dict[str, Any]:
         """Return the names of model and prompt and the account so far, as JSON values."""
         with self._lock:
-            asked = {"model": self._redact(self._model), "prompt": self._prompt.name}
-            return {**asked, "structured_output": self._structured, **self.account.report()}
+            asked = {"model": self._model, "prompt": self._prompt.name, "structured_output": self._structured}
+            totals = {name: dict(v) if isinstance(v, Counter) else v for name, v in vars(self.account).items()}
+            return asked | totals
 
     async def _decide(self, messages: list[dict[str, Any]], task: str) -> _Attempt:
         """Ask until an answer is valid, no retry is left or the deadline has passed; return the last attempt.
@@ -155,25 +206,22 @@ class VlmClient:
         try:
             async with asyncio.timeout_at(end):
                 completion = await self._post(messages, structured)
-            attempt.usage, attempt.text = _usage(completion), _text(completion)
-            attempt.commands = parse_reply(attempt.text)
+            attempt.usage = _usage(completion)
+            attempt.commands, attempt.skills = parse_reply(_text(completion))
         except (TimeoutError, openai.APITimeoutError):
-            attempt.cause, attempt.problem = Cause.TIMEOUT, f"no complete answer within {self._timeout_s:.3g} s"
+            attempt.cause = Cause.TIMEOUT
         except openai.APIStatusError as error:
-            attempt.cause, attempt.problem, attempt.status = (
-                Cause.of_status(error.status_code),
-                str(error),
-                error.status_code,
-            )
+            hundreds, attempt.status = error.status_code // 100, error.status_code
+            attempt.cause = Cause(f"http_{hundreds}xx") if hundreds in (3, 4, 5) else Cause.HTTP_OTHER
             attempt.retry_after_s = _retry_after_s(error.response.headers.get("retry-after", ""))
-        except openai.APIConnectionError as error:
-            attempt.cause, attempt.problem = Cause.CONNECTION, f"{error} {error.__cause__ or ''}"
+        except openai.APIConnectionError:
+            attempt.cause = Cause.CONNECTION
         except ReplyError as error:
             attempt.cause, attempt.problem = Cause.UNPLAYABLE, str(error)
-        except (ValueError, RecursionError, openai.APIResponseValidationError) as error:
-            attempt.cause, attempt.problem = Cause.MALFORMED, f"the response is no chat completion: {error}"
-        except Exception as error:  # whatever a server provokes must not end an evaluation of hours
-            attempt.cause, attempt.problem = Cause.UNEXPECTED, f"{type(error).__name__}: {error}"
+        except (ValueError, RecursionError, openai.APIResponseValidationError):
+            attempt.cause = Cause.MALFORMED
+        except Exception:  # whatever a server provokes must not end an evaluation of hours
+            attempt.cause = Cause.UNEXPECTED
         attempt.seconds = time.monotonic() - start
         return attempt
 
@@ -189,31 +237,36 @@ class VlmClient:
         )
 
     def _record(self, task: str, attempt: _Attempt) -> None:
+        """Count a request and append it to the log file; a full disk must not end an evaluation."""
         line = {
-            "task": self._redact(task),
+            "task": task,
             "seconds": round(attempt.seconds, 3),
             "cause": attempt.cause,
-            "problem": self._redact(attempt.problem)[:300],
+            "problem": attempt.problem,
+            "status": attempt.status,
             "usage": attempt.usage,
-            "answer": attempt.text and self._redact(attempt.text)[:MAX_LOGGED],
+            "skills": attempt.skills,
         }
+        tokens, account = attempt.usage or (0, 0), self.account
         with self._lock:
-            self.account.add_request(attempt.cause, attempt.usage, self._prices, attempt.seconds)
-            self.account.unlogged += not self._log(json.dumps(line))
+            account.requests += 1
+            account.seconds += attempt.seconds
+            account.unknown_usage += attempt.usage is None
+            account.prompt_tokens += tokens[0]
+            account.completion_tokens += tokens[1]
+            account.cost += float(np.dot(tokens, self._prices)) / 1e6
+            if attempt.cause:
+                account.failed_requests_by[attempt.cause] += 1
+            try:
+                if self._log:
+                    with self._log.open("a") as stream:
+                        stream.write(json.dumps(line) + "\n")
+            except OSError:
+                account.unlogged += 1
 
-    def _log(self, line: str) -> bool:
-        """Append a line to the log file; return whether that worked, as a full disk must not end an evaluation."""
-        try:
-            if self._audit:
-                with self._audit.open("a") as stream:
-                    stream.write(line + "\n")
-        except OSError:
-            return False
-        return True
 
-
-def _usage(completion: Any) -> Usage | None:
-    """Return what the server counted; None unless both counts are integers from 0 to ``MAX_TOKEN_COUNT``."""
+def _usage(completion: Any) -> tuple[int, int] | None:
+    """Return the tokens of prompt and answer; None unless both are integers from 0 to ``MAX_TOKEN_COUNT``."""
     usage = getattr(completion, "usage", None)
     prompt, answered = (getattr(usage, name, None) for name in ("prompt_tokens", "completion_tokens"))
     counts = all(type(count) is int and 0 <= count <= MAX_TOKEN_COUNT for count in (prompt, answered))
@@ -240,39 +293,28 @@ def _retry_after_s(header: str) -> float | None:
     return float(header) if header.isdecimal() and len(header) <= 6 else None
 
 
-def _api_key(base_url: str | None) -> str:
-    """Return the API key from the environment, empty if none is set.
-
-    Raises:
-        ValueError: if the endpoint is OpenAI's and there is no key, if the key cannot stand in an HTTP header, or if it
-            is too short to be redacted.
-    """
-    key = os.environ.get(KEY_VARIABLE, "").strip()
-    if base_url is None and not key:
-        raise ValueError(f"without --base-url the endpoint is OpenAI's and {KEY_VARIABLE} must be set; it is not")
-    if not all("!" <= character <= "~" for character in key):
-        raise ValueError(f"{KEY_VARIABLE} contains a space or a character that is not printable ASCII")
-    if 0 < len(key) < MIN_KEY_LENGTH:
-        raise ValueError(
-            f"{KEY_VARIABLE} has {len(key)} characters; a key has {MIN_KEY_LENGTH} or more, and a server that checks "
-            "none needs none"
-        )
-    return key
-
-
-def _connect(base_url: str | None, redact: Redactor) -> Any:
+def _connect(base_url: str | None) -> Any:
     """Return an `openai.AsyncOpenAI` client without retries of its own, which follows no redirect.
 
     Raises:
-        ValueError: if the ``openai`` package is not installed, or ``base_url`` is not an HTTP URL without credentials.
+        ValueError: if the ``openai`` package is not installed, ``base_url`` is not an HTTP URL without credentials, or
+            the key is missing for OpenAI's endpoint or cannot stand in a header.
     """
     try:
         import openai
     except ImportError as error:
         raise ValueError(f"a VLM needs the openai client ({error}), which the extra `vlm` installs") from error
-    _check_url(os.environ.get(URL_VARIABLE) or None if base_url is None else base_url, redact)
+    for name in WIRE_LOGGERS:
+        logging.getLogger(name).setLevel(logging.WARNING)
+    url, key = base_url, os.environ.get(KEY_VARIABLE, "").strip()
+    if url is None and not key:
+        raise ValueError(f"without --base-url the endpoint is OpenAI's and {KEY_VARIABLE} must be set; it is not")
+    if not all("!" <= character <= "~" for character in key):
+        raise ValueError(f"{KEY_VARIABLE} contains a space or a character that is not printable ASCII")
+    if (url := os.environ.get(URL_VARIABLE) or None if url is None else url) is not None:
+        _check_url(url)
     return openai.AsyncOpenAI(
-        api_key=redact.secret or NO_KEY,
+        api_key=key or NO_KEY,
         base_url=base_url,
         max_retries=0,
         default_headers={"Connection": "close"},  # a server that drops one request must not fail the next
@@ -280,28 +322,13 @@ def _connect(base_url: str | None, redact: Redactor) -> Any:
     )
 
 
-def _check_url(url: str | None, redact: Redactor) -> None:
-    if url is None:
-        return
+def _check_url(url: str) -> None:
     try:
         parts = urlsplit(url)
-        valid, credentials = (
-            parts.scheme in ("http", "https") and parts.hostname and parts.port != 0,
-            "@" in parts.netloc,
-        )
+        valid = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
     except ValueError:  # of a port that is no number, or an unclosed bracket
-        valid, credentials = False, False
-    if credentials:
+        parts, valid = None, False
+    if parts and "@" in parts.netloc:
         raise ValueError(f"the base URL contains a user name or password; set {KEY_VARIABLE} instead")
     if not valid:
-        raise ValueError(f"the base URL is {redact(url)!r}; it must be like http://localhost:8000/v1")
-
-
-def _check_numbers(timeout_s: float, retries: int, prices: tuple[float, float]) -> None:
-    if not 0 < timeout_s <= MAX_TIMEOUT_S:
-        raise ValueError(f"the timeout is {timeout_s} s; it must be above 0 and at most {MAX_TIMEOUT_S:.0f} s")
-    if retries < 0:
-        raise ValueError(f"the number of retries is {retries}; it must not be negative")
-    for price in prices:
-        if not (math.isfinite(price) and 0 <= price <= MAX_PRICE):
-            raise ValueError(f"the price of a million tokens is {price}; it must be from 0 to {MAX_PRICE:.0f}")
+        raise ValueError(f"the base URL is {url!r}; it must be like http://localhost:8000/v1")

@@ -64,7 +64,7 @@ PROMPTS = {"extended": Template(EXTENDED), "paper": Template(PAPER)}
 """By the name that ``--prompt`` takes and that results carry. Both ask for the same answer, but for ``terminate_if``.
 
 The paper gives ``terminate_if`` no grammar, and says that the simulator receives the rollout. So an answer may hold any
-value there; it is written to the log with the answer and, as the skills themselves, changes no command."""
+value there; as the skills themselves, it changes no command."""
 
 
 @dataclass(frozen=True)

@@ -53,11 +53,12 @@ class Answer(_Strict):
         return self
 
 
-def parse_reply(text: str) -> np.ndarray:
-    """Return the commands of an answer; a Markdown fence around the JSON is accepted, no other text is.
+def parse_reply(text: str) -> tuple[np.ndarray, list[tuple[str, int]]]:
+    """Return the commands of an answer and its skills; a Markdown fence around the JSON is accepted, no other text is.
 
     Returns:
-        (10, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but not clipped.
+        (10, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but not clipped; and the
+        name of each skill with its duration [frames].
 
     Raises:
         ReplyError: if the text is not JSON or not an ``Answer``.
@@ -72,5 +73,6 @@ def parse_reply(text: str) -> np.ndarray:
         place = ".".join(map(str, first["loc"])) or "the answer"
         raise ReplyError(f"{place}: {first['msg']}"[:MAX_REASON]) from None
     except ValueError as error:  # text that is not Unicode
-        raise ReplyError(f"the answer cannot be read: {error}"[:MAX_REASON]) from None
-    return np.array([frame.hand_params for frame in answer.predicted_motion], np.float64)
+        raise ReplyError(f"the answer cannot be read ({type(error).__name__})") from None
+    commands = np.array([frame.hand_params for frame in answer.predicted_motion], np.float64)
+    return commands, [(step.skill, step.duration) for step in answer.action_sequence]

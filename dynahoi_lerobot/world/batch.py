@@ -21,7 +21,7 @@ from dynahoi_lerobot.scene.servo import Servo, SpeedLimits, check_command
 from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
 from dynahoi_lerobot.world.commands import CommandLatency, DisturbanceInjection
 from dynahoi_lerobot.world.physics import Physics, Targets
-from dynahoi_lerobot.world.sensors import Cameras, Fingertips
+from dynahoi_lerobot.world.sensors import Cameras, Fingertips, with_render_noise
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.sampling.recipe import Recipe
@@ -244,7 +244,7 @@ class WorldBatch:
         sensed = self.rule.uses_contact_sensors
         views = (EGO_VIEW, *self.recipe.views) if images and self.recipe.image_size else ()
         return Observation(
-            images={view: self.cameras.render(self._seeing(ids), view) for view in views},
+            images={view: self._render(view, self._seeing(ids)) for view in views},
             state=self.state.astype(np.float32),
             fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
             phase=one_hot_phase(self.accepting),
@@ -303,6 +303,16 @@ class WorldBatch:
     def _windows(self) -> np.ndarray:
         """(N,) int, length of each world's observation window [frames]."""
         return np.array([0 if spec is None else spec.window_frames for spec in self.specs])
+
+    def _render(self, view: str, ids: np.ndarray) -> np.ndarray:
+        """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are drawn."""
+        images, levels = self.cameras.render(ids, view), self.recipe.render_noise
+        if levels:
+            images = images.copy()
+            for i in ids:
+                if (spec := self.specs[i]) is not None:
+                    images[i] = with_render_noise(images[i], levels, spec.seed, int(self.frame[i]), view)
+        return images
 
     def _truth(self) -> np.ndarray:
         """(N, 13) float32 pose [m, 1] and velocity [m/s, rad/s] of the targets."""

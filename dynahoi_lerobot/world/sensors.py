@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 
 import numpy as np
@@ -15,6 +16,19 @@ from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
+
+RENDER_NOISE = 0x0153
+"""Distinguishes the random numbers of the render noise from others of the same seed."""
+
+
+def with_render_noise(image: np.ndarray, levels: int, seed: int, frame: int, view: str) -> np.ndarray:
+    """Return an image (H, W, 3) uint8 whose values have changed by at most ``levels``, as from renderer to renderer.
+
+    The changes are uniform whole numbers, a function of the episode's seed, the frame and the view.
+    """
+    rng = np.random.default_rng([RENDER_NOISE, seed, frame, zlib.crc32(view.encode())])
+    change = rng.integers(-levels, levels, image.shape, np.int16, endpoint=True)
+    return np.clip(image + change, 0, 255).astype(np.uint8)
 
 
 class Cameras:

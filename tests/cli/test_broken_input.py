@@ -91,7 +91,7 @@ GENERATE = ["generate", "--root", "made", "--episodes", "1", "--motions", "const
         ([*GENERATE, "--executor", "local", "--workers", "0"], "number of workers is 0; it must be 1 or more"),
         ([*GENERATE, "--executor", "slurm", "--dry-run", "--time", "soon"], "time limit is 'soon'; it must be like 24"),
         ([*GENERATE, "--recipe", "recipe.yaml"], "motions must be a list, got 'lob'; write [lob]"),
-        (["evaluate", "--policy", "hold", "--out", "recipe.yaml"], "recipe.yaml is a file; name a folder"),
+        (["evaluate", "--policy", "hold", "--out", "recipe.yaml"], "recipe.yaml is a file; remove it"),
         (["view", "--motion", "lob", "--seed", "46"], "has 45 episodes of motion 'lob', so --seed must be 0 to 44"),
         (["view", "--motion", "lob", "--seed", str(2**40)], f"a whole number from 0 to {2**40 - 1}, got {2**40}"),
         (["report", "recipe.yaml"], "recipe.yaml; run `dynahoi evaluate` with this folder"),

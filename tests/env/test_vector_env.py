@@ -340,6 +340,21 @@ def test_a_batch_takes_one_seed_for_each_world_of_any_kind_of_integer() -> None:
         env.reset(seed=[1, 2, 3])
 
 
+@ENVS
+@pytest.mark.parametrize("options", [[1], "text", 5])
+def test_the_options_of_a_reset_are_a_dictionary(make: Callable, options: Any) -> None:
+    with pytest.raises(ValueError, match="options of a reset must be a dictionary, or None, got"):
+        make(image_size=0).reset(options=options)
+
+
+@pytest.mark.parametrize("value", [-1, 1.5, "2", True, None])
+def test_numbers_of_worlds_and_threads_are_whole(value: Any) -> None:
+    with pytest.raises(ValueError, match=f"num_envs must be an integer of at least 1, got {value!r}"):
+        DynahoiVectorEnv(value, image_size=0)
+    with pytest.raises(ValueError, match=f"threads must be an integer of at least 0, got {value!r}"):
+        DynahoiVectorEnv(1, image_size=0, threads=value)
+
+
 def test_options_are_fields_of_a_recipe_and_unknown_ones_are_refused() -> None:
     env = DynahoiVectorEnv(1, recipe=Recipe(split="val", image_size=0), control_class="late", views=["side"])
     assert env.recipe == Recipe(split="val", image_size=0, control_class="late", views=("side",))

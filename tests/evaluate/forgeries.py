@@ -59,6 +59,12 @@ def another_fingerprint(folder: Path) -> None:
     edited_head(folder, fingerprint="0123456789abcdef")
 
 
+def another_version(folder: Path) -> None:
+    results = read_results(folder)
+    rows = tuple(row | {"benchmark": "v9"} for row in results.rows)
+    rewritten(folder, rows=rows, info=replace(results.info, benchmark="v9"))
+
+
 def another_interval(folder: Path) -> None:
     head = json.loads((folder / "metrics.json").read_text())
     head["per_kind"][next(iter(head["per_kind"]))]["S_loc"]["low"] += 0.125
@@ -108,7 +114,7 @@ FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (more_attempts, "seed {0} took 3 attempts; a policy has one"),
     (longer_logs, "an evaluation with them"),
     (shorter_log, "seed {1}: the log has "),
-    (lambda folder: edited_head(folder, benchmark="v9"), "are of version v9 of the benchmark, here is v"),
+    (another_version, "are of version v9 of the benchmark, here is v"),
     (another_fingerprint, "or another recipe (0123456789abcdef, here is "),
     (lambda folder: edited_head(folder, split="val"), "names split val and capture rule attach, but its recipe plays"),
     (lambda folder: edited_head(folder, split="test_small+12345678"), "but its recipe plays test_small\n"),

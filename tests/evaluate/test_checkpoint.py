@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import inspect
+import io
 import itertools
 import json
 import os
@@ -123,7 +124,9 @@ def test_a_third_partys_step_plays_with_trust(checkpoint: Path) -> None:
         {"registry_name": "device_processor", "config": {"pretrained_path": "x"}},
         {"registry_name": "device_processor", "state_file": "../../secret.safetensors"},
         {"registry_name": "device_processor", "state_file": "/etc/passwd"},
+        {"registry_name": "device_processor", "state_file": ".."},
         {"registry_name": "device_processor", "state_file": ["x"]},
+        {"registry_name": "device_processor", "config": {}, "import": "os"},
         {},
     ],
 )
@@ -181,17 +184,42 @@ def test_links_that_lead_out_are_refused(name: str, checkpoint: Path, tmp_path: 
     [
         (PREPROCESSOR, "{"),
         (PREPROCESSOR, "[" * 10**5),
+        ("config.json", '{"a":' * 5000 + "1" + "}" * 5000),
         (PREPROCESSOR, "[1]"),
         (PREPROCESSOR, '{"steps": [1]}'),
         (PREPROCESSOR, '{"steps": [{"registry_name": "device_processor", "config": 5}]}'),
         ("config.json", "[]"),
         ("model.safetensors", "no tensors"),
+        ("more\x1b[2J.json", "{}"),
+        ("more\x1b[2J.safetensors", ""),
     ],
 )
-def test_damaged_files_are_one_sentence(name: str, text: str, checkpoint: Path) -> None:
+def test_damaged_files_are_one_sentence(name: str, text: str, checkpoint: Path, capsys: pytest.CaptureFixture) -> None:
     (checkpoint / name).write_text(text)
-    with pytest.raises(PolicyError, match=name):
-        PolicyAgent(str(checkpoint))
+    assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert message.strip().isprintable()
+    assert str(checkpoint) in message
+
+
+HOSTILE_TRAINING = [[1], {"env": [1]}, {"env": "x"}, {"dataset": [1]}, {"dataset": {"root": 5}}]
+HOSTILE_TRAINING += [{"dataset": {"root": root}} for root in (["a"], "a" * 10**5, "\0", "/dev")]
+HOSTILE_TRAINING += [
+    {"env": {"type": "dynahoi", "control_class": value}} for value in (["late"], "\x1b[2J", {"a": 1}, 5)
+]
+
+
+@pytest.mark.parametrize("training", HOSTILE_TRAINING, ids=lambda training: str(training)[:40])
+def test_what_a_checkpoint_says_of_its_training_is_read_or_refused(
+    training: object, checkpoint: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (checkpoint / "train_config.json").write_text(json.dumps(training))
+    words = ["evaluate", "--policy", str(checkpoint), "--motions", "no_such_motion"]
+    assert cli.main(words) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1
+    assert (said.out + said.err).replace("\n", "").isprintable()
 
 
 def without_one(weights: dict[str, Any]) -> None:
@@ -237,29 +265,51 @@ def loop(file: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [sparse, fifo, loop])
-@pytest.mark.parametrize("name", ["config.json", PREPROCESSOR, "more.json"])
+@pytest.mark.parametrize("name", ["config.json", PREPROCESSOR, "more.json", "more.safetensors"])
 def test_files_that_never_end_are_refused_at_once(damage: Callable[[Path], None], name: str, checkpoint: Path) -> None:
     (checkpoint / name).touch()
     damage(checkpoint / name)
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(PolicyError):
         checked_folder(str(checkpoint))
-    assert time.monotonic() - start < 1
+    assert time.process_time() - start < 1
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        *itertools.product(["n_attention_layers", "width", "n_obs_frames", "horizon"], [1e9, 10**9]),
+        *itertools.product(["n_attention_layers", "width", "n_obs_frames", "horizon"], [1e9, 10**9, 10**400]),
+        *itertools.product(["n_obs_frames", "n_action_steps", "window_reach", "obs_stride"], [10**6]),
         *itertools.product(["n_attention_layers", "width"], [10**5, 10**7]),
     ],
 )
 def test_sizes_that_no_machine_has_are_refused(key: str, value: float, checkpoint: Path) -> None:
     change(checkpoint / "config.json", lambda config: config.update({key: value}))
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(PolicyError):
         PolicyAgent(str(checkpoint))
-    assert time.monotonic() - start < 1
+    assert time.process_time() - start < 1
+
+
+@pytest.mark.parametrize("setting", [{"fps": 1e-300}, {"image_size": 3}, {"noise_scale": 1e7, "image_size": 10**6}])
+def test_a_policy_that_fails_while_it_plays_is_one_sentence(
+    setting: dict[str, Any], checkpoint: Path, capsys: pytest.CaptureFixture
+) -> None:
+    change(checkpoint / "config.json", lambda config: config.update(setting))
+    assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
+    assert "the policy cannot play: " in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_nobody_is_asked_whether_to_run_code(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As transformers does, on the terminal, if a repository that the config names holds some."""
+
+    def from_pretrained(*_: object, **__: object) -> None:
+        assert input("Do you wish to run the custom code? [y/N] ") == "y"
+
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    monkeypatch.setattr("lerobot_policy_tracker.modeling_tracker.TrackerPolicy.from_pretrained", from_pretrained)
+    with pytest.raises(PolicyError, match="EOFError"):
+        PolicyAgent(str(checkpoint))
 
 
 @pytest.mark.parametrize("name", ["a" * 5000, "a/" + "b" * 5000, "nowhere"])

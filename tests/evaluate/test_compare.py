@@ -1,32 +1,38 @@
-"""Paired comparisons: exact McNemar by hand, the paired interval, pairing by identity."""
+"""Paired comparisons: exact McNemar by hand, the paired interval, pairing by identity, under equal conditions."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.core.registry import UnknownNameError
-from dynahoi_lerobot.evaluate.compare import compare, mcnemar, paired_values
+from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, mcnemar, paired_values
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
+
+IDENTITY = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40}
+RULES = {"protocol": "observe_before_act", "control_class": "standard"}
 
 
-def rows(values: list[float | None], metric: str = "S_loc", first_seed: int = 0, **changes: object):
-    base = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40, "benchmark": "v1", **changes}
-    return [{**base, "seed": first_seed + i, metric: value} for i, value in enumerate(values)]
+def results(values: list, metric: str = "S_loc", first_seed: int = 0, folder: str = "a", **changes) -> Results:
+    """Results with one row a value; ``changes`` go into the rows, or where the condition of that name is."""
+    noise, inference = changes.pop("render_noise", 0), changes.pop("inference", "")
+    extra = {"inference": inference, "recipe": {"render_noise": noise}}
+    benchmark, capture = changes.pop("benchmark", "v1"), changes.pop("capture", "attach")
+    info = RunInfo("p", changes.pop("stream", "test"), capture, "cmd", "f", extra, benchmark)
+    base = {**IDENTITY, **RULES, "window_frames": 8, **changes}
+    rows = tuple({**base, "seed": first_seed + i, metric: value} for i, value in enumerate(values))
+    return Results(Path(folder), info, rows, tuple(np.zeros((12, 18), np.float32) for _ in rows))
 
 
 @pytest.mark.parametrize(
     ("only_a", "only_b", "p_value"),
-    [
-        (0, 0, 1.0),
-        (3, 3, 1.0),
-        (0, 5, 2 / 32),
-        (1, 5, 2 * (1 + 6) / 64),
-        (8, 2, 2 * (1 + 10 + 45) / 1024),
-    ],
+    [(0, 0, 1.0), (3, 3, 1.0), (0, 5, 2 / 32), (1, 5, 2 * (1 + 6) / 64), (8, 2, 2 * (1 + 10 + 45) / 1024)],
 )
 def test_mcnemar_by_hand(only_a: int, only_b: int, p_value: float):
-    assert mcnemar(only_a, only_b) == pytest.approx(p_value)
-    assert mcnemar(only_b, only_a) == pytest.approx(p_value)
+    assert mcnemar(only_a, only_b) == mcnemar(only_b, only_a) == pytest.approx(p_value)
 
 
 def test_mcnemar_of_many_episodes_does_not_overflow():
@@ -34,51 +40,72 @@ def test_mcnemar_of_many_episodes_does_not_overflow():
 
 
 def test_rates_are_compared_by_their_discordant_episodes():
-    result = compare(rows([1.0] * 6 + [0.0] * 4), rows([1.0] + [0.0] * 9), "S_loc")
-    assert (result.n, result.difference) == (10, pytest.approx(0.5))
-    assert result.p_value == pytest.approx(2 / 32)
-    assert result.low < 0.5 < result.high
+    found = compare(results([1.0] * 6 + [0.0] * 4), results([1.0] + [0.0] * 9), "S_loc")
+    assert (found.n, found.difference) == (10, pytest.approx(0.5))
+    assert found.p_value == pytest.approx(2 / 32)
+    assert found.low < 0.5 < found.high
 
 
 def test_a_constant_paired_difference_has_no_spread():
-    a, b = rows([1.0, 2.0, 3.0, 9.0], "E_loc"), rows([0.5, 1.5, 2.5, 8.5], "E_loc")
-    result = compare(a, b, "E_loc")
-    assert (result.difference, result.low, result.high) == (0.5, 0.5, 0.5)
-    assert result.p_value < 0.01
+    a, b = results([1.0, 2.0, 3.0, 9.0], "E_loc"), results([0.5, 1.5, 2.5, 8.5], "E_loc")
+    found = compare(a, b, "E_loc")
+    assert (found.difference, found.low, found.high) == (0.5, 0.5, 0.5)
+    assert found.p_value < 0.01
     assert compare(b, a, "E_loc").difference == -0.5
+    same = compare(a, a, "E_loc")
+    assert (same.difference, same.low, same.high, same.p_value) == (0.0, 0.0, 0.0, 1.0)
 
 
-def test_equal_policies_do_not_differ():
-    a = rows([0.3, 0.9, 0.1], "E_loc")
-    result = compare(a, a, "E_loc")
-    assert (result.difference, result.low, result.high, result.p_value) == (0.0, 0.0, 0.0, 1.0)
+def test_commands_are_as_far_apart_as_the_palms_in_the_control_frames_that_both_have():
+    a, b = results([1.0, 1.0]), results([1.0, 1.0])
+    for actions, offset_m in zip(b.actions, (0.03, 0.05), strict=True):
+        actions[8:, :3] += (0.0, offset_m, 0.0)
+        actions[:8], actions[:, 3:] = 9.0, 9.0  # neither the window nor the fingers count
+    shorter = Results(b.folder, b.info, b.rows, (b.actions[0][:10], b.actions[1]))
+    for other in (b, shorter):
+        found = compare(a, other, COMMANDS)
+        assert (found.n, found.difference) == (2, pytest.approx(4.0))
+        assert found.low == pytest.approx(3.0)
+        assert found.high == pytest.approx(5.0)
+    assert compare(a, a, COMMANDS).difference == 0
 
 
 def test_only_the_same_episodes_are_paired_whatever_their_order():
-    a, b = rows([1.0, 2.0, 3.0], "E_loc"), rows([20.0, 30.0, 40.0], "E_loc", first_seed=1)
-    assert paired_values(a, b[::-1], "E_loc").tolist() == [[2.0, 20.0], [3.0, 30.0]]
+    a, b = results([1.0, 2.0, 3.0], "E_loc"), results([20.0, 30.0, 40.0], "E_loc", first_seed=1)
+    backwards = Results(b.folder, b.info, b.rows[::-1], b.actions)
+    assert paired_values(a, backwards, "E_loc").tolist() == [[2.0, 20.0], [3.0, 30.0]]
+    conditional = results([1.0, None, 0.0], "S_gra"), results([1.0, 1.0, None], "S_gra")
+    assert paired_values(*conditional, "S_gra").tolist() == [[1.0, 1.0]]
 
 
 @pytest.mark.parametrize("change", [{"split": "val"}, {"kind": "bounce"}, {"object": "egg"}, {"length_frames": 41}])
 def test_a_seed_alone_does_not_make_a_pair(change: dict):
-    with pytest.raises(ValueError, match="share no episode with a value of S_loc"):
-        compare(rows([1.0]), rows([1.0], **change), "S_loc")
-
-
-def test_conditional_metrics_pair_where_both_apply():
-    pairs = paired_values(rows([1.0, None, 0.0], "S_gra"), rows([1.0, 1.0, None], "S_gra"), "S_gra")
-    assert pairs.tolist() == [[1.0, 1.0]]
+    assert compare(results([1.0]), results([1.0], **change), "S_loc") is None
+    assert compare(results([1.0]), results([1.0], **change), COMMANDS) is None
 
 
 def test_an_unknown_metric_is_named():
     with pytest.raises(UnknownNameError, match="S_lok"):
-        compare(rows([1.0]), rows([1.0]), "S_lok")
+        compare(results([1.0], "S_lok"), results([1.0], "S_lok"), "S_lok")
 
 
-def test_versions_of_the_benchmark_are_not_compared_unless_asked():
-    new, old = rows([1.0, 1.0]), rows([0.0, 1.0], benchmark="v0")
-    with pytest.raises(
-        MixedError, match=r"seed 0 of A has benchmark 'v1', seed 0 of B has benchmark 'v0'; evaluate both"
-    ):
-        compare(new, old, "S_loc")
-    assert compare(new, old, "S_loc", allow_version_mismatch=True).difference == pytest.approx(0.5)
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"protocol": "direct_act"},
+        {"control_class": "late"},
+        {"inference": "async 150 ms"},
+        {"render_noise": 2},
+        {"capture": "contact"},
+        {"benchmark": "v0"},
+        {"stream": "test+0a0a0a0a"},
+    ],
+)
+def test_other_conditions_are_refused_unless_they_are_what_is_compared(other: dict):
+    a, b = results([1.0, 1.0]), results([0.0, 1.0], folder="b", **other)
+    ((name, value),) = other.items()
+    with pytest.raises(MixedError, match=f"b has {'salt' if name == 'stream' else name} '{str(value).split('+')[-1]}'"):
+        compare(a, b, "S_loc", across=[crossed for crossed in CROSSABLE if crossed != name])
+    if name in CROSSABLE or name == "benchmark":
+        allowed = compare(a, b, "S_loc", across=CROSSABLE, allow_version_mismatch=True)
+        assert allowed.difference == pytest.approx(0.5)

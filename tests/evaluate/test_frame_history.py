@@ -7,7 +7,7 @@ import copy
 import pytest
 import torch
 
-from dynahoi_lerobot.evaluate.frame_history import note_frame, queued_frame
+from dynahoi_lerobot.evaluate.policy_agent import note_frame, queued_frame
 
 
 @pytest.fixture(scope="module")

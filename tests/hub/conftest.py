@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.evaluate.results import write_results
+from dynahoi_lerobot.evaluate.results import RunInfo, write_results
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.hub.server import TOKEN, Hub, serving
 from tests.synthetic import synthetic_episode
@@ -69,8 +69,6 @@ def write_split(
     """Write the results of episodes that all are the same but for their seeds."""
     episode = synthetic_episode(0, image_size=None)
     played = Recipe(split=split, **recipe).stored()
-    write_results(
-        folder, [replace(episode, meta=replace(episode.meta, seed=seed)) for seed in seeds], policy=policy,
-        split=split, capture="attach", command=command, fingerprint="f", extra={"recipe": played} | (extra or {}),
-    )  # fmt: skip
+    info = RunInfo(policy, split, "attach", command, "f", {"recipe": played} | (extra or {}))
+    write_results(folder, [replace(episode, meta=replace(episode.meta, seed=seed)) for seed in seeds], info)
     return folder

@@ -22,6 +22,7 @@ DESIGNED = {
         "S_gra",
         "S_gra_window",
         "S_joint",
+        "S_joint_paper",
         "S_hold",
         "E_loc",
         "E_gra",
@@ -99,7 +100,7 @@ def test_metrics_are_pure(seed: int):
 @given(st.integers(0, 2**32 - 1))
 def test_the_order_between_related_metrics(seed: int):
     value = measure(wild_episode(seed))
-    assert value["S_joint"] <= value["S_loc"] <= value["S_loc_planar"]
+    assert value["S_joint"] <= value["S_joint_paper"] <= value["S_loc"] <= value["S_loc_planar"]
     assert value["R_time_total"] <= value["R_time"]
     assert value["grasp_strict"] <= value["grasp_medium"] <= value["grasp_loose"]
     assert (value["S_gra"] is None) == (value["S_loc"] == 0)

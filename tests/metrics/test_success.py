@@ -71,7 +71,7 @@ def test_errors_are_least_control_distances_in_units_of_a_decimetre():
 def test_the_grasp_is_judged_at_the_first_localised_frame(joints, at_once, within):
     episode = hand_made(LINE, joints=joints, localized_from=2)
     assert METRICS["S_gra"](episode) == at_once
-    assert METRICS["S_joint"](episode) == at_once
+    assert METRICS["S_joint_paper"](episode) == at_once
     assert METRICS["S_gra_window"](episode) == within
 
 
@@ -138,7 +138,13 @@ def test_the_first_opportunity_ends_a_tenth_of_a_second_after_the_intercept(loca
 @pytest.mark.parametrize(("angle", "expected"), [(0.89, 0.0), (0.91, 1.0), (1.19, 1.0), (1.21, 0.0), (-1.0, 0.0)])
 def test_a_two_sided_grasp_is_neither_too_open_nor_too_closed(angle: float, expected: float):
     episode = hand_made(LINE, joints=[0.0, 0.0, angle, angle, angle], localized_from=2)
-    assert METRICS["S_gra_two_sided"](episode) == expected
+    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == expected
+
+
+def test_a_fist_passes_the_papers_grasp_and_not_the_joint_success():
+    episode = hand_made(LINE, joints=[2.0] * 5, localized_from=2)
+    assert METRICS["S_gra"](episode) == METRICS["S_joint_paper"](episode) == 1.0
+    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == 0.0
 
 
 def test_a_joint_that_the_reference_leaves_open_does_not_count_in_a_two_sided_grasp():

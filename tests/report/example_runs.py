@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.results import Results, write_results
+from dynahoi_lerobot.evaluate.results import Results, RunInfo, write_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.synthetic import synthetic_episode
 
@@ -36,9 +36,8 @@ def play(
         miss = 0.0 if rng.random() < skill else float(rng.uniform(0.03, 0.3))
         episode = synthetic_episode(seed, LENGTHS[seed % len(LENGTHS)], image_size, miss)
         category, kind = PAIRS[seed % len(PAIRS)]
-        meta = replace(
-            episode.meta, category=category, motion=kind, capture=capture, split="test_small", **meta_changes
-        )
+        changes = {"category": category, "motion": kind, "split": "test_small"} | meta_changes
+        meta = replace(episode.meta, capture=capture, **changes)
         travel = np.array([0.3, 0.1, 0.05], np.float32) * (0.1 + 0.4 * (seed % 5)) ** 1.5
         action = episode.action + rng.normal(0, 0.004 * (1.2 - skill), episode.action.shape).astype(np.float32)
         stage = episode.stage
@@ -50,18 +49,19 @@ def play(
         )
 
 
-def example_run(folder: Path, policy: str, skill: float, count: int = 44, **options: object) -> Results:
-    """Write the result folder of a made-up policy."""
-    capture = str(options.pop("capture", "attach"))
-    benchmark = str(options.pop("benchmark", BENCHMARK.version))
-    return write_results(
-        folder,
-        play(count, skill, capture, benchmark=benchmark),
-        policy=policy,
-        split="test_small",
-        capture=capture,
-        command=str(options.pop("command", f"dynahoi evaluate --policy {policy} --split test_small")),
-        fingerprint="f00dcafe",
-        extra=options,
-        benchmark=benchmark,
-    )
+def example_run(
+    folder: Path,
+    policy: str,
+    skill: float,
+    count: int = 44,
+    *,
+    capture: str = "attach",
+    benchmark: str = BENCHMARK.version,
+    command: str = "",
+    rules: dict[str, str] | None = None,
+    **extra: object,
+) -> Results:
+    """Write the result folder of a made-up policy; ``rules`` are changes of ``EpisodeMeta``."""
+    command = command or f"dynahoi evaluate --policy {policy} --split test_small"
+    info = RunInfo(policy, "test_small", capture, command, "f00dcafe", extra, benchmark)
+    return write_results(folder, play(count, skill, capture, benchmark=benchmark, **(rules or {})), info)

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.compatibility import MixedError
-from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.report.entries import LABEL_LENGTH, distinct_episodes, read_entries, short_name, unique_labels
-from dynahoi_lerobot.report.tables import main_metrics
+from dynahoi_lerobot.report.figures import FIGURES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.report.example_runs import example_run
 
 
-def named(policy: str, folder: str = "run") -> Results:
-    return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f"), (), ())
+def named(policy: str, folder: str = "run", **extra: str) -> Results:
+    return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f", extra), (), ())
 
 
 @pytest.mark.parametrize(
@@ -31,7 +30,7 @@ def named(policy: str, folder: str = "run") -> Results:
         ("someone/tracker_dynahoi", "tracker_dynahoi"),
         ("last", "last"),
         ("", "?"),
-        ("two\nlines\x00", "two?lines?"),
+        ("two\nlines\x1b", r"two\nlines\x1b"),
     ],
 )
 def test_the_telling_part_of_a_name(policy: str, label: str):
@@ -44,18 +43,11 @@ def test_long_names_keep_both_ends():
     assert (label[0], label[-1]) == ("a", "z")
 
 
-def test_equal_names_are_told_apart_by_folder_and_then_by_number():
-    assert unique_labels([named("tracker", "s1"), named("tracker", "s5"), named("hold")]) == [
-        "tracker (s1)",
-        "tracker (s5)",
-        "hold",
-    ]
-    assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
-
-
-def test_a_policy_whose_inference_takes_time_is_labelled_as_such():
-    late = replace(named("tracker"), info=replace(named("tracker").info, extra={"inference": "async 150 ms"}))
+def test_equal_names_are_told_apart_by_inference_then_folder_then_number():
+    late = named("tracker", inference="async 150 ms")
     assert unique_labels([late, named("tracker")]) == ["tracker, async 150 ms", "tracker"]
+    assert unique_labels([named("a", "s1"), named("a", "s5"), named("b")]) == ["a (s1)", "a (s5)", "b"]
+    assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
 
 
 def test_entries_come_best_first_and_once(tmp_path: Path):
@@ -67,32 +59,39 @@ def test_entries_come_best_first_and_once(tmp_path: Path):
     assert len(distinct_episodes(entries)) == 8
 
 
-def test_a_stratum_is_computed_once(tmp_path: Path):
-    example_run(tmp_path / "run", "run", 0.5, 4)
-    (entry,) = read_entries([tmp_path / "run"])
-    assert entry.by("kind") is entry.by("kind")
-    other = replace(entry, label="other")
-    assert other.by("kind") == entry.by("kind")
-
-
-def test_a_missing_folder_is_named(tmp_path: Path):
-    with pytest.raises(ResultsError, match="nowhere"):
-        read_entries([tmp_path / "nowhere"])
-
-
-def test_versions_of_the_benchmark_are_not_mixed_unless_asked(tmp_path: Path, capsys: pytest.CaptureFixture):
-    old, new = tmp_path / "old", tmp_path / "new"
+def test_versions_of_the_benchmark_are_not_mixed_unless_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("dynahoi_lerobot.report.figures.FIGURES", FIGURES[:1])
+    old, new, page = tmp_path / "old", tmp_path / "new", tmp_path / "page.html"
     example_run(old, "old", 0.5, 4, benchmark="v0")
     example_run(new, "new", 0.5, 4)
-    sentence = f"{old} has benchmark 'v0', {new} has benchmark '{BENCHMARK.version}'; evaluate both under one version"
+    sentence = f"{old} has benchmark 'v0', {new} has benchmark '{BENCHMARK.version}'"
     with pytest.raises(MixedError, match=re.escape(sentence)):
         read_entries([old, new])
-    assert main(["report", str(old), str(new), "--out", str(tmp_path / "page.html")]) == 2
+    words = ["report", str(old), str(new), "--out", str(page)]
+    assert main(words) == 2
     assert sentence in capsys.readouterr().err
-    assert not (tmp_path / "page.html").exists()
-    words = ["report", str(old), str(new), "--out", str(tmp_path / "page.html"), "--allow-version-mismatch"]
+    assert not page.exists()
+    assert main([*words, "--allow-version-mismatch"]) == 0
+    assert all(version in page.read_text() for version in ("v0", BENCHMARK.version))
+
+
+def test_the_report_pairs_across_what_it_is_asked_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("dynahoi_lerobot.report.figures.FIGURES", FIGURES[:1])
+    example_run(tmp_path / "a", "a", 0.9, 8, recipe={"render_noise": 0})
+    example_run(tmp_path / "b", "a", 0.3, 8, recipe={"render_noise": 2})
+    words = ["report", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(tmp_path / "report.html")]
     assert main(words) == 0
-    assert all(version in (tmp_path / "page.html").read_text() for version in ("v0", BENCHMARK.version))
-    assert not any(
-        cell.mark for row in main_metrics(read_entries([old, new], allow_version_mismatch=True)).rows for cell in row
-    )
+    said = capsys.readouterr().out
+    assert "--across render_noise" in said
+    assert "minus" not in said
+    assert "Paired comparison" not in (tmp_path / "report.html").read_text()
+    assert main([*words, "--across", "render_noise"]) == 0
+    said = capsys.readouterr().out
+    assert "--across" not in said
+    assert "a (a) minus a (b), 8 episodes: S_loc +" in said
+    assert "cm apart" in said
+    assert "Paired comparison" in (tmp_path / "report.html").read_text()

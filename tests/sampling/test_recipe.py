@@ -39,6 +39,9 @@ BAD_FILES = {
     "an unknown name": ("motions: [latteral]\n", "latteral"),
     "a wrong type": ("image_size: large\n", "large"),
     "a text for a list": ("motions: lateral\n", "[lateral]"),
+    "null for a list": ("motions: null\n", "motions must not be null"),
+    "null in a list": ("motions: [null]\n", "motions must not be null"),
+    "null for a number": ("image_size: null\n", "image_size must not be null"),
     "no mapping": ("- split\n", "list"),
     "no YAML": ("motions: [\n", "YAML"),
 }

@@ -72,11 +72,10 @@ def redirect(e: Exchange) -> None:
     e.raw(b"", 307, headers=[("Location", "/v1/chat/completions")])
 
 
-def echoes(key: str) -> dict[str, tuple[Handler, str | None]]:
-    """Return behaviours that send the API key back in many ways."""
-    bearer = f"Bearer {key}"
-    plain = base64.b64encode
-    forms: dict[str, str] = {
+def forms(key: str) -> dict[str, str]:
+    """Return the API key in many encodings."""
+    bearer, plain = f"Bearer {key}", base64.b64encode
+    return {
         "plainly": bearer,
         "in capitals": key.upper(),
         "percent-encoded": quote(key, safe=""),
@@ -89,10 +88,15 @@ def echoes(key: str) -> dict[str, tuple[Handler, str | None]]:
         "in hexadecimal": key.encode().hex(),
         "in JSON escapes": "".join(f"\\u{ord(c):04x}" for c in key),
         "in HTML escapes": "".join(f"&#{ord(c)};" for c in key),
-        "cut by the excerpt": "x" * 72 + key,
     }
+
+
+def echoes(key: str) -> dict[str, tuple[Handler, str | None]]:
+    """Return behaviours that send the API key back."""
+    bearer = f"Bearer {key}"
     table: dict[str, tuple[Handler, str | None]] = {
-        f"echoes the key {name}": ((lambda e, text=text: e.say(text)), "unplayable") for name, text in forms.items()
+        f"echoes the key {name}": ((lambda e, text=text: e.say(text)), "unplayable")
+        for name, text in forms(key).items()
     }
     header, line = [("Authorization", bearer), ("X-Echo", key)], f"HTTP/1.1 500 {bearer}\r\n".encode()
     return table | {

@@ -12,8 +12,7 @@ from typing import Any
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
-from dynahoi_lerobot.evaluate.results import ResultsRecorder, RunInfo
-from dynahoi_lerobot.evaluate.run_info import WEIGHTS, command_line
+from dynahoi_lerobot.evaluate.results import WEIGHTS, ResultsRecorder, RunInfo, command_line
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe

@@ -1,0 +1,157 @@
+"""One episode as one row of ``episodes.parquet``: what was played, the groups it counts in, every metric; no arrays."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dynahoi_lerobot.core.conventions import SEED_LIMIT, UNIT_M
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.metrics import METRICS, measure
+from dynahoi_lerobot.motions.base import CATEGORIES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Row = dict[str, Any]
+
+# -- groups -----------------------------------------------------------------------------------------------------------
+
+PERIODICITIES = ("circular", "periodic", "linear", "hybrid")
+"""From the clearest periodic signature to none (Appendix "Stratified Performance Analysis").
+
+The paper names straight lines and projectiles as linear, harmonic motion and pendulums as periodic; rolling
+and impacts revisit nothing, hence linear. A hybrid changes between these within one episode, so it keeps its
+own label.
+"""
+
+ELSEWHERE = ("other", "other")
+"""Tier and periodicity of a category outside the paper's eight."""
+
+DURATION_EDGES = (20, 40, 60, 80, 120)
+"""Upper edges [frames] of the duration bins (Figure "Data statistics", c), each part of the lower bin."""
+
+TRAVEL_EDGES = (0.5, 2.0, 4.0)
+"""Upper edges [u] of the travel bins (Figure "Data statistics", d), each part of the lower bin."""
+
+
+def _bin_names(edges: tuple[float, ...], lowest: str) -> tuple[str, ...]:
+    return (lowest, *(f"{low:g}-{high:g}" for low, high in pairwise(edges)), f">{edges[-1]:g}")
+
+
+DURATIONS, TRAVELS = _bin_names(DURATION_EDGES, "<20"), _bin_names(TRAVEL_EDGES, "0-0.5")
+
+
+def travel_u(episode: Episode) -> float:
+    """Return the straight distance [u = 0.1 m] from the palm at control start to the intercept point."""
+    start = episode.palm_pos_h[min(episode.meta.window_frames, len(episode) - 1)]
+    return float(np.linalg.norm(episode.intercept_position.astype(np.float64) - start)) / UNIT_M
+
+
+def _duration(episode: Episode) -> str:
+    """The bin of the recording's length L [frames]; 20 frames count as 20-40."""
+    frames = episode.meta.length_frames
+    return DURATIONS[1 if frames == DURATION_EDGES[0] else bisect_left(DURATION_EDGES, frames)]
+
+
+@dataclass(frozen=True)
+class Stratum:
+    """One way to group episodes into disjoint labels.
+
+    Attributes:
+        label: the group of an episode.
+        order: the labels in the order in which figures show them; empty means alphabetical.
+    """
+
+    label: Callable[[Episode], str]
+    order: tuple[str, ...] = ()
+
+    def arrange(self, labels: set[str]) -> list[str]:
+        """Return ``labels`` sorted in the stratum's order, unknown ones last."""
+        rank = {label: place for place, label in enumerate(self.order)}
+        return sorted(labels, key=lambda label: (rank.get(label, len(rank)), label))
+
+
+STRATA = {
+    "tier": Stratum(
+        lambda episode: CATEGORIES.get(episode.meta.category, ELSEWHERE)[0],
+        tuple(dict.fromkeys(tier for tier, _ in CATEGORIES.values())),
+    ),
+    "category": Stratum(lambda episode: episode.meta.category, tuple(CATEGORIES)),
+    "kind": Stratum(lambda episode: episode.meta.motion),
+    "object": Stratum(lambda episode: episode.meta.object),
+    "periodicity": Stratum(lambda episode: CATEGORIES.get(episode.meta.category, ELSEWHERE)[1], PERIODICITIES),
+    "duration": Stratum(_duration, DURATIONS),
+    "travel": Stratum(lambda episode: TRAVELS[bisect_left(TRAVEL_EDGES, travel_u(episode))], TRAVELS),
+}
+"""The groups by which results are broken down; each is a column of its name."""
+
+# -- columns ----------------------------------------------------------------------------------------------------------
+
+TEXTS = ("split", "agent", "capture", "protocol", "control_class", "fingerprint", "benchmark")
+COUNTS = ("seed", "length_frames", "window_frames", "intercept_frame", "attempts")
+"""Columns copied from ``EpisodeMeta``."""
+
+COLUMNS = {
+    **dict.fromkeys(TEXTS, "string"),
+    **dict.fromkeys(COUNTS, "int64"),
+    "travel_u": "double",
+    "grasp_rad": "double",
+    "first_localized": "int64",
+    "stage": "string",
+    "success": "bool",
+    **dict.fromkeys(STRATA, "string"),
+    **dict.fromkeys(METRICS.names(), "double"),
+}
+"""All columns with their types. ``travel_u`` is in u (0.1 m), ``grasp_rad`` the mean rotation of a joint from the open
+hand to the reference grasp, ``first_localized`` a frame or null."""
+
+NULLABLE = {"first_localized", *(name for name, metric in METRICS.items() if metric.condition)}
+"""Columns that may hold nulls: the frame of an event that never happened, a metric whose condition does not hold."""
+
+IDENTITY = ("split", "seed", "kind", "object", "length_frames")
+"""Columns that tell whether two rows are runs of the same episode."""
+
+
+def episode_row(episode: Episode) -> Row:
+    """Return one episode as a row: metadata, outcome, groups and metrics (None where one does not apply)."""
+    return {
+        **{name: getattr(episode.meta, name) for name in (*TEXTS, *COUNTS)},
+        "travel_u": travel_u(episode),
+        "grasp_rad": float(np.abs(episode.reference_joints - episode.open_joints).mean()),
+        "first_localized": episode.first_localized,
+        "stage": episode.stage,
+        "success": bool(episode.success),
+        **{name: stratum.label(episode) for name, stratum in STRATA.items()},
+        **measure(episode),
+    }
+
+
+def row_schema() -> pa.Schema:
+    """Return the columns of ``episodes.parquet``; explicit, because a column may hold nothing but nulls."""
+    import pyarrow as pa
+
+    return pa.schema(list(COLUMNS.items()))
+
+
+def check_row(row: Row) -> None:
+    """Refuse a row of ``row_schema`` with impossible values.
+
+    Raises:
+        ValueError: if a value is missing, not finite, or outside its bounds.
+    """
+    for name, value in row.items():
+        if value is None and name not in NULLABLE:
+            raise ValueError(f"seed {row['seed']} has no {name}")
+        if isinstance(value, int | float):
+            low, high = METRICS[name].bounds if name in METRICS else (0, SEED_LIMIT)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ValueError(f"seed {row['seed']} has the {name} {value}, which must be {low:g} to {high:g}")
+            if name in METRICS and METRICS[name].aggregation == "rate" and value not in (0.0, 1.0):
+                raise ValueError(f"seed {row['seed']} has the {name} {value}, which must be 0 or 1")

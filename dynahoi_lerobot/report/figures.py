@@ -1,0 +1,599 @@
+"""The report's figures: each is a function of the evaluations, and its docstring is its caption."""
+
+from __future__ import annotations
+
+import base64
+import inspect
+import io
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dynahoi_lerobot.core.conventions import HAND_DOF, JOINT_NAMES, PALM_DOF
+from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.evaluate.rows import STRATA, Row
+from dynahoi_lerobot.evaluate.summary import Estimate
+from dynahoi_lerobot.evaluate.table import columns_for, heading
+from dynahoi_lerobot.report.entries import COLOURS, Entry, clip, distinct_episodes, short_name
+from dynahoi_lerobot.rollout.inference import SYNC, Inference
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_IN, ACROSS = 12.0, 5
+"""Width of every figure [inch], which is the width of the page's column; panels in a row."""
+INK = "#0a0b0c"
+"""Placeholder for the text colour while drawing; in the SVG the page's text colour replaces it."""
+INK_CSS = "<style>:root{--ink:#1f2328}@media(prefers-color-scheme:dark){:root{--ink:#e6e8eb}}</style>"
+STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "dynahoi",
+    "text.parse_math": False,  # a policy may be called $x
+    "font.sans-serif": ["DejaVu Sans", "Verdana", "Arial"],
+    **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 9),
+    **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
+    **dict.fromkeys(("axes.axisbelow", "axes.grid"), True),
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor"), "none"),
+    **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
+    "grid.color": INK,
+    "grid.alpha": 0.15,
+}
+BARS: dict[str, Any] = {"ecolor": INK, "capsize": 2, "error_kw": {"lw": 1}}
+
+Draw = Callable[[Sequence[Entry]], "Figure | None"]
+
+
+@dataclass(frozen=True)
+class ReportFigure:
+    """One figure of the report.
+
+    Attributes:
+        name: the anchor on the page.
+        title: the heading on the page.
+        draw: returns the drawing, or None if there is nothing to draw; its docstring is the caption.
+    """
+
+    name: str
+    title: str
+    draw: Draw
+
+    @property
+    def caption(self) -> str:
+        """Caption: what the figure shows, and its counterpart in the paper."""
+        return " ".join(inspect.cleandoc(self.draw.__doc__ or "").replace("``", "").split())
+
+    def render(self, entries: Sequence[Entry]) -> str | None:
+        """Return the drawing as the ``data:`` address of an SVG in the report's style; None if there is none.
+
+        As an image it is inert: nothing written in it can run or load anything.
+        """
+        import matplotlib as mpl
+
+        with mpl.rc_context():
+            mpl.rcdefaults()
+            mpl.rcParams.update(STYLE)
+            drawing = self.draw(entries)
+            return None if drawing is None else _svg_address(drawing)
+
+
+def _svg_address(drawing: Figure) -> str:
+    """Return the ``data:`` address of an SVG that follows the page's light or dark scheme."""
+    buffer = io.StringIO()
+    metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # nothing that changes between runs
+    drawing.savefig(buffer, format="svg", metadata=metadata)
+    head, body = buffer.getvalue().replace(INK, "var(--ink)").split("<svg", 1)
+    tag, rest = body.split(">", 1)
+    svg = f"{head}<svg{tag}>{INK_CSS}{rest}"
+    return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
+
+
+FIGURES: list[ReportFigure] = []
+"""In the order of the page."""
+
+
+def figure(name: str, title: str) -> Callable[[Draw], Draw]:
+    """Return a decorator that puts a drawing function on the page."""
+
+    def decorate(draw: Draw) -> Draw:
+        FIGURES.append(ReportFigure(name, title, draw))
+        return draw
+
+    return decorate
+
+
+# -- what several figures share ---------------------------------------------------------------------------------------
+
+
+def subplots(rows: int, columns: int, height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
+    """Return a figure of the page's width and its axes, row by row."""
+    from matplotlib.figure import Figure
+
+    drawing = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    return drawing, list(drawing.subplots(rows, columns, squeeze=False, **options).ravel())
+
+
+def metric_panels(names: Sequence[str], row_height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
+    """Return a figure with a titled panel for each metric."""
+    rows = -(-len(names) // ACROSS)
+    drawing, axes = subplots(rows, min(ACROSS, len(names)), row_height_in * rows + 0.4, **options)
+    for panel, name in zip(axes, names, strict=False):
+        panel.set_title(heading(name))
+    for unused in axes[len(names) :]:
+        unused.remove()
+    return drawing, axes[: len(names)]
+
+
+def legend(drawing: Figure, shown: Sequence[tuple[str, str]]) -> None:
+    """Put labels with their colours above the axes."""
+    from matplotlib.patches import Patch
+
+    handles = [Patch(color=colour, label=label) for label, colour in shown]
+    drawing.legend(handles=handles, loc="outside upper left", ncols=min(len(shown), 4))
+
+
+def named(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+    """Return label and colour of each evaluation."""
+    return [(entry.label, entry.colour) for entry in entries]
+
+
+def shown_metrics(entries: Sequence[Entry]) -> tuple[str, ...]:
+    """Return the main columns, led by S_hold if any evaluation uses the capture rule contact."""
+    return columns_for([entry.results for entry in entries])
+
+
+def printed(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (K,) values and (2, K) distances to the interval's ends as printed: fractions in per cent, None as nan."""
+    rows = [(e.value, e.low, e.high) if e else (None,) * 3 for e in estimates]
+    scales = np.array([100 if e and e.unit == "fraction" else 1 for e in estimates])
+    value, low, high = np.array(rows, np.float64).reshape(-1, 3).T * scales  # None becomes nan
+    return value, np.stack([value - low, high - value])
+
+
+def points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate | None], colour: str) -> None:
+    """Draw estimates over (K,) numbers with their 95 % intervals, joined by a line."""
+    values, errors = printed(estimates)
+    line = "-" if len(x) > 1 else "none"
+    panel.errorbar(x, values, errors, fmt="o", ms=4, lw=1.2, linestyle=line, capsize=2, color=colour)
+
+
+def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
+    """Draw every metric over the labels of ``stratum``; None with fewer than two labels."""
+    labels = STRATA[stratum].arrange({row[stratum] for entry in entries for row in entry.results.rows})
+    if len(labels) < 2:
+        return None
+    names = shown_metrics(entries)
+    drawing, axes = metric_panels(names, 2.0)
+    legend(drawing, named(entries))
+    for panel, name in zip(axes, names, strict=True):
+        for place, entry in enumerate(entries):
+            shift = 0.12 * (place - (len(entries) - 1) / 2) / max(1, len(entries) / 4)
+            groups = entry.results.by(stratum)
+            estimates = [groups[label][name] if label in groups else None for label in labels]
+            points(panel, np.arange(len(labels)) + shift, estimates, entry.colour)
+        panel.set_xticks(range(len(labels)), labels, fontsize=8)
+        panel.set_xlim(-0.5, len(labels) - 0.5)
+    return drawing
+
+
+# -- success ----------------------------------------------------------------------------------------------------------
+
+
+@figure("main", "Main metrics")
+def main_metrics(entries: Sequence[Entry]) -> Figure:
+    """The main metrics with 95 % intervals (Wilson for rates, bootstrap for means).
+
+    An arrow in a title points towards better.
+    """
+    names = shown_metrics(entries)
+    drawing, axes = metric_panels(names, 0.8 + 0.26 * len(entries), sharey=True)
+    for panel, name in zip(axes, names, strict=True):
+        values, errors = printed([entry.results.summary()[name] for entry in entries])
+        colours = [entry.colour for entry in entries]
+        panel.barh([entry.label for entry in entries], values, xerr=errors, color=colours, height=0.65, **BARS)
+        panel.grid(visible=False, axis="y")
+    axes[0].invert_yaxis()
+    return drawing
+
+
+STAGES = {
+    "missed": "#b2182b",
+    "touched": "#ef8a62",
+    "enclosed": "#f2c14e",
+    "slipped": "#9e7bb5",
+    "localized": "#67a9cf",
+    "captured": "#1b7837",
+    "held": "#1b7837",
+}
+"""The stages of both capture rules, from the earliest failure to success."""
+
+
+@figure("stages", "Where episodes end")
+def failure_stages(entries: Sequence[Entry]) -> Figure:
+    """The share of episodes that ended in each stage.
+
+    Under the capture rule attach: missed, localized, captured. Under contact: missed, touched, enclosed,
+    slipped, held.
+    """
+    drawing, (panel,) = subplots(1, 1, 0.9 + 0.32 * len(entries))
+    counts = [Counter(row["stage"] for row in entry.results.rows) for entry in entries]
+    labels, left = [entry.label for entry in entries], np.zeros(len(entries))
+    for stage in [*STAGES, *sorted({stage for count in counts for stage in count} - set(STAGES))]:
+        width = np.array([100 * count[stage] / count.total() for count in counts])
+        if width.any():
+            bars = panel.barh(labels, width, left=left, height=0.65, color=STAGES.get(stage, "#808080"), label=stage)
+            texts = [f"{share:.0f}" if share >= 4 else "" for share in width]
+            panel.bar_label(bars, texts, label_type="center", color="white")
+            left += width
+    panel.set(xlim=(0, 100), xlabel="episodes [%]")
+    panel.grid(visible=False, axis="y")
+    panel.invert_yaxis()
+    drawing.legend(loc="outside upper left", ncols=7)
+    return drawing
+
+
+@figure("per-kind", "Success by kind of motion")
+def per_kind(entries: Sequence[Entry]) -> Figure | None:
+    """S_loc [%] for every kind, kinds of one category side by side.
+
+    Under the capture rule contact a second map shows S_hold. An empty cell was not played.
+    """
+    pairs = {(row["category"], row["kind"]) for entry in entries for row in entry.results.rows}
+    categories = STRATA["category"].arrange({category for category, _ in pairs})
+    groups = [sorted(kind for category, kind in pairs if category == wanted) for wanted in categories]
+    kinds = [kind for group in groups for kind in group]
+    if len(kinds) < 2:
+        return None
+    contact = [entry for entry in entries if entry.results.capture == "contact"]
+    maps = {"S_loc": entries, "S_hold": contact} if contact else {"S_loc": entries}
+    heights = [0.36 * len(shown) + 0.2 for shown in maps.values()]
+    drawing, axes = subplots(len(maps), 1, sum(heights) + 1.7, sharex=True, height_ratios=heights)
+    for panel, (name, shown) in zip(axes, maps.items(), strict=True):
+        found = [entry.results.by("kind") for entry in shown]
+        rows = [printed([groups[kind][name] if kind in groups else None for kind in kinds])[0] for groups in found]
+        _heat(panel, np.stack(rows), name)
+        panel.set_yticks(range(len(shown)), [entry.label for entry in shown])
+        panel.set_xticks(range(len(kinds)), kinds, rotation=45, ha="right", rotation_mode="anchor")
+        for separator in np.cumsum([len(group) for group in groups])[:-1]:
+            panel.axvline(separator - 0.5, color="#808080", lw=1)
+    return drawing
+
+
+def _heat(panel: Axes, grid: np.ndarray, name: str) -> None:
+    panel.imshow(grid, cmap="viridis", vmin=0, vmax=100, aspect="auto")
+    for (row, column), value in np.ndenumerate(grid):
+        if not np.isnan(value):
+            colour = "black" if value > 60 else "white"
+            panel.text(column, row, f"{value:.0f}", ha="center", va="center", color=colour, fontsize=8)
+    panel.set_title(f"{name} [%]", loc="left")
+    panel.grid(visible=False)
+
+
+@figure("periodicity", "Success by periodicity")
+def by_periodicity(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics by periodicity (Figures "Periodicity-stratified performance" and "All periodicity-stratified").
+
+    Circular arcs are circular; harmonic motions and pendulums are periodic; lines, projectiles, rolling and
+    impacts are linear; hybrid motions mix these and stand alone.
+    """
+    return stratified(entries, "periodicity")
+
+
+@figure("duration", "Success by duration")
+def by_duration(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics by the length of the recording [frames] (Figure "Length-stratified performance").
+
+    The bins are those of Figure "Data statistics", c.
+    """
+    return stratified(entries, "duration")
+
+
+@figure("travel", "Success by travel")
+def by_travel(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics by the straight distance from palm to intercept [u = 0.1 m].
+
+    Figure "Length-stratified performance"; the bins are those of Figure "Data statistics", d.
+    """
+    return stratified(entries, "travel")
+
+
+FINGERS_AT_LEAST = {"loose": 3, "medium": 4, "strict": 5}
+
+
+@figure("per-frame-grasp", "Grasp, frame by frame")
+def per_frame_grasp(entries: Sequence[Entry]) -> Figure:
+    """The share of control frames in which at least 3, 4 or 5 fingers are at the reference grasp.
+
+    Figure "Grasp success rate under per-frame evaluation". A hand is rightly open on its way, so 100 % is not
+    the aim.
+    """
+    drawing, (panel,) = subplots(1, 1, 3.0)
+    width = 0.8 / len(entries)
+    for place, entry in enumerate(entries):
+        values, errors = printed([entry.results.summary()[f"grasp_{setting}"] for setting in FINGERS_AT_LEAST])
+        x = np.arange(len(values)) + (place - (len(entries) - 1) / 2) * width
+        panel.bar(x, values, 0.9 * width, yerr=errors, color=entry.colour, **BARS)
+    panel.set_xticks(range(3), [f"{setting}\n≥ {n} fingers" for setting, n in FINGERS_AT_LEAST.items()])
+    panel.set_ylabel("frames [%]")
+    panel.grid(visible=False, axis="x")
+    legend(drawing, named(entries))
+    return drawing
+
+
+# -- metrics over a parameter of training or evaluation ---------------------------------------------------------------
+
+LARGEST_ON_AXIS = 1e12
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Evaluations on one line, in the order of their numbers."""
+
+    label: str
+    colour: str
+    entries: Sequence[Entry]
+
+
+def curves(
+    entries: Sequence[Entry],
+    number: Callable[[Entry], Any],
+    axis_label: str,
+    group: Callable[[Entry], tuple[str, ...]],
+) -> Figure | None:
+    """Draw every metric over the number of each evaluation; None with fewer than two numbers.
+
+    Args:
+        entries: the evaluations.
+        number: of an evaluation; it is left out if that is none that an axis can show.
+        axis_label: what the number is.
+        group: the names that the evaluations of a line share.
+    """
+    numbers = {id(entry): float(value) for entry in entries if _is_number(value := number(entry))}
+    known = sorted((entry for entry in entries if id(entry) in numbers), key=lambda entry: numbers[id(entry)])
+    if len(set(numbers.values())) < 2:
+        return None
+    names, drawn = shown_metrics(known), grouped(known, group)
+    drawing, axes = metric_panels(names, 2.0)
+    legend(drawing, [(curve.label, curve.colour) for curve in drawn])
+    for panel, name in zip(axes, names, strict=True):
+        for curve in drawn:
+            x = np.array([numbers[id(entry)] for entry in curve.entries])
+            points(panel, x, [entry.results.summary()[name] for entry in curve.entries], curve.colour)
+        panel.set_xlabel(axis_label)
+    return drawing
+
+
+def grouped(entries: Sequence[Entry], group: Callable[[Entry], tuple[str, ...]]) -> list[Curve]:
+    """Put evaluations whose group has the same names on one line, named by those that differ."""
+    groups: dict[tuple[str, ...], list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault(group(entry), []).append(entry)
+    varied = [len(set(names)) > 1 for names in zip(*groups, strict=True)]
+    labels = [", ".join(filter(None, compress(names, varied))) or names[0] for names in groups]
+    return [
+        Curve(clip(label), COLOURS[place % len(COLOURS)], members)
+        for place, (label, members) in enumerate(zip(labels, groups.values(), strict=True))
+    ]
+
+
+def _is_number(value: object) -> bool:
+    """Tell whether ``value`` is a number that an axis can show; JSON knows greater ones."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST_ON_AXIS
+
+
+def condition(entry: Entry) -> tuple[str, ...]:
+    """Return split, capture rule and, in a study that has several, the condition and the training seed."""
+    info = entry.results.info
+    seed = info.extra.get("training_seed")
+    return info.split, info.capture, str(info.extra.get("condition", "")), "" if seed is None else f"seed {seed}"
+
+
+def timing(entry: Entry) -> Inference | None:
+    """Return the timing of an evaluation's inference; None if its label does not state it."""
+    label = entry.results.inference
+    try:
+        return Inference.from_label("" if label == SYNC else label)
+    except ValueError:
+        return None
+
+
+def latency_ms(entry: Entry) -> float | None:
+    """Return the declared latency of an evaluation [ms]; None if it was measured."""
+    found = timing(entry)
+    return None if found is None else found.latency_ms
+
+
+def policy_and_rules(entry: Entry) -> tuple[str, ...]:
+    """Return policy, correction, split, capture rule and control class of an evaluation."""
+    results, corrected = entry.results, (timing(entry) or Inference()).corrected
+    rules = (results.info.split, results.capture, results.control_class)
+    return short_name(results.info.policy), "corrected" if corrected else "", *rules
+
+
+@figure("obs-frames", "Observed frames")
+def obs_frames(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics over the number of observed frames s (Figure "Obs-frames ablation").
+
+    Shows evaluations with ``n_obs_frames``, one line per ``condition`` of a study.
+    """
+    return curves(entries, lambda e: e.results.info.extra.get("n_obs_frames"), "observed frames s", condition)
+
+
+@figure("latency", "Inference latency")
+def latency(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics over the latency of inference, one line per policy and mode.
+
+    Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where the world waits.
+    """
+    return curves(entries, latency_ms, "latency of an inference [ms]", policy_and_rules)
+
+
+@figure("data-scaling", "Training data")
+def data_scaling(entries: Sequence[Entry]) -> Figure | None:
+    """The metrics over the share of the training data (Figure "Training-data scaling").
+
+    Shows evaluations with ``data_fraction``.
+    """
+    return curves(entries, lambda e: e.results.info.extra.get("data_fraction"), "share of the training data", condition)
+
+
+# -- the episodes -----------------------------------------------------------------------------------------------------
+
+PAPER_DURATION = {"20-40": 20.2, "40-60": 36.1, "60-80": 19.5, "80-120": 13.9, ">120": 10.1}
+PAPER_TRAVEL = {"0-0.5": 20.1, "0.5-2": 47.7, "2-4": 16.4, ">4": 5.8}
+"""Shares [%] that the paper's Section "Diversity Analysis" gives; its travels add up to 90 %."""
+
+TIER_MAPS = {"kinematic": "Blues", "physical": "Oranges", "stochastic": "Greens"}
+
+
+@figure("data", "The episodes")
+def data_statistics(entries: Sequence[Entry]) -> Figure:
+    """The distinct episodes of all evaluations: tier, category and kind from the inside out; durations; travels.
+
+    Figure "Data statistics" a, c and d; a diamond marks the share that the paper's text reports for its own
+    data.
+    """
+    rows = distinct_episodes(entries)
+    drawing, (rings, durations, travels) = subplots(1, 3, 5.0, width_ratios=[1.7, 1, 1])
+    _sunburst(rings, rows)
+    _shares(durations, rows, "duration", PAPER_DURATION)
+    _shares(travels, rows, "travel", PAPER_TRAVEL)
+    durations.set(xlabel="recording [frames]", ylabel="episodes [%]")
+    travels.set(xlabel="straight distance to the intercept [u]")
+    return drawing
+
+
+def _sunburst(panel: Axes, rows: Sequence[Row]) -> None:
+    """Draw three rings whose wedges are the episodes of a tier, a category and a kind."""
+    counts = Counter((row["tier"], row["category"], row["kind"]) for row in rows)
+    tiers, categories = (STRATA[name].arrange({row[name] for row in rows}) for name in ("tier", "category"))
+    leaves = sorted(counts, key=lambda leaf: (tiers.index(leaf[0]), categories.index(leaf[1]), leaf[2]))
+    for depth, radius in ((1, 0.8), (2, 1.5), (3, 1.75)):
+        names = list(dict.fromkeys(leaf[:depth] for leaf in leaves))
+        sizes = [sum(counts[leaf] for leaf in leaves if leaf[:depth] == name) for name in names]
+        wedges = panel.pie(
+            sizes, radius=radius, colors=[_shade(name, leaves) for name in names], startangle=90, counterclock=False,
+            wedgeprops={"width": 0.25 if depth == 3 else 0.7, "edgecolor": "white", "linewidth": 0.6},
+        )[0]  # fmt: skip
+        for wedge, name, size in zip(wedges, names, sizes, strict=True):
+            if size >= 0.02 * len(rows):
+                _write(panel, (wedge.theta1 + wedge.theta2) / 2, name, radius)
+    panel.set(xlim=(-2.7, 2.7), ylim=(-2.4, 2.4))
+
+
+def _shade(name: tuple[str, ...], leaves: Sequence[tuple[str, str, str]]) -> tuple:
+    import matplotlib as mpl
+
+    tier, *within = name
+    siblings = list(dict.fromkeys(leaf[1] for leaf in leaves if leaf[0] == tier))
+    step = siblings.index(within[0]) / max(1, len(siblings) - 1) if within else 0.5
+    return mpl.colormaps[TIER_MAPS.get(tier, "Greys")](0.87 - 0.12 * len(name) - 0.2 * step)
+
+
+def _write(panel: Axes, middle_deg: float, name: tuple[str, ...], radius: float) -> None:
+    """Write a wedge's name along its middle: outside the outermost ring, inside the others."""
+    outside = len(name) == 3
+    distance, middle = (radius + 0.05 if outside else radius - 0.33), np.deg2rad(middle_deg)
+    x, y, turn = distance * np.cos(middle), distance * np.sin(middle), middle_deg % 360
+    upright = turn - 180 if 90 < turn < 270 else turn
+    side = ("left" if x > 0 else "right") if outside else "center"
+    style = {"color": INK, "fontsize": 7} if outside else {"color": "black", "fontsize": 6}
+    text = name[-1] if outside else name[-1].replace("_", "\n")
+    panel.text(x, y, text, ha=side, va="center", rotation=upright, rotation_mode="anchor", **style)
+
+
+def _shares(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str, float]) -> None:
+    counts = Counter(row[stratum] for row in rows)
+    labels = [label for label in STRATA[stratum].order if counts[label] or label in paper]
+    panel.bar(labels, [100 * counts[label] / len(rows) for label in labels], color=COLOURS[0], width=0.7)
+    panel.plot(list(paper), list(paper.values()), "D", color=COLOURS[5], ms=5, label="paper")
+    panel.grid(visible=False, axis="x")
+    panel.legend()
+
+
+@figure("grasp-magnitude", "Grasp and travel")
+def grasp_magnitude(entries: Sequence[Entry]) -> Figure:
+    """How far the reference grasp closes the hand [rad, mean of 15 joints] and how far the hand travels, per episode.
+
+    Figure "Data statistics" b: small objects need large grasps, and each object is caught from near and far. Objects
+    are listed from the largest grasp to the smallest.
+    """
+    import matplotlib as mpl
+
+    drawing, (panel,) = subplots(1, 1, 4.2)
+    for place, (name, shown) in enumerate(by_object(distinct_episodes(entries)).items()):
+        panel.scatter(*shown.T, s=14, color=mpl.colormaps["tab20"](place % 20), label=name, edgecolors="none")
+    panel.set(xlabel="straight distance to the intercept [u]", ylabel="grasp [rad]")
+    drawing.legend(loc="outside right upper")
+    return drawing
+
+
+def by_object(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Return (K, 2) travel [u] and grasp [rad] of each object's episodes, the largest mean grasp first."""
+    found = {
+        name: np.array([[row["travel_u"], row["grasp_rad"]] for row in rows if row["object"] == name])
+        for name in sorted({row["object"] for row in rows})
+    }
+    return dict(sorted(found.items(), key=lambda item: -item[1][:, 1].mean()))
+
+
+BINS = 41
+
+
+def command_deltas(results: Results) -> np.ndarray:
+    """Return (K, 18) changes between successive commands of the control phase: palm [m], joints [rad]."""
+    changes = [
+        np.diff(actions[row["window_frames"] :], axis=0)
+        for row, actions in zip(results.rows, results.actions, strict=True)
+    ]
+    return np.concatenate([np.zeros((0, HAND_DOF), np.float32), *changes])
+
+
+def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]) -> None:
+    """Draw the (K,) samples of every entry over common bins that hold all of them, as shares of its frames [%]."""
+    reach = max((float(np.abs(sample).max()) for sample in samples if sample.size), default=0.0) or 1.0
+    edges = np.linspace(-reach, reach, BINS + 1)
+    for sample, entry in zip(samples, entries, strict=True):
+        share = 100 * np.histogram(sample, edges)[0] / max(1, sample.size)
+        panel.stairs(share, edges, color=entry.colour, lw=1.2)
+    panel.set_yscale("log")
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.minorticks_off()
+
+
+@figure("joint-deltas", "Joint rotations")
+def joint_deltas(entries: Sequence[Entry]) -> Figure:
+    """Frame-to-frame change of the 15 commanded joint angles [deg], control phase, share of frames [%].
+
+    Figure "Distribution of 15-DoF joint rotation deltas".
+    """
+    drawing, axes = subplots(3, 5, 5.4, sharex=True, sharey=True)
+    deltas = [np.rad2deg(command_deltas(entry.results)[:, PALM_DOF:]) for entry in entries]  # (K, 15) [deg]
+    for joint, name in enumerate(JOINT_NAMES):
+        finger, part = divmod(joint, 3)
+        panel = axes[5 * part + finger]
+        overlay(panel, [values[:, joint] for values in deltas], entries)
+        panel.set_title(name.replace("_", " "))
+    for panel in axes[10:]:
+        panel.set_xlabel("change [deg]")
+    legend(drawing, named(entries))
+    return drawing
+
+
+@figure("palm-displacements", "Palm displacements")
+def palm_displacements(entries: Sequence[Entry]) -> Figure:
+    """Frame-to-frame change of the commanded palm position [mm] along x, y and z, control phase, share of frames [%].
+
+    Figure "Distribution of 3D Cartesian displacements".
+    """
+    drawing, axes = subplots(1, 3, 2.6, sharey=True)
+    deltas = [1000 * command_deltas(entry.results)[:, :PALM_DOF] for entry in entries]  # (K, 3) [mm]
+    for axis, panel in enumerate(axes):
+        overlay(panel, [values[:, axis] for values in deltas], entries)
+        panel.set_xlabel(f"change along {'xyz'[axis]} [mm]")
+    legend(drawing, named(entries))
+    return drawing
