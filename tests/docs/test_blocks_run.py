@@ -21,7 +21,6 @@ from tests.docs.documents import ROOT, Block, Page, pages
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.core.episode import Episode
-
     from dynahoi_lerobot.evaluate.results import Results
     from tests.docs.playing import Player
 
@@ -121,6 +120,7 @@ def check_data(folder: Path) -> None:
 def palm_speed(episode: Episode) -> float:
     """Return the palm's greatest speed between frames [m/s]."""
     import numpy as np
+
     from dynahoi_lerobot.core.conventions import CONTROL_HZ
 
     return float(np.linalg.norm(np.diff(episode.state[:, :3], axis=0), axis=1).max() * CONTROL_HZ)
