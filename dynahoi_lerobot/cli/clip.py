@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.evaluate.atomic import write_atomically
 from dynahoi_lerobot.evaluate.gif import encode_gif
+from dynahoi_lerobot.foundation.atomic import write_atomically
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ
 
 MIN_WIDTH_PX = 384

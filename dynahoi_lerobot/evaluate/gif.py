@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dynahoi_lerobot.episode import Episode
-from dynahoi_lerobot.evaluate.atomic import write_atomically
+from dynahoi_lerobot.foundation.atomic import write_atomically
 from dynahoi_lerobot.foundation.conventions import CONTROL_HZ, EGO_VIEW
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
 
-from dynahoi_lerobot.evaluate.atomic import write_atomically
 from dynahoi_lerobot.evaluate.episode_row import Row, checked_rows, row_schema
+from dynahoi_lerobot.foundation.atomic import write_atomically
 from dynahoi_lerobot.foundation.conventions import HAND_DOF
 
 METRICS_FILE = "metrics.json"

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.evaluate.atomic import write_atomically
+from dynahoi_lerobot.foundation.atomic import write_atomically
 from dynahoi_lerobot.foundation.working_folder import working_folder
 
 LOG, STATE, RECORD = "log.jsonl", "state.pt", "run.json"

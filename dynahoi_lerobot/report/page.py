@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.evaluate.atomic import write_atomically
+from dynahoi_lerobot.foundation.atomic import write_atomically
 from dynahoi_lerobot.report.clips import find_clips
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
 from dynahoi_lerobot.report.figures.base import in_order

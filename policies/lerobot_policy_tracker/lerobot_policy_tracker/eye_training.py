@@ -16,7 +16,7 @@ from lerobot.configs import PreTrainedConfig
 from lerobot_policy_obact.encoders import sighting_loss
 from safetensors.torch import save_file
 
-from dynahoi_lerobot.evaluate.atomic import write_atomically
+from dynahoi_lerobot.foundation.atomic import write_atomically
 from dynahoi_lerobot.onpolicy.run_folder import RunFolder
 
 from .backbones import backbones
