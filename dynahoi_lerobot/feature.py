@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""
@@ -11,7 +11,8 @@ NEXT_PREFIX = "next."
 """LeRobot's own columns of what an action led to."""
 IMAGE_PREFIX = OBSERVATION_PREFIX + "images."
 EPISODE_TABLE_PREFIX = "stats/"
-"""Columns of the episode table: LeRobot reads an episode's whole row for every sample, but for this prefix."""
+"""Columns of the episode table. LeRobot reads an episode's whole row for every sample, except for this prefix, and all
+columns of every frame's row: no training pays for what is here."""
 
 
 @dataclass(frozen=True)
@@ -85,16 +86,6 @@ class Feature:
     def in_episode_table(self) -> bool:
         """Whether the dataset stores it in the episode table instead of the frame table."""
         return self.key.startswith(EPISODE_TABLE_PREFIX)
-
-    @property
-    def movable(self) -> bool:
-        """Whether the episode table can hold it instead: no policy and no tool of LeRobot reads it."""
-        read = self.in_episode_table or self.on_policy or self.key.startswith(NEXT_PREFIX)
-        return self.privileged and not read
-
-    def moved(self) -> Feature:
-        """Return it as a column of the episode table."""
-        return replace(self, key=EPISODE_TABLE_PREFIX + self.key)
 
     @property
     def has_fixed_shape(self) -> bool:

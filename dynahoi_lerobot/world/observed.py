@@ -106,6 +106,10 @@ class ObservedWorlds:
         """What touched the target during the last control step, mean of its physics steps, of shape (N,)."""
         return self._physics.contacts
 
+    def fingertips(self) -> np.ndarray:
+        """Return (N, 30), position [m], home frame, and rotation vector [rad] of each fingertip."""
+        return self._fingertips.poses(self.home_pos_w)
+
     def tip_distance(self) -> np.ndarray:
         """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
         return self._fingertips.target_distance()
@@ -128,7 +132,6 @@ class ObservedWorlds:
         return Observation(
             images={view: self.cameras.render(self._seeing(ids), view) for view in self._views} if images else {},
             state=self.state.astype(np.float32),
-            fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
             phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,

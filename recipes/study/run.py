@@ -103,22 +103,11 @@ def seeded(variant: Variant, seed: int) -> Variant:
 
 
 def generate(data: dict[str, Any], out: Path) -> Path:
-    """Write what is still missing of the training data, with options of ``dynahoi generate``.
-
-    Returns:
-        What to train on: of data with pictures a copy that is faster to read.
-    """
-    full, lean, partial = out / "data", out / "data_lean", out / "data_lean.partial"
-    what = {**data, "recipe": ROOT / data["recipe"], "workers": os.cpu_count() or 1, "root": full}
+    """Write what is still missing of the training data, with options of ``dynahoi generate``; return its folder."""
+    root = out / "data"
+    what = {**data, "recipe": ROOT / data["recipe"], "workers": os.cpu_count() or 1, "root": root}
     dynahoi("generate", *repeated(what))
-    if data.get("image-size") == 0:
-        return full
-    if not lean.exists():
-        shutil.rmtree(partial, ignore_errors=True)
-        which = [f"--config_path={ROOT / 'recipes/lean.yaml'}", f"--root={full}", f"--new_root={partial}"]
-        run([sys.executable, "-m", "lerobot.scripts.lerobot_edit_dataset", *which], lean.with_suffix(".log"))
-        partial.rename(lean)
-    return lean
+    return root
 
 
 def train(variant: Variant, common: dict[str, Any], data: Path | None, out: Path) -> None:

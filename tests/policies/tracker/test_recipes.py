@@ -94,15 +94,11 @@ def test_a_recipe_in_memory_is_read_and_its_policy_keeps_to_the_control_class(pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "learned"), [("tracker_cpu", "backbone.slot"), ("demonstrations", "head.out.weight")])
-def test_the_cpu_recipes_learn_from_the_lean_copy(name: str, learned: str, tmp_path: Path) -> None:
+def test_the_cpu_recipes_learn_from_what_is_generated(name: str, learned: str, tmp_path: Path) -> None:
     register_third_party_plugins()
     root = STUDY.generate({"recipe": "recipes/generate/train_small.yaml", "episodes": 2}, tmp_path)
     config = draccus.parse(TrainPipelineConfig, RECIPES / f"train/{name}.yaml", args=[f"--dataset.root={root}"])
     dataset = make_dataset(config)
-    removed = yaml.safe_load((RECIPES / "lean.yaml").read_text())["operation"]["feature_names"]
-    full = json.loads((tmp_path / "data/meta/info.json").read_text())["features"]
-    assert set(dataset.meta.features) == full.keys() - set(removed)
-    assert set(removed) < full.keys()
 
     policy = make_policy(config.policy, ds_meta=dataset.meta)
     preprocess, _ = make_pre_post_processors(config.policy, dataset_stats=dataset.meta.stats)
