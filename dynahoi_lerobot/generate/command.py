@@ -12,18 +12,17 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.features import FRAMES
-from dynahoi_lerobot.foundation.arguments import names, number, path
+from dynahoi_lerobot.dataset.video import CODECS, Encoding
+from dynahoi_lerobot.foundation.arguments import names, number, path, whole
 from dynahoi_lerobot.foundation.output import check_output
-from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources, Executor
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
 from dynahoi_lerobot.sampling.salt import add_salt_argument
 
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
+EXECUTORS = ("local", "slurm", "ray")
 LONGEST_VIDEO_S = 1e9
 """No dataset is longer."""
 
@@ -51,18 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="store the target's true pose and velocity as observation.environment_state",
     )
     parser.add_argument(
-        "--privileged-columns",
-        default=FRAMES,
-        help="table of the privileged columns: frames, or episodes (faster to load)",
-    )
-    parser.add_argument(
         "--subtasks", action="store_true", help="store the current subtask in LeRobot's language column"
     )
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per shard; by default an eighth, at most 256")
-    parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
-    parser.add_argument("--crf", type=int, help="rate factor; lower means better quality and larger files")
-    parser.add_argument("--preset", help="speed preset of the encoder")
+    parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS)}")
+    parser.add_argument(
+        "--crf", type=int, default=Encoding.crf, help="rate factor; lower means better quality and larger files"
+    )
+    parser.add_argument("--preset", default=Encoding.preset, help="speed preset of the encoder")
     parser.add_argument("--gop", type=int, default=Encoding.gop, help="frames between key frames")
     parser.add_argument(
         "--video-seconds",
@@ -70,13 +66,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=FileLimits.video_s,
         help="longest video file [s], at most 200 MB; LeRobot can only stream one file per view",
     )
-    parser.add_argument("--executor", help="run the shards as datatrove tasks: local, slurm or ray")
-    parser.add_argument("--tasks", type=int, help="number of tasks; one per shard by default")
+    parser.add_argument("--executor", choices=EXECUTORS, help="run the shards as datatrove tasks")
+    parser.add_argument("--tasks", type=whole(1, 100_000), help="number of tasks; one per shard by default")
     parser.add_argument("--dry-run", action="store_true", help="print what --executor would do")
-    parser.add_argument("--partition", default=ClusterResources.partition, help="Slurm partition")
-    parser.add_argument("--time", default=ClusterResources.time, help="Slurm time limit per task")
-    parser.add_argument("--cpus-per-task", type=int, default=ClusterResources.cpus_per_task)
-    parser.add_argument("--gpus-per-task", type=int, default=ClusterResources.gpus_per_task)
+    parser.add_argument("--partition", default="cpu", help="Slurm partition")
+    parser.add_argument("--time", default="24:00:00", help="Slurm time limit per task")
+    parser.add_argument("--cpus-per-task", type=whole(1, 4096), default=1)
+    parser.add_argument("--gpus-per-task", type=whole(0, 64), default=0)
     parser.add_argument("--json", type=path, help="also write the summary to this file")
 
 
@@ -97,9 +93,11 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Any =
         complete = args.root.exists()
         plan = _plan(args, recipe if recipe is not None else load_recipe(args.recipe), runtime)
         if args.executor is not None:
-            executor = _executor(args, plan, record or _record(plan, args.cpus_per_task))
-            if args.dry_run or not executor.run():
-                print(executor.describe())
+            from dynahoi_lerobot.generate import executors
+
+            work = (args.executor, plan, args.root, record or _record(plan, args.cpus_per_task), _resources(args))
+            if args.dry_run or not executors.run(*work):
+                print(executors.describe(*work))
                 return 0
         recorder = record or _record(plan, 0 if args.workers == 1 else 1)
         manifest = _generate(plan, args, recorder)
@@ -144,7 +142,6 @@ def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan
         FileLimits(video_s=args.video_seconds),
         runtime=runtime,
         environment_state=args.environment_state,
-        privileged_columns=args.privileged_columns,
         subtasks=args.subtasks,
     )
 
@@ -167,13 +164,13 @@ def _record(plan: GenerationPlan, threads: int) -> Record:
     return partial(record, threads=threads, images=plan.camera)
 
 
-def _executor(args: argparse.Namespace, plan: GenerationPlan, record: Record) -> Executor:
-    workers = -1 if args.workers == 1 else args.workers
-    resources = ClusterResources(
-        args.tasks, workers, args.cpus_per_task, gpus_per_task=args.gpus_per_task,
+def _resources(args: argparse.Namespace) -> Any:
+    from dynahoi_lerobot.generate.executors import ClusterResources
+
+    return ClusterResources(
+        args.tasks, -1 if args.workers == 1 else args.workers, args.cpus_per_task, gpus_per_task=args.gpus_per_task,
         partition=args.partition, time=args.time,
     )  # fmt: skip
-    return EXECUTORS[args.executor](plan, args.root, record, resources)
 
 
 def _generate(plan: GenerationPlan, args: argparse.Namespace, record: Record) -> Manifest:

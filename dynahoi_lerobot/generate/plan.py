@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 from dynahoi_lerobot.captures import CAPTURES
-from dynahoi_lerobot.dataset.codecs import Encoding
 from dynahoi_lerobot.dataset.paths import FileLimits
+from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.episode import Episode
 from dynahoi_lerobot.feature import Feature
-from dynahoi_lerobot.features import FRAMES, PRIVILEGED_PLACES, frame_features
+from dynahoi_lerobot.features import episode_features, frame_features
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.redraws import REDRAW_STRIDE
 from dynahoi_lerobot.sampling.salt import sealed
@@ -71,14 +71,13 @@ class GenerationPlan:
         recipe: what to play.
         episodes: how many to store.
         seed: the first episode's seed.
-        camera: whether to store pictures, of the recipe's size.
+        camera: whether to store images, of the recipe's size.
         encoding: how to store them.
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
         runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
         environment_state: whether to store the simulator's truth as ``observation.environment_state``.
-        privileged_columns: where the privileged columns are, in the table of ``frames`` or of ``episodes``.
         subtasks: whether to store subtasks as LeRobot's column for language.
     """
 
@@ -92,7 +91,6 @@ class GenerationPlan:
     code: str = field(default_factory=code_fingerprint)
     runtime: str = ""
     environment_state: bool = False
-    privileged_columns: str = FRAMES
     subtasks: bool = False
 
     def __post_init__(self) -> None:
@@ -109,30 +107,26 @@ class GenerationPlan:
             raise ValueError(
                 f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for {self.episodes} episodes"
             )
-        if self.privileged_columns not in PRIVILEGED_PLACES:
-            allowed = " or ".join(PRIVILEGED_PLACES)
-            raise ValueError(f"the place of privileged columns is {self.privileged_columns!r}; it must be {allowed}")
         size = self.image_size
-        if size is not None and (size < 16 or (size % 2 and self.encoding.make_codec().is_video)):
+        if size is not None and (size < 16 or (size % 2 and self.encoding.is_video)):
             raise ValueError(f"the image size is {size} pixels; it must be an even number from 16")
 
     @property
     def image_size(self) -> int | None:
-        """Side of the pictures [pixels], None without a camera."""
+        """Side of the images [pixels], None without a camera."""
         return self.recipe.image_size if self.camera else None
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """The columns of the dataset's frame table."""
+        """The columns of the dataset, of the frame table and of the episode table."""
         contact_sensors = CAPTURES[self.recipe.capture].uses_contact_sensors
-        return frame_features(
+        frames = frame_features(
             self.image_size,
             self.recipe.views,
             contact_sensors=contact_sensors,
-            on_policy=self.recipe.on_policy,
             environment_state=self.environment_state,
-            privileged=self.privileged_columns == FRAMES,
         )
+        return (*frames, *episode_features(on_policy=self.recipe.on_policy))
 
     @property
     def shards(self) -> int:
@@ -158,7 +152,6 @@ class GenerationPlan:
             "code": self.code,
             "runtime": self.runtime,
             "environment_state": self.environment_state,
-            "privileged_columns": self.privileged_columns,
             "subtasks": self.subtasks,
         }
         return json.loads(json.dumps(content, default=str))
