@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.lerobot_process import run_lerobot
-from dynahoi_lerobot.doctor.parts import cores
+from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table

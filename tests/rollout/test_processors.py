@@ -12,12 +12,9 @@ import sys
 import pytest
 
 PLAY = """
-from dynahoi_lerobot.doctor.reference import EXPERTS, RECIPE, _digest, evaluate, make_batch, sample_specs
+from dynahoi_lerobot.doctor import play
 
-specs = sample_specs(RECIPE, range(44), threads=1)
-played = evaluate(make_batch(RECIPE, 22), EXPERTS[RECIPE.expert](), specs)
-for episode in sorted(played, key=lambda episode: episode.meta.seed):
-    print(episode.meta.motion, _digest([episode.state, episode.action, episode.target_pose]))
+print(*play(44).motions, sep="\\n")
 """
 
 
