@@ -125,7 +125,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-WRITTEN_MB, EPISODE_MB = 64, 0.1
+WRITTEN_MB, EPISODE_MB = 64, 0.13
 """Of the test of speed; of an episode at 128 px (docs/notes/scale.md)."""
 LEAST_GB = 0.5
 """What the quickstart and the compiled kernels need."""

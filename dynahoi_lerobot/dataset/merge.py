@@ -53,8 +53,9 @@ def merge(
     stores = [Store(source) for source in sources]
     if not stores:
         raise ValueError("there is nothing to merge; name one dataset or more")
+    columns = _columns(stores[0])
     for store in stores[1:]:
-        if differing := _differing(_columns(stores[0]), _columns(store)):
+        if differing := _differing(columns, _columns(store)):
             raise ValueError(
                 f"{store.root} has other features than {stores[0].root} ({', '.join(differing)}); merge datasets that "
                 "were generated with the same options"

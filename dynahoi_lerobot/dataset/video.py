@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any, cast
 import av
 import numpy as np
 from av.container import OutputContainer
+from av.error import FFmpegError
 from av.packet import Packet
 from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
@@ -137,13 +139,14 @@ class VideoFile:
 
     def append(self, packets: Iterable[Packet]) -> None:
         """Append the packets of one episode."""
-        for packet in packets:
-            packet.stream = self._stream
-            packet.pts = packet.dts = self.frames
-            packet.duration, packet.time_base = 1, FRAME
-            self.frames += 1
-            self.size_bytes += packet.size
-            self._container.mux(packet)
+        with self._writing():
+            for packet in packets:
+                packet.stream = self._stream
+                packet.pts = packet.dts = self.frames
+                packet.duration, packet.time_base = 1, FRAME
+                self.frames += 1
+                self.size_bytes += packet.size
+                self._container.mux(packet)
 
     def close(self) -> None:
         """Close the file and make sure that all of it reached the disk.
@@ -151,13 +154,23 @@ class VideoFile:
         Raises:
             OSError: if the file holds fewer frames than were written, as a full disk leaves it.
         """
-        self._container.close()
+        with self._writing():
+            self._container.close()
         if (stored := sum(1 for _ in stored_packets(self.path))) != self.frames:
             raise OSError(errno.EIO, f"only {stored} of {self.frames} frames reached the disk", str(self.path))
 
     def abandon(self) -> None:
         """Close the file, whatever it contains."""
-        self._container.close()
+        with suppress(FFmpegError):
+            self._container.close()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Raise OSError in place of FFmpeg's own errors, which cannot travel between processes."""
+        try:
+            yield
+        except FFmpegError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from None
 
 
 def stream_for(encoding: Encoding, image_size: int) -> Callable[[OutputContainer], VideoStream]:

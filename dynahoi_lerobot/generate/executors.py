@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import multiprocess
 from datatrove.executor import LocalPipelineExecutor, SlurmPipelineExecutor
 from datatrove.executor.ray import RayPipelineExecutor
 from datatrove.pipeline.base import PipelineStep
+from multiprocess.process import parent_process
 
 from dynahoi_lerobot.generate.pipeline import exit_with_parent, finished, open_workspace, workspace_path
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
@@ -68,7 +68,7 @@ class MakeShards(PipelineStep):
             GenerationError: if this machine has other code than the plan.
         """
         yield from data or ()
-        if multiprocess.process.parent_process() is not None:
+        if parent_process() is not None:
             exit_with_parent(os.getppid())
         if (here := code_fingerprint()) != self.maker.plan.code:
             raise GenerationError(

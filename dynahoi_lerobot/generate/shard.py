@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from av.error import FFmpegError
-
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
@@ -87,9 +85,6 @@ class ShardMaker:
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
                 writer.finish(plan.identity(), tally)
-            except FFmpegError as error:
-                # FFmpeg's own errors cannot travel between processes.
-                raise OSError(error.errno, error.strerror, str(target)) from None
             finally:
                 writer.abandon()
         return target
