@@ -44,12 +44,12 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     """
     store = Store(root)
     if key in numeric_keys(store.features):
-        return np.concatenate([column_array(pq.read_table(path, columns=[key]), key) for path in store.data_files()])
+        return np.concatenate([column_array(store.table(path, [key]), key) for path in store.data_files()])
     name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
     feature = next((f for f in store.array_features if f.key == name and f.per == "frame"), None)
     if feature is None:
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
-    table = pa.concat_tables([pq.read_table(path, columns=["length", name]) for path in store.row_files()])
+    table = pa.concat_tables([store.table(path, ["length", name]) for path in store.row_files()])
     values, lengths = table[name].combine_chunks(), table["length"].to_numpy()
     flat = values.flatten() if pa.types.is_list(values.type) else values
     rows = flat.to_numpy(zero_copy_only=False).reshape(-1, *feature.column_shape)  # (N or E, D)
@@ -112,9 +112,7 @@ class Store:
         Raises:
             ValueError: if a file of it is damaged, or there is none.
         """
-        if not (paths := self.row_files()):
-            raise ValueError(f"{self.root} holds no episode table: there is no file in meta/episodes")
-        return [row for path in paths for row in _light_rows(path)]
+        return [row for path in self.row_files() for row in _light_rows(path)]
 
     @property
     def episodes(self) -> int:
@@ -122,8 +120,14 @@ class Store:
         return len(self.rows)
 
     def row_files(self) -> list[Path]:
-        """Return the files of the episode table, in order."""
-        return sorted((self.root / "meta/episodes").glob("*/*.parquet"))
+        """Return the files of the episode table, in order.
+
+        Raises:
+            ValueError: if there are none.
+        """
+        if not (paths := sorted((self.root / "meta/episodes").glob("*/*.parquet"))):
+            raise ValueError(f"{self.root} holds no episode table: there is no file in meta/episodes")
+        return paths
 
     @property
     def array_features(self) -> list[Feature]:
@@ -132,8 +136,23 @@ class Store:
         return [feature for feature in episode_features(on_policy=True) if feature.key in names]
 
     def data_files(self) -> list[Path]:
-        """Return the files of the frame table, in order."""
-        return sorted((self.root / "data").glob("*/*.parquet"))
+        """Return the files of the frame table, in order.
+
+        Raises:
+            ValueError: if there are none.
+        """
+        if not (paths := sorted((self.root / "data").glob("*/*.parquet"))):
+            raise ValueError(f"{self.root} holds no frame table: there is no file in data")
+        return paths
+
+    def table(self, path: Path, columns: list[str]) -> pa.Table:
+        """Return columns of a file of a table.
+
+        Raises:
+            ValueError: if it is missing or damaged.
+        """
+        with reading(path):
+            return pq.read_table(path, columns=columns)
 
     def full_rows(self) -> Iterator[EpisodeRow]:
         """Yield the rows of the episode table with all their columns."""

@@ -55,11 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per shard; by default an eighth, at most 256")
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS)}")
-    parser.add_argument(
-        "--crf", type=int, default=Encoding.crf, help="rate factor; lower means better quality and larger files"
-    )
-    parser.add_argument("--preset", default=Encoding.preset, help="speed preset of the encoder")
-    parser.add_argument("--gop", type=int, default=Encoding.gop, help="frames between key frames")
+    parser.add_argument("--crf", type=int, help="rate factor; lower means better quality and larger files")
+    parser.add_argument("--preset", help="speed preset of the encoder")
+    parser.add_argument("--gop", type=int, help="frames between key frames")
     parser.add_argument(
         "--video-seconds",
         type=number(1.0, LONGEST_VIDEO_S),
@@ -137,13 +135,21 @@ def _plan(args: argparse.Namespace, recipe: Any, runtime: str) -> GenerationPlan
         args.episodes,
         args.seed,
         args.image_size != 0,
-        Encoding(args.codec, args.crf, args.preset, args.gop),
+        _encoding(args),
         shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
         FileLimits(video_s=args.video_seconds),
         runtime=runtime,
         environment_state=args.environment_state,
         subtasks=args.subtasks,
     )
+
+
+def _encoding(args: argparse.Namespace) -> Encoding:
+    settings = {name: value for name in ("crf", "preset", "gop") if (value := getattr(args, name)) is not None}
+    if args.codec == "images" and settings:
+        name, value = next(iter(settings.items()))
+        raise ValueError(f"{name} is {value!r}; images has none, only a video has")
+    return Encoding(args.codec, **settings)
 
 
 def load_recipe(path: Path | None) -> Any:

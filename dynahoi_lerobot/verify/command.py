@@ -167,6 +167,6 @@ def _guarded(name: str, problems: Iterable[str]) -> list[Finding]:
     try:
         found.extend(problems)
     except Exception as error:  # whatever a hostile dataset makes a reader raise
-        found.append(f"cannot be checked: {type(error).__name__}: {error}")
+        found.append(f"cannot be checked: {error or type(error).__name__}")
     more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
     return [Finding(name, message) for message in [*found[:SHOWN], *more]]

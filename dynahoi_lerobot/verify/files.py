@@ -171,8 +171,6 @@ def tables_readable(store: Store) -> Iterator[str]:
                 pq.read_table(path)
         except (ValueError, pa.ArrowException) as error:
             yield str(error)
-    if not store.row_files() or not store.data_files():
-        yield f"{store.root} lacks the frame table or the episode table"
 
 
 def _short(value: object) -> str:

@@ -54,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
             raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
         episodes = Store(args.root).episodes
         outliers = [] if args.drop else find_outliers(args.root, args.margin, args.column)
-        if unknown := [word for word in args.drop or () if not word.isdecimal() or int(word) >= episodes]:
-            raise ValueError(f"--drop names episode {unknown[0]!r}; {args.root} has 0 to {episodes - 1}")
+        if unknown := sorted(set(args.drop or ()) - set(map(str, range(episodes)))):
+            raise ValueError(f"--drop names episode {unknown[0][:40]!r}; {args.root} has 0 to {episodes - 1}")
         left_out = sorted({int(word) for word in args.drop} if args.drop else {o.episode for o in outliers})
         if output is not None and not args.dry_run:
             copy_subset(args.root, output, [index for index in range(episodes) if index not in left_out])

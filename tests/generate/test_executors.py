@@ -161,7 +161,8 @@ def test_shards_that_are_missing_are_not_merged(plan, tmp_path):
 
 
 def test_missing_library_is_named(tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "multiprocess", None)
+    monkeypatch.setitem(sys.modules, "datatrove.executor", None)
+    monkeypatch.setitem(sys.modules, "datatrove", None)
     monkeypatch.delitem(sys.modules, "dynahoi_lerobot.generate.executors", raising=False)
     assert run("--root", tmp_path / "d", "--executor", "local") == 2
     assert "`scale`" in capsys.readouterr().err

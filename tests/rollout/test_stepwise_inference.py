@@ -75,7 +75,7 @@ def test_it_is_the_timing_of_whole_chunks(latency_ms: float):
     for frame in range(30):
         state = np.full((1, 18), STILL, np.float32)
         state[0, 0] = frame  # what `Counter.plan` reads
-        seen = Observation({}, state, np.zeros((1, 30), np.float32), one_hot_phase(np.ones(1, bool)), ("",))
+        seen = Observation({}, state, one_hot_phase(np.ones(1, bool)), ("",))
         expected.append(float(agent.act(seen)[0, 1]))
     assert stepwise(policy, latency_ms, 30)[0] == expected
 

@@ -54,7 +54,7 @@ def test_one_sentence_says_what_is_gone(source: Path, tmp_path: Path, name: str)
     EDITS[name](source, tmp_path / "edited")
     (finding,) = verify(tmp_path / "edited", replayed=1)
     assert "meta/manifest.json is gone" in finding.message
-    assert ("our columns" in finding.message) == (name != "merge"), "which copies them"
+    assert ("our columns" in finding.message) == (name in ("delete", "split")), "the others copy them"
 
 
 def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(source: Path, tmp_path: Path):

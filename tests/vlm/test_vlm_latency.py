@@ -31,9 +31,7 @@ class SlowClient:
 def test_a_request_of_120_ms_takes_three_frames_and_ended_worlds_are_not_asked_about(monkeypatch: pytest.MonkeyPatch):
     images = np.ones((2, 8, 8, 3), np.uint8)
     images[1] = 0  # ended
-    seen = Observation(
-        {"ego": images}, np.zeros((2, 18), np.float32), np.zeros((2, 30), np.float32), np.ones((2, 1)), ("", "")
-    )
+    seen = Observation({"ego": images}, np.zeros((2, 18), np.float32), np.ones((2, 1)), ("", ""))
     client = SlowClient()
     monkeypatch.setattr(vlm_agent, "time", client)
     agent = RealTimeAgent(VlmAgent(client), Inference("async", None))

@@ -103,7 +103,7 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(
 def test_a_policy_that_reads_it_gets_it_nowhere_else(checkpoint: str) -> None:
     nothing = np.zeros((1, 1), np.float32)
     with pytest.raises(PolicyError, match="the simulator's truth, which only `dynahoi evaluate --environment-state`"):
-        PolicyAgent(checkpoint).act(Observation({}, nothing, nothing, one_hot_phase(np.ones(1, bool)), ("",)))
+        PolicyAgent(checkpoint).act(Observation({}, nothing, one_hot_phase(np.ones(1, bool)), ("",)))
 
 
 def test_it_is_no_actor_of_recordings(checkpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
