@@ -230,6 +230,11 @@ def test_damaged_shards_are_made_again(interrupted, undamaged, tmp_path, damage)
     assert not interrupted.exists()
 
 
+def test_a_shard_of_another_plan_is_discarded(interrupted):
+    take_from_another_plan(interrupted)
+    assert ShardMaker(WORKSPACE, interrupted, recorder.record).discard_damaged() == [1]
+
+
 def test_intact_shards_are_kept(interrupted, undamaged, tmp_path):
     (interrupted / "shard-000000000009").mkdir()  # beyond the plan
     generate(WORKSPACE, tmp_path / "d", record=recorder.record_and_die)
