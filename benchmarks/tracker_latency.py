@@ -17,7 +17,7 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot_policy_tracker import TrackerConfig, TrackerPolicy
 from support.options import benchmark_parser, write_numbers
 
-VECTORS = {"observation.state": 18, "observation.fingertips": 30, "observation.phase": 2}
+VECTORS = {"observation.state": 18, "observation.phase": 2}
 IMAGE = "observation.images.ego"
 MIN_CALLS = 5
 TINY = {"batch_size": 1, "image_px": 32, "min_seconds": 0.0, "threads": 1, "set": ["width=32", "n_decisions=1"]}

@@ -38,18 +38,11 @@ def metrics(root: Path) -> pd.DataFrame:
 
 def fingertip_distance(episode: pd.Series, frames: pd.DataFrame) -> np.ndarray:
     """Return (T,) the least distance of a fingertip to the object's surface [m], 0 inside, from poses and solids."""
-    tips = np.stack(frames["observation.fingertips"]).reshape(len(frames), 5, 6)[..., :3].astype(float)
-    pose = _pose(episode, frames)
+    tips = np.reshape(episode["stats/fingertips"], (len(frames), 5, 6))[..., :3].astype(float)
+    pose = np.reshape(episode["stats/target.pose"], (len(frames), 7)).astype(float)
     local = np.einsum("tij,tfi->tfj", _rotation(pose[:, 3:]), tips - pose[:, None, :3])  # object's frame
     solids = np.reshape(episode["stats/object_primitives"], (-1, 11)).astype(float)
     return np.maximum(np.min([_surface(local, solid) for solid in solids], axis=0).min(axis=1), 0.0)
-
-
-def _pose(episode: pd.Series, frames: pd.DataFrame) -> np.ndarray:
-    """(T, 7) target position [m] and quaternion, from whichever of the two tables has the privileged columns."""
-    in_frames = "target.pose" in frames
-    stored = np.concatenate(frames["target.pose"].to_list()) if in_frames else np.asarray(episode["stats/target.pose"])
-    return stored.reshape(len(frames), 7).astype(float)
 
 
 def _table(folder: Path) -> pd.DataFrame:

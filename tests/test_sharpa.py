@@ -62,7 +62,7 @@ def test_the_expert_catches_every_kind_with_it_and_policies_see_the_same() -> No
     batch = WorldBatch(RECIPE, 22)
     episodes = list(evaluate(batch, EXPERTS["intercept"](), sample_specs(RECIPE, range(22))))
     assert [episode.stage for episode in episodes] == ["captured"] * 22
-    for name in ("state", "fingertips", "phase"):
+    for name in ("state", "phase"):
         one, other = (getattr(b.observe(images=False), name) for b in (batch, bundled))
         assert (one.shape, one.dtype) == (other.shape, other.dtype)
 

@@ -24,13 +24,13 @@ LEAST_SPREAD = 1e-4
 
 
 def numbers_seen(specs: Sequence[EpisodeSpec]) -> np.ndarray:
-    """Return (N, 49) state [m, rad], fingertips [m, rad] and length of the window [frames] of each episode's start."""
+    """Return (N, 19) state [m, rad] and length of the window [frames] of each episode's start."""
     rows = []
     for start in range(0, len(specs), WORLDS):
         chunk = specs[start : start + WORLDS]
         observation = _first_observation(chunk)
         windows = np.array([[spec.window_frames / MIN_WINDOW_FRAMES] for spec in chunk])  # counted by ``phase``
-        rows.append(np.hstack([observation.state, observation.fingertips, windows]))
+        rows.append(np.hstack([observation.state, windows]))
     return np.concatenate(rows)
 
 

@@ -16,11 +16,8 @@ from unittest import mock
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.core.features import frame_features
-from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.dataset.video import VideoWriter
-from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.dataset import write_episodes, writer
+from dynahoi_lerobot.dataset.video import Encoding, encode
 from dynahoi_lerobot.rollout import loop as rollout
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -35,7 +32,7 @@ STAGE_FUNCTIONS = {
     "sampling": [(rollout, "sample_specs")],
     "physics": [(WorldBatch, "step"), (WorldBatch, "reset")],
     "render": [(Cameras, "render")],
-    "encode": [(VideoWriter, "write")],
+    "encode": [(writer, "encode")],
 }
 """What counts for a stage; none of these calls another. A profiler would mix up threads that call back into Python."""
 
@@ -64,11 +61,8 @@ def _seconds(task: Callable[[], object]) -> float:
 
 
 def _encode_rate(images: np.ndarray, process: int) -> float:
-    with tempfile.TemporaryDirectory() as folder:
-        video = VideoWriter(Path(folder) / f"{process}.mp4", images.shape[1], CONTROL_HZ, Encoding())
-        rate = len(images) / _seconds(lambda: video.write(images))
-        video.close()
-    return rate
+    del process
+    return len(images) / _seconds(lambda: encode(images, Encoding()))
 
 
 def stage_shares(image_size: int, episodes: int) -> dict[str, float]:
@@ -104,7 +98,4 @@ def _add(seconds: dict[str, float], stage: str, more: float) -> None:
 
 
 def _write(root: Path, image_size: int, seeds: range) -> None:
-    writer = DatasetWriter(root, frame_features(image_size))
-    for episode in record(Recipe(image_size=image_size), seeds, threads=1):
-        writer.add(episode)
-    writer.finish()
+    write_episodes(root, record(Recipe(image_size=image_size), seeds, threads=1))

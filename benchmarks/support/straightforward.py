@@ -30,7 +30,7 @@ from dynahoi_lerobot.scene.world_fields import drive_for
 from dynahoi_lerobot.world.batch import WorldBatch
 
 SETTLE_FRAMES = 10
-RECORDED = ("state", "fingertips", "phase", "action", "target_pose", "target_velocity")
+RECORDED = ("state", "phase", "action")
 
 
 class StraightforwardEnv(gym.Env):
@@ -117,16 +117,9 @@ class StraightforwardEnv(gym.Env):
         return pose, self.data.qvel[dof : dof + 6].copy()
 
     def _observe(self) -> dict:
-        tips = np.zeros((5, 6))
-        for finger, site in enumerate(self._scene.tip_sites):
-            quat = np.zeros(4)
-            mujoco.mju_mat2Quat(quat, self.data.site_xmat[site])
-            mujoco.mju_quat2Vel(tips[finger, 3:], quat, 1.0)
-            tips[finger, :3] = self.data.site_xpos[site] - self.spec.home_pos_w
         return {
             "pixels": {"ego": self.render()},
             "agent_pos": (self.data.qpos[self._scene.hand_qpos] - self.origin).astype(np.float32),
-            "fingertips": tips.reshape(-1).astype(np.float32),
             "phase": one_hot_phase(np.array(self.frame >= self.spec.window_frames)),
         }
 
@@ -183,15 +176,14 @@ def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec) -> bool:
     """Add the frames of one episode; tell whether it succeeded."""
     seen, expert = env.begin(spec), Intercept()
     for _ in range(spec.length_frames):
-        action, target = expert.command(env.view()) - env.origin, env.target_state()
-        before = seen
+        before, action = seen, expert.command(env.view()) - env.origin
         seen = env.step(action)[0]
-        dataset.add_frame(_frame(before, env.executed, target, spec.task))
+        dataset.add_frame(_frame(before, env.executed, spec.task))
     return env.success
 
 
-def _frame(seen: dict, executed: np.ndarray, target: tuple[np.ndarray, ...], task: str) -> dict[str, Any]:
-    values = (seen["agent_pos"], seen["fingertips"], seen["phase"], executed, *target)
+def _frame(seen: dict, executed: np.ndarray, task: str) -> dict[str, Any]:
+    values = (seen["agent_pos"], seen["phase"], executed)
     frame = {FEATURES[name].key: value.astype(np.float32) for name, value in zip(RECORDED, values, strict=True)}
     return frame | {CAMERA_KEY: seen["pixels"]["ego"], "task": task}
 

@@ -16,14 +16,14 @@ COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report, on a CPU in minutes"),
     "generate": ("dynahoi_lerobot.onpolicy.generate_command", "write a LeRobotDataset of expert or on-policy episodes"),
     "verify": ("dynahoi_lerobot.verify.command", "check a dataset on disk, optionally by decoding and replaying it"),
-    "filter": ("dynahoi_lerobot.verify.filter_command", "copy a dataset without what the paper calls outliers"),
+    "filter": ("dynahoi_lerobot.verify.filter", "copy a dataset without what the paper calls outliers"),
     "pretrain": ("dynahoi_lerobot.onpolicy.pretrain_command", "train a policy's eye on images of random poses"),
     "dagger": ("dynahoi_lerobot.onpolicy.command", "train a policy on its own episodes, labelled by a teacher"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
     "report": ("dynahoi_lerobot.report.command", "write one HTML page with the tables and figures of result folders"),
-    "push": ("dynahoi_lerobot.hub.command", "upload a dataset, a checkpoint, results or the environment to the Hub"),
+    "push": ("dynahoi_lerobot.hub", "upload a dataset, a checkpoint, results or the environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or web page"),
-    "doctor": ("dynahoi_lerobot.doctor.command", "check this machine and installation"),
+    "doctor": ("dynahoi_lerobot.doctor", "check this machine and installation"),
     "list": ("dynahoi_lerobot.cli.listing", "list registered motions, objects, metrics, ..."),
 }
 """Command: module with ``add_arguments`` and ``run``, and one line of help. Modules are imported on use."""

@@ -24,7 +24,7 @@ from dynahoi_lerobot.cli.lerobot_process import run_lerobot
 from dynahoi_lerobot.core.arguments import path, whole
 from dynahoi_lerobot.core.working_folder import clear, working_folder
 from dynahoi_lerobot.core.yaml_file import read_yaml
-from dynahoi_lerobot.doctor.parts import cores
+from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.evaluate.table import results_table

@@ -127,18 +127,14 @@ def _from_dataset(args: argparse.Namespace) -> Clip:
 
 def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:
     """Return the phase of each frame, None if the dataset lacks it."""
-    from dynahoi_lerobot.core.features import FEATURES
-    from dynahoi_lerobot.dataset.episode_table import moved_columns
-    from dynahoi_lerobot.dataset.store import Store
+    from dynahoi_lerobot.dataset import frame_column
 
-    phase, localized = (FEATURES[name].key for name in ("phase", "localized"))
-    held = [key for key in (phase, localized) if key in items[0]]
-    columns = {key: np.stack([item[key].numpy().reshape(-1) for item in items]) for key in held}  # (T, D)
-    if localized not in columns:  # LeRobot does not read what the episode table holds instead
-        columns |= moved_columns(Store(args.dataset).rows[args.episode])
-    if not columns.keys() >= {phase, localized}:
+    frames = [int(item["index"]) for item in items]
+    try:
+        phase, localized = (frame_column(args.dataset, key)[frames] for key in ("observation.phase", "localized"))
+    except ValueError:
         return None
-    return frame_phases(is_acting(columns[phase]), columns[localized][:, 0].astype(bool))
+    return frame_phases(is_acting(phase), localized[:, 0].astype(bool))
 
 
 def _open_dataset(root: Path) -> Any:

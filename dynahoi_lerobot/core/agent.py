@@ -24,7 +24,6 @@ class Observation:
     Attributes:
         images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
         state: (N, 18) float32, palm centre position [m], home frame, and joint angles [rad].
-        fingertips: (N, 30) float32, 5 x (position [m], home frame, rotation vector [rad]).
         phase: (N, 2) float32, [1, 0] observing, [0, 1] acting.
         tasks: N instructions.
         touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
@@ -34,7 +33,6 @@ class Observation:
 
     images: dict[str, np.ndarray]
     state: np.ndarray
-    fingertips: np.ndarray
     phase: np.ndarray
     tasks: tuple[str, ...]
     touch: np.ndarray | None = None

@@ -74,7 +74,7 @@ class Episode:
         meta: one value per episode.
         images: (T, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
         state: (T, 18) float32, palm centre position [m] and 15 joint angles [rad].
-        fingertips: (T, 30) float32, 5 x (position [m], rotation vector [rad]).
+        fingertips: (T, 30) float32, 5 x (position [m], rotation vector [rad]), which follow from ``state``.
         phase: (T, 2) float32, [1, 0] observing, [0, 1] acting.
         action: (T, 18) float32, commanded palm position [m] and joint angles [rad] for the next frame; in an on-policy
             recording what the teacher would have commanded.

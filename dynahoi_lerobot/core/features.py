@@ -12,8 +12,8 @@ rollout records (`rollout/recorder.py`), the dataset's columns and reader (`data
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -106,16 +106,6 @@ class Feature:
         return self.key.startswith(EPISODE_TABLE_PREFIX)
 
     @property
-    def movable(self) -> bool:
-        """Whether the episode table can hold it instead: no policy and no tool of LeRobot reads it."""
-        read = self.in_episode_table or self.on_policy or self.key.startswith(NEXT_PREFIX)
-        return self.privileged and not read
-
-    def moved(self) -> Feature:
-        """Return it as a column of the episode table."""
-        return replace(self, key=EPISODE_TABLE_PREFIX + self.key)
-
-    @property
     def has_fixed_shape(self) -> bool:
         """Whether all episodes of one length have it in one shape."""
         return self.constant or self.per == "frame"
@@ -140,9 +130,6 @@ PIXELS = "pixels"
 ENVIRONMENT_STATE = "observation.environment_state"
 """LeRobot's name for the truth about the environment, which policies without cameras may read."""
 
-FRAMES, EPISODES = PRIVILEGED_PLACES = ("frames", "episodes")
-"""Where a dataset holds the privileged columns: in every row of the frame table, or in the episode table."""
-
 
 _TABLE = (
     Feature(
@@ -150,8 +137,8 @@ _TABLE = (
         "palm centre position, home frame; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
     ),
     Feature(
-        "fingertips", "observation.fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
-        "position, home frame, and rotation vector of each fingertip", gym_key="fingertips", low=-10.0, high=10.0,
+        "fingertips", "stats/fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
+        "position, home frame, and rotation vector of each fingertip; they follow from the state",
     ),
     Feature(
         "phase", "observation.phase", (len(PHASES),), PHASES, "1",
@@ -164,8 +151,8 @@ _TABLE = (
     ),
     Feature(
         "environment_state", ENVIRONMENT_STATE, (13,), (*POSE_NAMES, *TWIST_NAMES), "m, 1, m/s, rad/s",
-        "the simulator's truth: target position, home frame, and quaternion wxyz, as target.pose; linear and angular "
-        "velocity, along the world's axes, as target.velocity", gym_key="environment_state", low=-1000.0,
+        "the simulator's truth: target position, home frame, and quaternion wxyz, as stats/target.pose; linear and "
+        "angular velocity, along the world's axes, as stats/target.velocity", gym_key="environment_state", low=-1000.0,
         high=1000.0, on_request=True, derived=True,
     ),
     Feature(
@@ -174,35 +161,39 @@ _TABLE = (
         "recordings what the teacher would have commanded", gym_key="action",
     ),
     Feature(
-        "executed_action", "executed_action", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "executed_action", "stats/executed_action", (HAND_DOF,), HAND_NAMES, "m, rad",
         "likewise, the command that was executed, whoever gave it", on_policy=True,
     ),
     Feature(
-        "intervention", "intervention", (), ("intervention",), "1",
+        "intervention", "stats/intervention", (), ("intervention",), "1",
         "the teacher moved the hand, disturbed, not the policy", dtype="bool", on_policy=True,
     ),
     Feature(
-        "teacher_arrival", "teacher.arrival", (), ("time",), "s",
+        "teacher_arrival", "stats/teacher.arrival", (), ("time",), "s",
         "time until the teacher would meet the target from here", on_policy=True,
     ),
     Feature(
-        "target_pose", "target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
+        "target_pose", "stats/target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
     ),
     Feature(
-        "target_velocity", "target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
+        "target_velocity", "stats/target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
         "target linear and angular velocity, along the world's axes",
     ),
-    Feature("target_contacts", "target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
+    Feature("target_contacts", "stats/target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
     Feature(
-        "intercept_position", "intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, home frame",
+        "intercept_position", "stats/intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, home frame",
         constant=True,
     ),
     Feature(
-        "intercept_time", "intercept.time", (), ("time",), "s", "time of the oracle intercept in the episode",
+        "intercept_time", "stats/intercept.time", (), ("time",), "s", "time of the oracle intercept in the episode",
         constant=True,
     ),
-    Feature("localized", "localized", (), ("localized",), "1", "the target is, or has been, localised", dtype="bool"),
-    Feature("captured", "captured", (), ("captured",), "1", "the capture rule regards it as captured", dtype="bool"),
+    Feature(
+        "localized", "stats/localized", (), ("localized",), "1", "the target is, or has been, localised", dtype="bool"
+    ),
+    Feature(
+        "captured", "stats/captured", (), ("captured",), "1", "the capture rule regards it as captured", dtype="bool"
+    ),
     Feature(
         "reward", "next.reward", (), ("reward",), "1",
         "1 where the action led to the first frame on which the episode is a success, else 0", derived=True,
@@ -316,9 +307,7 @@ def frame_features(
     views: Sequence[str] = (),
     *,
     contact_sensors: bool = False,
-    on_policy: bool = False,
     environment_state: bool = False,
-    privileged: bool = True,
 ) -> tuple[Feature, ...]:
     """Return the columns of the frame table, in the dataset's order.
 
@@ -326,26 +315,22 @@ def frame_features(
         image_size: side of the images [px]; 0 for no camera.
         views: the views besides ``ego``.
         contact_sensors: whether the capture rule ``uses_contact_sensors``.
-        on_policy: whether a teacher labels what somebody else does.
         environment_state: whether policies are given the simulator's truth.
-        privileged: False leaves out the privileged columns that the episode table can hold, see ``moved_features``.
     """
     images = tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views) if image_size)
     sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
     asked = (f for f in sensed if environment_state or not f.on_request)
-    held = (f for f in asked if on_policy or not f.on_policy)
-    kept = (f for f in held if privileged or not f.movable)
-    return (*images, *(feature for feature in kept if not feature.in_episode_table))
+    return (*images, *(feature for feature in asked if not feature.in_episode_table))
 
 
-def moved_features(held: Container[str] = ()) -> tuple[Feature, ...]:
-    """Return, as columns of the episode table, what a frame table with the columns ``held`` leaves to that."""
-    return tuple(f.moved() for f in FEATURES.values() if f.movable and f.key not in held)
+def episode_features(*, on_policy: bool = False) -> tuple[Feature, ...]:
+    """Return the columns of the episode table, which LeRobot does not load: metrics need them, policies do not.
 
-
-def episode_features() -> tuple[Feature, ...]:
-    """Return the features that are columns of the episode table: metrics need them, policies do not."""
-    return tuple(feature for feature in FEATURES.values() if feature.in_episode_table)
+    Args:
+        on_policy: whether a teacher labels what somebody else does.
+    """
+    rows = (feature for feature in FEATURES.values() if feature.in_episode_table)
+    return tuple(feature for feature in rows if on_policy or not feature.on_policy)
 
 
 def as_gym(observation: Observation) -> dict[str, Any]:

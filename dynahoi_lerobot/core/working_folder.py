@@ -67,7 +67,15 @@ def clear(path: Path, task: dict[str, Any], record: str = "plan.json") -> None:
     """
     if path.exists():
         with working_folder(path, task, record):
+            empty(path, record)
             shutil.rmtree(path)
+
+
+def empty(path: Path, record: str = "plan.json") -> None:
+    """Remove all that is in a working folder but what claims it, so that a kill in between leaves it claimed."""
+    for entry in path.iterdir():
+        if entry.name not in (LOCK, record):
+            shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
 
 
 def read_task(path: Path, record: str = "plan.json") -> dict[str, Any] | None:

@@ -1,21 +1,24 @@
-"""The frame table: LeRobot's description of its columns, their arrow types, its rows and reading them."""
+"""The frame table: LeRobot's description of its columns, their arrow types, its rows, and reading them back."""
 
 from __future__ import annotations
 
+import io
 import json
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Any
 
-import cv2
 import numpy as np
 import pyarrow as pa
+from PIL import Image
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
-from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.dataset.language import ARROW, HUGGING_FACE, INFO, LANGUAGE
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, image_feature
+from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.dataset.video import Encoding
 
 Features = dict[str, dict[str, Any]]
+"""The feature table of ``info.json``."""
 
 BOOKKEEPING = {
     "timestamp": "float32",
@@ -26,27 +29,39 @@ BOOKKEEPING = {
 }
 """LeRobot's own columns."""
 
+LANGUAGE = "language_persistent"
+"""LeRobot's name of the column of subtasks. All rows of an episode stand in each of its frames; which of them is active
+is found by their timestamps (``lerobot.datasets.language_render.active_at``)."""
+SUBTASKS = ("watch the target", "reach and intercept the target", "close the hand and hold the target")
 
-def info_features(held: Sequence[Feature], encoding: Encoding, *, subtasks: bool = False) -> Features:
+
+def dataset_features(episode: Episode) -> tuple[Feature, ...]:
+    """Return the columns that a dataset of such episodes has, in its order: of the frame table, or of the episode's."""
+    images = (image_feature(view, frames.shape[1]) for view, frames in episode.images.items())
+    arrays = (feature for feature in FEATURES.values() if not feature.on_request)
+    return (*images, *(feature for feature in arrays if getattr(episode, feature.name) is not None))
+
+
+def info_features(features: Sequence[Feature], encoding: Encoding, *, subtasks: bool = False) -> Features:
     """Return ``info.json``'s feature table: the columns of the frame table, then LeRobot's own.
 
     Args:
-        held: the columns, see ``features.frame_features``.
+        features: the dataset's columns.
         encoding: how images are stored.
         subtasks: whether to include LeRobot's language column.
     """
-    features = {feature.key: _info(feature, encoding) for feature in held}
-    features |= {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
-    return features | ({LANGUAGE: dict(INFO)} if subtasks else {})
+    table = {feature.key: _info(feature, encoding) for feature in features if not feature.in_episode_table}
+    table |= {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
+    return table | ({LANGUAGE: {"dtype": "language", "shape": [1], "names": None}} if subtasks else {})
 
 
 def _info(feature: Feature, encoding: Encoding) -> dict[str, Any]:
     entry = {"dtype": feature.dtype, "shape": list(feature.column_shape), "names": list(feature.names)}
     if not feature.is_image:
         return entry
-    if not encoding.make_codec().is_video:
+    if not encoding.is_video:
         return entry | {"dtype": "image"}
-    return entry | {"dtype": "video", "info": encoding.make_codec().info(feature.shape[0], CONTROL_HZ)}
+    return entry | {"dtype": "video", "info": encoding.info(feature.shape[0])}
 
 
 def image_keys(features: Features) -> list[str]:
@@ -56,14 +71,24 @@ def image_keys(features: Features) -> list[str]:
 
 def numeric_keys(features: Features) -> list[str]:
     """Return the keys of all columns that hold numbers, in the dataset's order."""
-    return [
-        key for key, feature in features.items() if feature["dtype"] not in ("video", "image", "string", "language")
-    ]
+    return [key for key, entry in features.items() if entry["dtype"] in _SCALARS]
 
 
-def content_keys(features: Features) -> list[str]:
-    """Return the keys of the numeric columns that an episode fills, without LeRobot's bookkeeping."""
-    return [key for key in numeric_keys(features) if key not in BOOKKEEPING]
+def content_arrays(episode: Episode, features: Sequence[Feature]) -> dict[str, np.ndarray]:
+    """Return the episode's numeric columns among ``features`` of the frame table under their keys, (T, D) each."""
+    stored = (feature for feature in features if not (feature.is_image or feature.in_episode_table))
+    return {f.key: np.asarray(getattr(episode, f.name), f.dtype).reshape(len(episode), -1) for f in stored}
+
+
+def content_values(table: pa.Table, known: Container[str]) -> dict[str, Any]:
+    """Return the attributes of an Episode that its rows of the frame table hold, without those that are ``known``.
+
+    Raises:
+        KeyError: if a column is missing that every dataset has.
+    """
+    stored = (f for f in FEATURES.values() if not (f.in_episode_table or f.derived or f.name in known))
+    held = (f for f in stored if f.key in table.column_names or not f.optional)
+    return {f.name: column_array(table, f.key).reshape(-1, *f.shape) for f in held}
 
 
 def bookkeeping_arrays(frames: int, episode_index: int, first_index: int, task_index: int) -> dict[str, np.ndarray]:
@@ -86,21 +111,29 @@ def arrow_schema(features: Features) -> pa.Schema:
     return pa.schema(fields, metadata={"huggingface": json.dumps(note)})
 
 
-def frame_table(
-    arrays: dict[str, np.ndarray], images: dict[str, np.ndarray], schema: pa.Schema, subtasks: pa.Array | None = None
-) -> pa.Table:
-    """Return one episode's rows.
+def frame_columns(episode: Episode, arrays: dict[str, np.ndarray], schema: pa.Schema) -> dict[str, pa.Array]:
+    """Return one episode's columns of the frame table, without LeRobot's own.
 
     Args:
-        arrays: (T, D) or (T,) per key.
-        images: (T, H, W, 3) uint8 RGB per key; none where images do not go into the table.
+        episode: the episode.
+        arrays: what ``content_arrays`` returned.
         schema: what ``arrow_schema`` returned.
-        subtasks: what ``language_column`` returned, if the schema has that column.
     """
-    columns = {key: _images(pixels) for key, pixels in images.items()}
-    columns |= {key: _array(arrays[key], schema.field(key).type) for key in schema.names if key in arrays}
-    columns |= {} if subtasks is None else {LANGUAGE: subtasks}
-    return pa.table([columns[key] for key in schema.names], schema=schema)
+    columns = {key: flat_array(values, schema.field(key).type) for key, values in arrays.items()}
+    images = {IMAGE_PREFIX + view: images for view, images in episode.images.items()}
+    columns |= {key: pa.array(_png_cells(images[key]), _IMAGE) for key in images if key in schema.names}
+    if LANGUAGE in schema.names:
+        rows = subtask_rows(is_acting(episode.phase), episode.localized)
+        columns[LANGUAGE] = pa.array([rows] * len(episode), _LANGUAGE)
+    return columns
+
+
+def flat_array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
+    """Return an array of numbers, or of fixed-size lists of them, from (T, ...)."""
+    flat = np.ascontiguousarray(values).reshape(-1)  # (T * D,)
+    if not pa.types.is_fixed_size_list(kind):
+        return pa.array(flat, kind)
+    return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), kind.list_size)
 
 
 def column_array(table: pa.Table, key: str) -> np.ndarray:
@@ -112,40 +145,70 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     return column.to_numpy(zero_copy_only=False).reshape(rows, -1 if rows else 1)  # (n, D)
 
 
-def _array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
-    flat = np.ascontiguousarray(values).reshape(-1)  # (T * D,)
-    if not pa.types.is_fixed_size_list(kind):
-        return pa.array(flat, kind)
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), kind.list_size)
+def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, Any]]:
+    """Return the subtasks of an episode in LeRobot's form, each with the time [s] from which it is active.
+
+    The hand watches the target while commands are void, then reaches for it, and holds it from the first frame on which
+    it is localised.
+
+    Args:
+        acting: (T,) bool, commands take effect.
+        localized: (T,) bool, the target is, or has been, localised.
+    """
+    state = np.where(localized, 2, acting)  # (T,)
+    begins = np.flatnonzero(np.diff(state, prepend=-1))
+    rows = []
+    for frame in begins:
+        time_s = float(np.float32(frame / CONTROL_HZ))  # as in the column timestamp
+        row = {"role": "assistant", "content": SUBTASKS[int(state[frame])], "style": "subtask", "timestamp": time_s}
+        rows.append(row | {"camera": None, "tool_calls": None})
+    return rows
 
 
-def _images(images: np.ndarray) -> pa.Array:
-    cells = [{"bytes": _png(image), "path": f"frame-{number:06d}.png"} for number, image in enumerate(images)]
-    return pa.array(cells, _IMAGE)
+def _png_cells(images: np.ndarray) -> list[dict[str, Any]]:
+    return [{"bytes": _png(image), "path": f"frame-{number:06d}.png"} for number, image in enumerate(images)]
 
 
 def _png(image: np.ndarray) -> bytes:
-    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-    return cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, format="PNG", compress_level=6)
+    return buffer.getvalue()
+
+
+def read_png(cell: dict[str, Any]) -> np.ndarray:
+    """Return the image (H, W, 3) uint8 RGB of a cell of the frame table."""
+    return np.asarray(Image.open(io.BytesIO(cell["bytes"])))
 
 
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 _SCALARS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+_LANGUAGE = pa.list_(
+    pa.struct(
+        [
+            ("role", pa.string()), ("content", pa.string()), ("style", pa.string()), ("timestamp", pa.float32()),
+            ("camera", pa.string()), ("tool_calls", pa.list_(pa.string())),
+        ]
+    )
+)  # fmt: skip
 
 
 def _arrow_type(feature: dict[str, Any]) -> pa.DataType:
     if feature["dtype"] == "image":
         return _IMAGE
     if feature["dtype"] == "language":
-        return ARROW
+        return _LANGUAGE
     scalar, width = _SCALARS[feature["dtype"]], feature["shape"][0]
     return scalar if width == 1 else pa.list_(scalar, width)
 
 
 def _hf_type(feature: dict[str, Any]) -> dict[str, Any]:
+    """Return the type that ``datasets`` reads from the note in the parquet files."""
     if feature["dtype"] == "image":
         return {"_type": "Image"}
     if feature["dtype"] == "language":
-        return HUGGING_FACE
+        text = {"dtype": "string", "_type": "Value"}
+        struct = dict.fromkeys(("role", "content", "style"), text)
+        struct |= {"timestamp": {"dtype": "float32", "_type": "Value"}, "camera": text}
+        return {"feature": struct | {"tool_calls": {"feature": text, "_type": "List"}}, "_type": "List"}
     scalar, width = {"dtype": feature["dtype"], "_type": "Value"}, feature["shape"][0]
     return scalar if width == 1 else {"feature": scalar, "length": width, "_type": "List"}

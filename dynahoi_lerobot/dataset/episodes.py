@@ -10,12 +10,12 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dynahoi_lerobot.core.atomic import new_folder
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.dataset.episode_arrays import features_of
-from dynahoi_lerobot.dataset.files import temporary_sibling
+from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 
 if TYPE_CHECKING:
@@ -41,8 +41,8 @@ def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding |
     remaining = iter(episodes)
     if (first := next(remaining, None)) is None:
         raise ValueError("got no episodes; a dataset needs at least one")
-    with temporary_sibling(root) as folder:
-        writer = DatasetWriter(folder, features_of(first), encoding)
+    with new_folder(root) as folder:
+        writer = DatasetWriter.for_episodes(folder, dataset_features(first), encoding)
         try:
             for episode in chain([first], remaining):
                 writer.add(episode)
@@ -63,7 +63,10 @@ def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: b
         IndexError: if the dataset has no episode of an index.
     """
     store = Store(root)
-    for index in range(store.episodes) if indices is None else indices:
+    if indices is None:
+        for row, table in store.stored_episodes():
+            yield store.as_episode(row, table, images=images)
+    for index in indices or ():
         yield store.episode(index, images=images)
 
 

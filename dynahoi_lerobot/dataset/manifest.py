@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Iterator
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.files import sha256
-from dynahoi_lerobot.dataset.metadata import write_json
-from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
+from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
 
 FORMAT = 1
-CARD_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
-CARD_FOLDERS = (".cache/", ".git/")
-"""Files of the Hub and git beside a dataset; the manifest lists everything else."""
+NOT_OURS = (CARD_PATH, "LICENSE", ".gitattributes", MANIFEST_PATH)
+NOT_OUR_FOLDERS = (".cache/", ".git/")
+"""What the Hub, git and people put beside a dataset; the manifest lists everything else but itself."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +65,11 @@ class Manifest:
             ValueError: if it is not JSON, or of another format.
         """
         content = json.loads((root / MANIFEST_PATH).read_text())
-        names = {field.name for field in fields(cls)}
-        if not isinstance(content, dict) or content.pop("format", None) != FORMAT or set(content) != names:
+        if not isinstance(content, dict) or content.pop("format", None) != FORMAT or set(content) != set(_TYPES):
             raise ValueError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
-        manifest = cls(**content)
         if wrong := [name for name, kind in _TYPES.items() if not isinstance(content[name], kind)]:
             raise ValueError(f"{root / MANIFEST_PATH} holds a {type(content[wrong[0]]).__name__} as {wrong[0]!r}")
-        return manifest
+        return cls(**content)
 
     def _content(self) -> dict[str, Any]:
         return {"format": FORMAT, **asdict(self)}
@@ -85,7 +82,7 @@ _TYPES = {
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    """Yield every file that is missing or has changed; every byte is read.
+    """Yield every file that is missing, has changed or is not in the manifest; every byte is read.
 
     The card may differ: people edit theirs, and LeRobot's ``push_to_hub`` writes its own.
     """
@@ -102,16 +99,14 @@ def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
             yield f"{name} is missing"
         elif (found := sha256(path)) != digest:
             yield f"{name} has changed: its sha256 is {found[:12]}..., the manifest says {str(digest)[:12]}..."
+    yield from _strays(root, manifest)
 
 
-def stray_files(root: Path, listed: Collection[str]) -> Iterator[str]:
-    """Yield symbolic links, and files and empty folders that are not ``listed`` in the manifest.
-
-    What the Hub and git put beside a dataset is none, nor is a link of the Hub's cache to its blob.
-    """
+def _strays(root: Path, manifest: Manifest) -> Iterator[str]:
+    """Yield links, and files and empty folders that the manifest does not list."""
     for path in sorted(root.rglob("*")):
         name = path.relative_to(root).as_posix()
-        if name.startswith(CARD_FOLDERS) or f"{name}/" in CARD_FOLDERS:
+        if f"{name}/".startswith(NOT_OUR_FOLDERS):
             continue
         if path.is_symlink() and not _in_hub_cache(root, path):
             yield f"{name} is a symbolic link, to {path.readlink()}; a dataset holds its own files"
@@ -120,7 +115,7 @@ def stray_files(root: Path, listed: Collection[str]) -> Iterator[str]:
                 yield f"{name} is an empty folder"
         elif not path.is_file():
             yield f"{name} is no regular file"
-        elif name not in {*listed, MANIFEST_PATH, *CARD_FILES}:
+        elif name not in manifest.files and name not in NOT_OURS:
             yield f"{name} is not in the manifest"
 
 
@@ -129,8 +124,7 @@ def _in_hub_cache(root: Path, link: Path) -> bool:
     return root.parent.name == "snapshots" and link.resolve().parent == (root.parent.parent / "blobs").resolve()
 
 
-def hash_files(root: Path, known: dict[str, str] | None = None) -> dict[str, str]:
-    """Return the sha256 of every file below ``root`` but the manifest; ``known`` hashes are taken as they are."""
+def hash_files(root: Path) -> dict[str, str]:
+    """Return the sha256 of every file below ``root`` but the manifest."""
     names = (path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file())
-    known = known or {}
-    return {name: known.get(name) or sha256(root / name) for name in names if name != MANIFEST_PATH}
+    return {name: sha256(root / name) for name in names if name != MANIFEST_PATH}

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 CODEBASE_VERSION = "v3.0"
 ROBOT_TYPE = "dynahoi_hand"
@@ -15,11 +19,10 @@ TASKS_PATH = "meta/tasks.parquet"
 INFO_PATH = "meta/info.json"
 STATS_PATH = "meta/stats.json"
 MANIFEST_PATH = "meta/manifest.json"
-HISTOGRAMS_PATH = "meta/histograms.json"
-"""These two are ours; LeRobot ignores them."""
+"""Ours; LeRobot ignores it."""
 CARD_PATH = "README.md"
-PICTURE_PATH = "assets/{key}.svg"
-"""The dataset card, which the Hub shows, and its pictures."""
+HISTOGRAM_PATH = "assets/{key}.svg"
+"""The dataset card, which the Hub shows, and its drawings."""
 
 
 @dataclass(frozen=True)
@@ -49,3 +52,23 @@ class FileLimits:
         path = root / template.format(chunk_index=chunk, file_index=file, **keys)
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
+
+
+def write_json(value: Any, path: Path) -> None:
+    """Write JSON the way LeRobot does, so that a later edit by its tools shows only what it changed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(value, indent=4, ensure_ascii=False))
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Name the damaged file in whatever its reader raises.
+
+    Raises:
+        ValueError: in one sentence.
+    """
+    try:
+        yield
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())
+        raise ValueError(f"{path} cannot be read ({type(error).__name__}: {reason})") from error

@@ -1,27 +1,24 @@
 """Quality control: rules that reject corrupt trajectories (Appendix "Post-processing and quality control").
 
-Each rule looks at one episode's columns and returns a sentence about what is wrong, or None. Generation draws a
-rejected episode again; ``dynahoi verify`` applies the same rules to what is stored.
+Each rule looks at one episode and returns a sentence about what is wrong, or None. Generation draws a rejected episode
+again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, ControlClass, control_class_of, is_acting, one_hot_phase
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 
 FASTEST = CONTROL_CLASSES["unlimited"]
 OVERSHOOT, CATCH_UP = 1.2, 2.4
 """Greatest step of a joint and of the palm, in steps of the servo's ramp; see ``TrajectoryLimits``."""
-EXECUTED = "executed_action"
-"""Column of on-policy recordings alone."""
-Columns = Mapping[str, np.ndarray]
-"""An episode's numeric columns by key, each (T, D)."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +60,7 @@ class TrajectoryLimits:
 
     @classmethod
     def of_class(cls, control: ControlClass, palm_speed_m_s: float) -> TrajectoryLimits:
-        """Return the limits of a control class.
-
-        Args:
-            control: the class.
-            palm_speed_m_s: the palm's under the capture rule [m/s].
-        """
+        """Return the limits of a control class, under whose capture rule the palm has this speed [m/s]."""
         return cls(
             palm_step_m=CATCH_UP * palm_speed_m_s * CONTROL_DT,
             joint_step_rad=OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT,
@@ -93,89 +85,72 @@ def limits_of(capture: str, control_class: str) -> TrajectoryLimits:
     return TrajectoryLimits.of_class(control, CAPTURES[capture].palm_speed_m_s(control))
 
 
-def trajectory_problems(columns: Columns, home_pos_w: np.ndarray, limits: TrajectoryLimits | None = None) -> list[str]:
-    """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or infinity.
-
-    Args:
-        columns: of the frame table, positions in the home frame.
-        home_pos_w: (3,) the home frame's origin [m], world, on which the slides' range in that frame depends.
-        limits: bounds of the rules.
-    """
-    problems = not_finite(columns)
-    if problems:
-        return [problems]
+def trajectory_problems(episode: Episode, limits: TrajectoryLimits | None = None) -> list[str]:
+    """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or infinity."""
+    if problem := not_finite(episode):
+        return [problem]
     rules = (out_of_limits, jumps, teleports, saturation, frozen, phase_order)
-    seen_from_home = (limits or TrajectoryLimits()).seen_from(home_pos_w)
-    found = (rule(columns, seen_from_home) for rule in rules)
-    return [problem for problem in found if problem]
+    seen_from_home = (limits or TrajectoryLimits()).seen_from(episode.home_position)
+    return [problem for rule in rules if (problem := rule(episode, seen_from_home))]
 
 
-def executed_key(columns: Columns) -> str:
-    """Return the column of the commands that moved the hand; in on-policy recordings ``action`` is a label."""
-    return EXECUTED if EXECUTED in columns else "action"
-
-
-def not_finite(columns: Columns) -> str | None:
+def not_finite(episode: Episode) -> str | None:
     """Find NaN and infinity."""
-    for key, values in columns.items():
-        bad = ~np.isfinite(values.astype(float)).reshape(len(values), -1).all(axis=1)
-        if bad.any():
-            return f"{key} is not finite at frame {int(np.argmax(bad))}"
+    for name, feature in FEATURES.items():
+        if (value := getattr(episode, name)) is not None and not np.isfinite(np.asarray(value, float)).all():
+            return f"{feature.key} is not finite"
     return None
 
 
-def out_of_limits(columns: Columns, limits: TrajectoryLimits) -> str | None:
+def out_of_limits(episode: Episode, limits: TrajectoryLimits) -> str | None:
     """Find positions and angles that the hand cannot take."""
     low, high = np.array(limits.palm_range_m).T
     least, most = limits.joint_range_rad
-    for key in ("observation.state", *sorted({"action", executed_key(columns)})):
-        palm, joints = columns[key][:, :PALM_DOF], columns[key][:, PALM_DOF:]
+    for name, values in (("state", episode.state), ("action", episode.action), ("executed_action", episode.executed)):
+        palm, joints = values[:, :PALM_DOF], values[:, PALM_DOF:]
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
         if beyond[frame, axis] > limits.palm_slack_m:
             allowed = f"{low[axis]:.2f} to {high[axis]:.2f} m are possible"
-            return f"{key} has the palm at {palm[frame, axis]:.2f} m along axis {axis} at frame {frame}; {allowed}"
+            return f"{name} has the palm at {palm[frame, axis]:.2f} m along axis {axis} at frame {frame}; {allowed}"
         if joints.min() < least or joints.max() > most:
             found = f"{float(joints.min()):.2f} to {float(joints.max()):.2f} rad"
-            return f"{key} has joint angles from {found}; {least} to {most} rad are possible"
+            return f"{name} has joint angles from {found}; {least} to {most} rad are possible"
     return None
 
 
-def jumps(columns: Columns, limits: TrajectoryLimits) -> str | None:
+def jumps(episode: Episode, limits: TrajectoryLimits) -> str | None:
     """Find steps of the hand that its servos cannot make within a frame."""
     groups = (
         (slice(0, PALM_DOF), limits.palm_step_m, "m"),
         (slice(PALM_DOF, HAND_DOF), limits.joint_step_rad, "rad"),
     )
-    for key in ("observation.state", executed_key(columns)):
+    for name, values in (("state", episode.state), ("executed_action", episode.executed)):
         for part, allowed, unit in groups:
-            steps = np.abs(np.diff(columns[key][:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
+            steps = np.abs(np.diff(values[:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
             if steps.size and (worst := float(steps.max())) > allowed:
                 frame = int(steps.argmax()) + 1
-                return f"{key} jumps by {worst:.2f} {unit} at frame {frame}; {allowed:.2f} {unit} is possible"
+                return f"{name} jumps by {worst:.2f} {unit} at frame {frame}; {allowed:.2f} {unit} is possible"
     return None
 
 
-def teleports(columns: Columns, limits: TrajectoryLimits) -> str | None:
+def teleports(episode: Episode, limits: TrajectoryLimits) -> str | None:
     """Find steps of the target that neither its own velocity nor a palm that carries it explains."""
-    steps = np.linalg.norm(np.diff(columns["target.pose"][:, :3], axis=0), axis=1)  # (T - 1,)
-    carried = np.linalg.norm(np.diff(columns["observation.state"][:, :PALM_DOF], axis=0), axis=1)
-    speed = np.linalg.norm(columns["target.velocity"][:, :3], axis=1)  # (T,)
+    steps = np.linalg.norm(np.diff(episode.target_pose[:, :3], axis=0), axis=1)  # (T - 1,)
+    carried = np.linalg.norm(np.diff(episode.palm_pos_h, axis=0), axis=1)
+    speed = np.linalg.norm(episode.target_velocity[:, :3], axis=1)  # (T,)
     allowed = np.maximum(np.maximum(speed[1:], speed[:-1]) * CONTROL_DT, carried) + limits.target_slack_m
     if not (steps > allowed).any():
         return None
     frame = int((steps - allowed).argmax())
     possible = f"with its velocity {allowed[frame]:.2f} m is possible"
-    return f"target.pose jumps by {steps[frame]:.2f} m at frame {frame + 1}; {possible}"
+    return f"target_pose jumps by {steps[frame]:.2f} m at frame {frame + 1}; {possible}"
 
 
-def saturation(columns: Columns, limits: TrajectoryLimits) -> str | None:
+def saturation(episode: Episode, limits: TrajectoryLimits) -> str | None:
     """Find demonstrations that stay at a limit of the hand through the control phase; a policy may well do that."""
-    if EXECUTED in columns:
-        return None
-    acting = is_acting(columns["observation.phase"])
-    commands = columns["action"][acting]
-    if not len(commands):
+    commands = episode.action[is_acting(episode.phase)]
+    if episode.executed_action is not None or not len(commands):
         return None
     low, high = np.array(limits.palm_range_m).T
     palm, joints = commands[:, :PALM_DOF], commands[:, PALM_DOF:]
@@ -188,26 +163,23 @@ def saturation(columns: Columns, limits: TrajectoryLimits) -> str | None:
     return None
 
 
-def frozen(columns: Columns, limits: TrajectoryLimits) -> str | None:
+def frozen(episode: Episode, limits: TrajectoryLimits) -> str | None:
     """Find a measured state that stays the same to the last bit while it is commanded elsewhere."""
-    state, action = columns["observation.state"], columns[executed_key(columns)]
+    state, command = episode.state, episode.executed
     still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
-    away = np.abs(action[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > limits.frozen_gap_m
+    away = np.abs(command[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > limits.frozen_gap_m
     run = 0
     for frame, stuck in enumerate(still & away):
         run = run + 1 if stuck else 0
         if run > limits.frozen_frames:
-            return f"observation.state is frozen from frame {frame + 1 - run} on while the hand is commanded to move"
+            return f"state is frozen from frame {frame + 1 - run} on while the hand is commanded to move"
     return None
 
 
-def phase_order(columns: Columns, limits: TrajectoryLimits) -> str | None:
+def phase_order(episode: Episode, limits: TrajectoryLimits) -> str | None:
     """Find phases that are not one-hot, and episodes that observe again after they began to act."""
-    phase = columns["observation.phase"]
-    acting = is_acting(phase)
-    wrong = (phase != one_hot_phase(np.maximum.accumulate(acting))).any(axis=1)
+    wrong = (episode.phase != one_hot_phase(np.maximum.accumulate(is_acting(episode.phase)))).any(axis=1)
     if not wrong.any():
         return None
     frame = int(wrong.argmax())
-    found = f"it is {phase[frame].tolist()} at frame {frame}"
-    return f"observation.phase is not a window of [1, 0] followed by [0, 1]: {found}"
+    return f"phase is not [1, 0] and then [0, 1]: it is {episode.phase[frame].tolist()} at frame {frame}"

@@ -8,21 +8,54 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX
-from dynahoi_lerobot.dataset.columns import Features, image_keys
-from dynahoi_lerobot.dataset.episode_arrays import content_values
-from dynahoi_lerobot.dataset.episode_table import ARRAY_COLUMNS, EpisodeRow, own_values
-from dynahoi_lerobot.dataset.files import reading
-from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
-from dynahoi_lerobot.dataset.tables import read_tasks
+from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX, Feature, episode_features
+from dynahoi_lerobot.dataset.columns import Features, column_array, content_values, image_keys, numeric_keys, read_png
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow, own_values
+from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, reading
 from dynahoi_lerobot.dataset.video import decode
+
+
+def frame_column(root: Path, key: str) -> np.ndarray:
+    """Return a column of a dataset with one row per frame: row i belongs to the frame of global index i.
+
+    This is how a policy in training finds what it must not see, such as the target's pose: LeRobot's preprocessing
+    passes the ``index`` of a batch's frames on (and their ``episode_index``), but drops every column besides
+    observations and actions. Read the column once and look frames up: ``frame_column(root, "target.pose")[index]``.
+    A million frames take a quarter of a second.
+
+    Args:
+        root: the dataset's folder, ``meta.root`` of LeRobot's metadata.
+        key: name of a column of the frame table, or of the episode table with or without its prefix ``stats/``. What
+            has one value per episode is repeated for each of its frames.
+
+    Returns:
+        (N, D) in the column's unit, of its element type.
+
+    Raises:
+        FileNotFoundError: if ``root`` holds no dataset.
+        ValueError: if the dataset has no such column of numbers, or not as many rows as frames.
+    """
+    store = Store(root)
+    if key in numeric_keys(store.features):
+        return np.concatenate([column_array(store.table(path, [key]), key) for path in store.data_files()])
+    name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
+    feature = next((f for f in store.array_features if f.key == name and f.per == "frame"), None)
+    if feature is None:
+        raise ValueError(f"{root} has no column {key!r} with a row per frame")
+    table = pa.concat_tables([store.table(path, ["length", name]) for path in store.row_files()])
+    values, lengths = table[name].combine_chunks(), table["length"].to_numpy()
+    flat = values.flatten() if pa.types.is_list(values.type) else values
+    rows = flat.to_numpy(zero_copy_only=False).reshape(-1, *feature.column_shape)  # (N or E, D)
+    rows = rows.repeat(lengths, axis=0) if feature.constant else rows
+    if len(rows) != lengths.sum():
+        raise ValueError(f"{root} has {len(rows)} rows of {key!r} for {lengths.sum()} frames; see `dynahoi verify`")
+    return rows
 
 
 class Store:
@@ -57,7 +90,7 @@ class Store:
         return self.info["features"]
 
     @property
-    def pictures(self) -> list[str]:
+    def image_keys(self) -> list[str]:
         """The keys of all images, those of the hand's camera first."""
         return image_keys(self.features)
 
@@ -69,18 +102,16 @@ class Store:
     @cached_property
     def tasks(self) -> list[str]:
         """The instructions, by task index."""
-        return read_tasks(self.root / TASKS_PATH)
+        return pq.read_table(self.root / TASKS_PATH).sort_by("task_index")["task"].to_pylist()
 
     @cached_property
     def rows(self) -> list[EpisodeRow]:
-        """The episode table without its statistics, one dictionary per episode.
+        """The episode table without what lies below ``stats/``, one dictionary per episode.
 
         Raises:
             ValueError: if a file of it is damaged, or there is none.
         """
-        if not (paths := self.row_files()):
-            raise ValueError(f"{self.root} holds no episode table: there is no file in meta/episodes")
-        return pa.concat_tables([_rows(path) for path in paths]).to_pylist()
+        return [row for path in self.row_files() for row in _light_rows(path)]
 
     @property
     def episodes(self) -> int:
@@ -88,17 +119,46 @@ class Store:
         return len(self.rows)
 
     def row_files(self) -> list[Path]:
-        """Return the files of the episode table, in order."""
-        return sorted((self.root / "meta/episodes").glob("*/*.parquet"))
+        """Return the files of the episode table, in order.
+
+        Raises:
+            ValueError: if there are none.
+        """
+        if not (paths := sorted((self.root / "meta/episodes").glob("*/*.parquet"))):
+            raise ValueError(f"{self.root} holds no episode table: there is no file in meta/episodes")
+        return paths
+
+    @property
+    def array_features(self) -> list[Feature]:
+        """Our arrays that the episode table holds."""
+        names = pq.read_schema(self.row_files()[0]).names
+        return [feature for feature in episode_features(on_policy=True) if feature.key in names]
 
     def data_files(self) -> list[Path]:
-        """Return the files of the frame table, in order."""
-        return sorted((self.root / "data").glob("*/*.parquet"))
+        """Return the files of the frame table, in order.
+
+        Raises:
+            ValueError: if there are none.
+        """
+        if not (paths := sorted((self.root / "data").glob("*/*.parquet"))):
+            raise ValueError(f"{self.root} holds no frame table: there is no file in data")
+        return paths
+
+    def table(self, path: Path, columns: list[str]) -> pa.Table:
+        """Return columns of a file of a table.
+
+        Raises:
+            ValueError: if it is missing or damaged.
+        """
+        with reading(path):
+            return pq.read_table(path, columns=columns)
 
     def full_rows(self) -> Iterator[EpisodeRow]:
-        """Yield the rows of the episode table with their statistics."""
+        """Yield the rows of the episode table with all their columns."""
         for path in self.row_files():
-            yield from pq.read_table(path).to_pylist()
+            with reading(path), pq.ParquetFile(path) as file:
+                for batch in file.iter_batches(ROWS_AT_ONCE):
+                    yield from batch.to_pylist()
 
     def data_path(self, row: EpisodeRow) -> Path:
         """Return the file that holds the episode's rows."""
@@ -122,9 +182,24 @@ class Store:
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         if not self.has_video:
-            return np.stack([_decoded(cell) for cell in table[key].to_pylist()])
+            return np.stack([read_png(cell) for cell in table[key].to_pylist()])
         start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
         return np.stack(list(decode(self.video_path(row, key), start, start + row["length"])))
+
+    def row(self, index: int) -> EpisodeRow:
+        """Return an episode's row with all its columns.
+
+        Raises:
+            IndexError: if there is no such episode.
+        """
+        if not 0 <= index < self.episodes:
+            raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
+        for path in self.row_files():
+            with reading(path):
+                found = pq.read_table(path, filters=[("episode_index", "=", index)])
+            if found.num_rows:
+                return found.to_pylist()[0]
+        raise IndexError(f"{self.root} holds no row of episode {index}")
 
     def episode(self, index: int, *, images: bool = True) -> Episode:
         """Return one episode; ``images`` says whether to decode its images.
@@ -132,27 +207,36 @@ class Store:
         Raises:
             IndexError: if there is no such episode.
         """
-        if not 0 <= index < self.episodes:
-            raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
-        row = self.rows[index]
-        table = self.frames(row)
-        keys = self.pictures if images else []
+        row = self.row(index)
+        return self.as_episode(row, self.frames(row), images=images)
+
+    def as_episode(self, row: EpisodeRow, table: pa.Table, *, images: bool) -> Episode:
+        """Return the episode of a row with all its columns and of its frames."""
+        keys = self.image_keys if images else []
         views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
         values = own_values(row)
         return Episode(images=views, **values, **content_values(table, values))
 
+    def stored_episodes(self) -> Iterator[tuple[EpisodeRow, pa.Table]]:
+        """Yield every episode's full row and its frames; each file is read once.
 
-def _decoded(cell: dict[str, Any]) -> np.ndarray:
-    """Return an image file's pixels, (H, W, 3) uint8 RGB."""
-    image = cv2.imdecode(np.frombuffer(cell["bytes"], np.uint8), cv2.IMREAD_COLOR_RGB)
-    if image is None:
-        raise ValueError(f"{cell['path']} of the frame table is no image")
-    return image
+        Raises:
+            ValueError: if a file is missing or damaged.
+        """
+        path, table, used = Path(), pa.table({}), 0
+        for row in self.full_rows():
+            if (holder := self.data_path(row)) != path:
+                with reading(holder):
+                    path, table, used = holder, pq.read_table(holder), 0
+            yield row, table.slice(used, row["length"]).combine_chunks()
+            used += row["length"]
 
 
-def _rows(path: Path) -> pa.Table:
-    """Return a file of the episode table without the statistics."""
+ROWS_AT_ONCE = 64
+"""Rows of the episode table that are held in memory: privileged arrays make them 20 kB each."""
+
+
+def _light_rows(path: Path) -> list[EpisodeRow]:
     with reading(path):
-        names = pq.read_schema(path).names
-        columns = [name for name in names if name in ARRAY_COLUMNS or not name.startswith(EPISODE_TABLE_PREFIX)]
-        return pq.read_table(path, columns=columns)
+        names = [name for name in pq.read_schema(path).names if not name.startswith(EPISODE_TABLE_PREFIX)]
+        return pq.read_table(path, columns=names).to_pylist()

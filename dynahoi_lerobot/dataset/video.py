@@ -1,96 +1,215 @@
-"""One mp4 file of many episodes, written through PyAV; the same frames give the same bytes."""
+"""Images on disk: mp4 files of many episodes through PyAV, or PNG files in the frame table.
+
+Each episode is encoded on its own, from a new encoder, so its packets are a function of its images and the settings
+alone: they are the same wherever in a file the episode lies, and a replay can compare them byte by byte.
+"""
 
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import av
-import av.logging
 import numpy as np
-from av.video.frame import PictureType
+from av.container import OutputContainer
+from av.error import FFmpegError
+from av.packet import Packet
+from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 
-from dynahoi_lerobot.dataset.codecs import Encoding
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+
+CODECS = {"h264": "libx264", "images": ""}
+"""What stores images, and its encoder in FFmpeg: LeRobot's tools turn either into any other codec that it knows."""
+PRESETS = (
+    "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
+)  # fmt: skip
+MAX_GOP, MAX_CRF = 10_000, 51
+FRAME = Fraction(1, CONTROL_HZ)
+"""Duration of a frame [s], the unit of time in video files."""
 
 
-class VideoWriter:
-    """Appends episodes to one mp4 file; every episode begins with a key frame.
+@dataclass(frozen=True)
+class Encoding:
+    """How a dataset stores its images.
 
-    ``bitexact`` keeps dates and library versions out of the container, and each encoder runs on one thread.
+    Attributes:
+        codec: ``h264``, or ``images`` for PNG files in the parquet tables instead of video.
+        crf: constant rate factor of x264, lower is better and larger.
+        preset: x264's speed setting.
+        gop: frames from one key frame to the next; every episode starts with one.
     """
 
-    def __init__(self, path: Path, image_size: int, fps: int, encoding: Encoding) -> None:
-        """Open ``path`` for square frames of ``image_size`` pixels at ``fps`` Hz."""
-        self.path = path
-        self.frames = 0
-        self.size_bytes = 0
-        self._time_base = Fraction(1, fps)
-        self._container = av.open(str(path), "w", options={"fflags": "+bitexact"})
-        options = encoding.make_codec().options()
-        self._stream = cast(
-            VideoStream, self._container.add_stream(encoding.make_codec().encoder, fps, options=options)
-        )
-        self._stream.width = self._stream.height = image_size
-        self._stream.pix_fmt = encoding.pix_fmt
-        self._stream.thread_count = 1
-        self._stream.time_base = self._time_base
+    codec: str = "h264"
+    crf: int = 20
+    preset: str = "superfast"
+    gop: int = 2
 
-    def write(self, images: np.ndarray) -> None:
-        """Append one episode.
+    def __post_init__(self) -> None:
+        """Refuse what no encoder could do.
 
-        Args:
-            images: (T, H, W, 3) uint8 RGB.
+        Raises:
+            ValueError: naming the value and those allowed.
         """
-        for number, image in enumerate(images):
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
-            frame.pts, frame.time_base = self.frames, self._time_base
-            if number == 0:
-                frame.pict_type = PictureType.I
-            self._mux(frame)
-            self.frames += 1
+        if self.codec not in CODECS:
+            raise ValueError(f"unknown codec {self.codec!r}; known: {', '.join(CODECS)}")
+        if not 1 <= self.gop <= MAX_GOP:
+            raise ValueError(f"gop is {self.gop}; it must be 1 to {MAX_GOP} frames")
+        if not 0 <= self.crf <= MAX_CRF:
+            raise ValueError(f"crf is {self.crf}; it must be 0 to {MAX_CRF}")
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset is {self.preset!r}; h264 has {', '.join(PRESETS)}")
+
+    @property
+    def is_video(self) -> bool:
+        """Whether images are stored as video."""
+        return self.codec != "images"
+
+    @property
+    def options(self) -> dict[str, str]:
+        """FFmpeg's options: one thread, no B-frames, so that packets are frames in order, and no filters to undo."""
+        return {
+            "crf": str(self.crf),
+            "preset": self.preset,
+            "tune": "fastdecode",
+            "g": str(self.gop),
+            "bf": "0",
+            "x264-params": "scenecut=0:log=-1",
+        }
+
+    def info(self, image_size: int) -> dict[str, Any]:
+        """Return what LeRobot records about a video stream, so that its tools can re-encode it alike."""
+        return {
+            "video.height": image_size,
+            "video.width": image_size,
+            "video.codec": self.codec,
+            "video.pix_fmt": "yuv420p",
+            "video.fps": CONTROL_HZ,
+            "video.channels": 3,
+            "has_audio": False,
+            "video.g": self.gop,
+            "video.crf": self.crf,
+            "video.preset": self.preset,
+            "video.fast_decode": 1,
+            "video.video_backend": "pyav",
+            "video.extra_options": {},
+            "is_depth_map": False,
+        }
+
+    def configure(self, encoder: VideoCodecContext, image_size: int) -> None:
+        """Set up an encoder for square images of ``image_size`` pixels."""
+        encoder.width = encoder.height = image_size
+        encoder.pix_fmt = "yuv420p"
+        encoder.thread_count = 1
+        encoder.time_base, encoder.framerate = FRAME, 1 / FRAME
+        encoder.options = self.options
+
+
+def encode(images: np.ndarray, encoding: Encoding) -> list[Packet]:
+    """Return the packets of one episode, one a frame, of which the first is a key frame.
+
+    Args:
+        images: (T, H, W, 3) uint8 RGB, H = W.
+        encoding: a video's.
+    """
+    encoder = cast(VideoCodecContext, av.CodecContext.create(CODECS[encoding.codec], "w"))
+    encoding.configure(encoder, images.shape[1])
+    packets: list[Packet] = []
+    for number, image in enumerate(images):
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+        frame.pts, frame.time_base = number, FRAME
+        packets += encoder.encode(frame)
+    return packets + encoder.encode(None)
+
+
+class VideoFile:
+    """An mp4 file that grows by episodes. Nothing in it tells when or by which library it was written."""
+
+    def __init__(self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]) -> None:
+        """Open ``path``; ``add_stream`` gives the file its stream, see ``stream_for`` and ``stream_like``."""
+        self.path, self.frames, self.size_bytes = path, 0, 0
+        self._container = av.open(str(path), "w", options={"fflags": "+bitexact", "write_btrt": "0"})
+        self._stream = add_stream(self._container)
+        self._stream.time_base = FRAME
+
+    def append(self, packets: Iterable[Packet]) -> None:
+        """Append the packets of one episode."""
+        with self._writing():
+            for packet in packets:
+                packet.stream = self._stream
+                packet.pts = packet.dts = self.frames
+                packet.duration, packet.time_base = 1, FRAME
+                self.frames += 1
+                self.size_bytes += packet.size
+                self._container.mux(packet)
 
     def close(self) -> None:
-        """Flush the encoder, close the file and make sure that all of it reached the disk.
+        """Close the file and make sure that all of it reached the disk.
 
         Raises:
             OSError: if the file holds fewer frames than were written, as a full disk leaves it.
         """
-        self._mux(None)
-        self._container.close()
-        if (stored := count_frames(self.path)) != self.frames:
+        with self._writing():
+            self._container.close()
+        if (stored := sum(1 for _ in stored_packets(self.path))) != self.frames:
             raise OSError(errno.EIO, f"only {stored} of {self.frames} frames reached the disk", str(self.path))
 
     def abandon(self) -> None:
         """Close the file, whatever it contains."""
-        self._container.close()
+        with suppress(FFmpegError):
+            self._container.close()
 
-    def _mux(self, frame: av.VideoFrame | None) -> None:
-        for packet in self._stream.encode(frame):
-            self.size_bytes += packet.size
-            self._container.mux(packet)
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Raise OSError in place of FFmpeg's own errors, which cannot travel between processes."""
+        try:
+            yield
+        except FFmpegError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from None
 
 
-def count_frames(path: Path) -> int:
-    """Return the number of frames of a video by its packets; nothing is decoded.
+def stream_for(encoding: Encoding, image_size: int) -> Callable[[OutputContainer], VideoStream]:
+    """Return what gives a file the stream of packets that ``encode`` returns."""
+
+    def add(container: OutputContainer) -> VideoStream:
+        stream = cast(VideoStream, container.add_stream(CODECS[encoding.codec], CONTROL_HZ))
+        encoding.configure(stream.codec_context, image_size)
+        return stream
+
+    return add
+
+
+def stream_like(path: Path) -> Callable[[OutputContainer], VideoStream]:
+    """Return what gives a file the same stream as the video ``path`` has."""
+
+    def add(container: OutputContainer) -> VideoStream:
+        with av.open(str(path)) as source:
+            stream = container.add_stream_from_template(source.streams.video[0], opaque=True)
+        return cast(VideoStream, stream)
+
+    return add
+
+
+def stored_packets(path: Path) -> Iterator[Packet]:
+    """Yield the packets of a video, one a frame; nothing is decoded.
 
     Raises:
         OSError: if the file cannot be read as a video.
     """
     with av.open(str(path)) as container:
-        sizes = [packet.size for packet in container.demux(video=0)]
-    return sum(size > 0 for size in sizes)  # the last packet is empty, it flushes
+        yield from (packet for packet in container.demux(video=0) if packet.size)  # the last one only flushes
 
 
 def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
     """Yield frames ``start`` to ``stop`` (excluded; None for all) of a video as (H, W, 3) uint8 RGB."""
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
-        rate = cast(Fraction, stream.average_rate)
-        time_base = cast(Fraction, stream.time_base)
+        rate, time_base = cast(Fraction, stream.average_rate), cast(Fraction, stream.time_base)
         if start:
             container.seek(int(start / rate / time_base), stream=stream)
         for frame in container.decode(stream):
@@ -99,3 +218,10 @@ def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.n
                 return
             if number >= start:
                 yield frame.to_ndarray(format="rgb24")
+
+
+def decode_packets(packets: Iterable[Packet], encoding: Encoding) -> np.ndarray:
+    """Return the images (T, H, W, 3) uint8 RGB of packets that ``encode`` returned."""
+    decoder = cast(VideoCodecContext, av.CodecContext.create(encoding.codec, "r"))
+    frames = [frame for packet in (*packets, None) for frame in decoder.decode(packet)]
+    return np.stack([frame.to_ndarray(format="rgb24") for frame in frames])

@@ -1,34 +1,99 @@
-"""Write episodes as a LeRobotDataset v3.0. The same episodes give the same bytes."""
+"""Write a LeRobotDataset v3.0, episode by episode: from Episodes, or from what other datasets hold of them.
+
+The same episodes give the same bytes, in whatever pieces they were made.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from av.packet import Packet
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import Feature
-from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.dataset.card.readme import finish_with_card
-from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, frame_table, image_keys, info_features
-from dynahoi_lerobot.dataset.episode_arrays import check_fits, content_arrays, image_arrays
-from dynahoi_lerobot.dataset.episode_table import HISTOGRAM, EpisodeRow, own_columns, stats_columns, video_columns
-from dynahoi_lerobot.dataset.language import language_column, subtask_rows
-from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
-from dynahoi_lerobot.dataset.metadata import MetadataWriter
-from dynahoi_lerobot.dataset.paths import DATA_PATH, VIDEO_PATH, FileLimits
-from dynahoi_lerobot.dataset.statistics import (
-    picture_histogram,
-    picture_stats,
-    sampled_frames,
-    table_stats,
+from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
+from dynahoi_lerobot.dataset.card import write_card
+from dynahoi_lerobot.dataset.columns import (
+    Features,
+    arrow_schema,
+    bookkeeping_arrays,
+    column_array,
+    content_arrays,
+    dataset_features,
+    flat_array,
+    frame_columns,
+    image_keys,
+    info_features,
+    numeric_keys,
 )
-from dynahoi_lerobot.dataset.tables import MIB, RollingParquet
-from dynahoi_lerobot.dataset.video import VideoWriter
+from dynahoi_lerobot.dataset.episode_table import (
+    EpisodeRow,
+    own_columns,
+    place_row,
+    row_schema,
+    row_stats,
+    stats_columns,
+    video_columns,
+    without_place,
+)
+from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.paths import (
+    CODEBASE_VERSION,
+    DATA_PATH,
+    EPISODES_PATH,
+    INFO_PATH,
+    ROBOT_TYPE,
+    STATS_PATH,
+    TASKS_PATH,
+    VIDEO_PATH,
+    FileLimits,
+    write_json,
+)
+from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.video import Encoding, VideoFile, encode, stream_for, stream_like
+
+MIB = 1 << 20
+FLUSH_ROWS = 256
+
+
+class _Tables:
+    """Parquet files of one kind: each table is a row group, and a new file begins before one would be too large."""
+
+    def __init__(self, root: Path, template: str, schema: pa.Schema, limits: FileLimits) -> None:
+        self.schema, self.number = schema, -1
+        self._root, self._template, self._limits = root, template, limits
+        self._sink: pa.NativeFile | None = None
+        self._writer: pq.ParquetWriter | None = None
+
+    def place_for(self, table: pa.Table) -> tuple[int, int]:
+        """Make room for ``table``; return the (chunk, file) index that it goes to."""
+        if self._sink is None or self._sink.tell() + table.nbytes >= self._limits.data_mb * MIB:
+            self.close()
+            self.number += 1
+            self._sink = pa.OSFile(str(self._limits.path(self._root, self._template, self.number)), "wb")
+            self._writer = pq.ParquetWriter(self._sink, self.schema, compression="snappy", use_dictionary=True)
+        return self._limits.place(self.number)
+
+    def append(self, table: pa.Table) -> None:
+        """Append ``table`` to the file that ``place_for`` chose."""
+        if self._writer is None:
+            raise RuntimeError("no file is open; call place_for first")
+        self._writer.write_table(table)
+
+    def close(self) -> None:
+        """Finish the current file."""
+        if self._writer is not None and self._sink is not None:
+            self._writer.close()
+            self._sink.close()
+        self._writer = self._sink = None
 
 
 class DatasetWriter:
@@ -37,20 +102,50 @@ class DatasetWriter:
     Until ``finish`` returns, the folder is not a dataset: write into a temporary one and rename it.
     """
 
-    def __init__(
-        self,
+    def __init__(self, root: Path, features: Features, columns: Sequence[Feature], limits: FileLimits) -> None:
+        """Make the folder ``root`` for a dataset that is put together from others; see ``for_episodes``.
+
+        Args:
+            root: a path that does not exist yet; its parent does.
+            features: ``info.json``'s feature table.
+            columns: the dataset's columns; those of the frame table may be left out.
+            limits: file size limits.
+
+        Raises:
+            FileExistsError: if ``root`` exists.
+        """
+        root.mkdir()
+        self.root, self.limits, self.features = root, limits, features
+        self.episodes = self.frames = 0
+        self._schema = arrow_schema(features)
+        self._data = _Tables(root, DATA_PATH, self._schema, limits)
+        self._rows = _Tables(root, EPISODES_PATH, row_schema(features, columns), limits)
+        self._pending: list[EpisodeRow] = []
+        self._tasks: dict[str, int] = {}
+        self._benchmarks: set[str] = set()
+        self._seeds: list[int] = []
+        self._image_keys = image_keys(features)
+        self._image_stats: dict[str, list[Stats]] = {key: [] for key in self._image_keys}
+        self._videos: dict[str, VideoFile] = {}
+        """The file of each view that is being written; all of them begin and end with the same episodes."""
+        self._n_videos = 0
+        self._columns, self._encoding = tuple(columns), Encoding()
+
+    @classmethod
+    def for_episodes(
+        cls,
         root: Path,
         features: Sequence[Feature],
         encoding: Encoding | None = None,
         limits: FileLimits | None = None,
         *,
         subtasks: bool = False,
-    ) -> None:
-        """Make the folder ``root``.
+    ) -> DatasetWriter:
+        """Return a writer of new episodes.
 
         Args:
             root: a path that does not exist yet; its parent does.
-            features: the columns that every episode fills, see ``features.frame_features``.
+            features: the columns that every episode fills, see ``columns.dataset_features``.
             encoding: how images are stored.
             limits: file size limits.
             subtasks: whether to write subtasks as LeRobot's column for language.
@@ -59,28 +154,14 @@ class DatasetWriter:
             FileExistsError: if ``root`` exists.
             ValueError: if video cannot hold images of this size.
         """
-        self.encoding, self.limits = encoding or Encoding(), limits or FileLimits()
-        self._codec = self.encoding.make_codec()
-        self._features = tuple(features)
-        self._image_size = max((feature.shape[0] for feature in features if feature.is_image), default=0)
-        if self._codec.is_video and self._image_size % 2:
-            raise ValueError(f"image size is {self._image_size} pixels; video needs an even number")
-        root.mkdir()
-        self.root = root
-        info, self._subtasks = info_features(features, self.encoding, subtasks=subtasks), subtasks
-        self._keys = image_keys(info)
-        self._schema = arrow_schema(info)
-        self._catalog = MetadataWriter(root, info, self.limits)
-        self._data = RollingParquet(root, DATA_PATH, self._schema, self.limits)
-        self._videos: dict[str, VideoWriter] = {}
-        """The file of each view that is being written; all of them begin and end with the same episodes."""
-        self._n_videos = 0
-        self._seeds: list[int] = []
-
-    @property
-    def episodes(self) -> int:
-        """How many episodes have been added."""
-        return self._catalog.episodes
+        encoding = encoding or Encoding()
+        size = max((feature.shape[0] for feature in features if feature.is_image), default=0)
+        if encoding.is_video and size % 2:
+            raise ValueError(f"image size is {size} pixels; video needs an even number")
+        table = info_features(features, encoding, subtasks=subtasks)
+        writer = cls(root, table, features, limits or FileLimits())
+        writer._encoding = encoding
+        return writer
 
     def add(self, episode: Episode) -> None:
         """Append one episode.
@@ -88,15 +169,28 @@ class DatasetWriter:
         Raises:
             ValueError: if it has other columns than the dataset, or images of another size.
         """
-        check_fits(episode, self._features)
-        arrays = content_arrays(episode, self._features)
-        row = own_columns(episode, arrays) | {"tasks": [episode.meta.task], "length": len(episode)}
-        row |= stats_columns(table_stats(arrays)) | self._image_columns(episode)
-        row |= self._write_frames(episode, arrays)
-        if self._keys and self._codec.is_video:
-            row |= self._write_videos(episode)
-        self._catalog.add(row)
-        self._seeds.append(episode.meta.seed)
+        check_fits(episode, self._columns)
+        images = {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
+        arrays = content_arrays(episode, self._columns)
+        row = own_columns(episode, self._columns) | {"tasks": [episode.meta.task], "length": len(episode)}
+        row |= stats_columns(table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys})
+        packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
+        size = max((frames.shape[1] for frames in images.values()), default=0)
+        self._append(
+            row, frame_columns(episode, arrays, self._schema), packets, lambda key: stream_for(self._encoding, size)
+        )
+
+    def copy(self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]) -> None:
+        """Append one episode that another dataset holds, without decoding or encoding images.
+
+        Args:
+            store: the other dataset, with the same features.
+            row: its full row of the episode table.
+            table: its frames.
+            packets: its packets of each view; none without video.
+        """
+        columns = {name: table[name].combine_chunks() for name in table.column_names}
+        self._append(without_place(row), columns, packets, lambda key: stream_like(store.video_path(row, key)))
 
     def finish(self, provenance: dict[str, Any] | None = None, yields: dict[str, int] | None = None) -> Manifest:
         """Close every file, write the tables under ``meta/`` and the card, and return the manifest, also written.
@@ -104,75 +198,158 @@ class DatasetWriter:
         Raises:
             ValueError: if no episode was added.
         """
-        if not self._catalog.episodes:
+        if not self.episodes:
             raise ValueError("no episode was added; a dataset needs at least one")
         self._data.close()
         self._close_videos()
-        self._catalog.finish()
-        manifest = Manifest(
-            self._catalog.episodes,
-            self._catalog.frames,
-            hash_files(self.root),
-            self._seeds,
-            provenance or {},
-            yields or {},
-            self._catalog.benchmark,
-        )
-        return finish_with_card(self.root, manifest)
+        self._flush_rows()
+        self._rows.close()
+        _write_tasks(list(self._tasks), self.root / TASKS_PATH)
+        write_json(self._info(), self.root / INFO_PATH)
+        stats = self._stats()
+        as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
+        write_json(as_lists, self.root / STATS_PATH)
+        facts = Manifest(self.episodes, self.frames, {}, self._seeds, provenance or {}, yields or {}, self.benchmark)
+        write_card(Store(self.root), facts)
+        manifest = replace(facts, files=hash_files(self.root))
+        manifest.write(self.root)
+        return manifest
+
+    @property
+    def benchmark(self) -> str:
+        """Version of the benchmark that the episodes are of; all of them where versions were mixed on purpose."""
+        return ", ".join(sorted(self._benchmarks))
 
     def abandon(self) -> None:
         """Close all files and leave the folder unfinished."""
         for video in self._videos.values():
             video.abandon()
 
-    def _image_columns(self, episode: Episode) -> EpisodeRow:
-        sample, arrays, columns = sampled_frames(len(episode)), image_arrays(episode), EpisodeRow()
-        for key in self._keys:
-            images = arrays[key] if len(sample) == len(episode) else arrays[key][sample]
-            histogram = picture_histogram(images)
-            columns |= {HISTOGRAM + key: histogram.reshape(-1).tolist()}  # (3 * 256,)
-            columns |= stats_columns({key: picture_stats(histogram, len(sample))})
-        return columns
+    def _append(
+        self,
+        row: EpisodeRow,
+        columns: dict[str, pa.Array],
+        packets: dict[str, list[Packet]],
+        stream: Callable[[str], Any],
+    ) -> None:
+        """Append an episode: its row and its columns without place, its packets, and what opens a video for a view."""
+        place = (self.episodes, self.frames, self._tasks.setdefault(row["tasks"][0], len(self._tasks)))
+        for key, values in bookkeeping_arrays(row["length"], *place).items():
+            columns[key] = flat_array(values, self._schema.field(key).type)
+        table = pa.table(
+            [columns[key].cast(self._schema.field(key).type) for key in self._schema.names], schema=self._schema
+        )
+        chunk, file = self._data.place_for(table)
+        self._data.append(table)
+        row = place_row(row, *place) | {"data/chunk_index": chunk, "data/file_index": file}
+        if packets:
+            row |= self._append_videos(row["length"], packets, stream)
+        for key in self._image_keys:
+            self._image_stats[key].append(row_stats(row, key))
+        self._seeds.append(row["seed"])
+        self._benchmarks.add(row["benchmark"])
+        self.episodes += 1
+        self.frames += row["length"]
+        self._pending.append(row)
+        if len(self._pending) == FLUSH_ROWS:
+            self._flush_rows()
 
-    def _write_frames(self, episode: Episode, arrays: dict[str, np.ndarray]) -> EpisodeRow:
-        place = self._catalog.next_place(episode.meta.task)
-        bookkeeping = bookkeeping_arrays(len(episode), *place)
-        images = {} if self._codec.is_video else image_arrays(episode)
-        subtasks = None
-        if self._subtasks:
-            subtasks = language_column(subtask_rows(is_acting(episode.phase), episode.localized), len(episode))
-        table = frame_table(arrays | bookkeeping, images, self._schema, subtasks)
-        chunk, file = self._data.write(table)
-        return {"data/chunk_index": chunk, "data/file_index": file}
-
-    def _write_videos(self, episode: Episode) -> EpisodeRow:
-        if not all(self._fits(video, len(episode)) for video in self._videos.values()):
+    def _append_videos(self, length: int, packets: dict[str, list[Packet]], stream: Callable[[str], Any]) -> EpisodeRow:
+        """Append packets to the video of each view; return the columns that say where they are."""
+        if not all(self._fits(video, packets[key]) for key, video in self._videos.items()):
             self._close_videos()
         if not self._videos:
-            self._open_videos()
-        start = self._videos[self._keys[0]].frames
-        for key, images in image_arrays(episode).items():
-            self._videos[key].write(images)
+            for key in packets:
+                path = self.limits.path(self.root, VIDEO_PATH, self._n_videos, video_key=key)
+                self._videos[key] = VideoFile(path, stream(key))
+            self._n_videos += 1
+        start = self._videos[next(iter(packets))].frames
+        for key, video in self._videos.items():
+            video.append(packets[key])
         chunk, file = self.limits.place(self._n_videos - 1)
-        place = {
-            "chunk_index": chunk,
-            "file_index": file,
-            "from_timestamp": start / CONTROL_HZ,
-            "to_timestamp": (start + len(episode)) / CONTROL_HZ,
-        }
-        return video_columns(self._keys, place)
+        times = {"from_timestamp": start / CONTROL_HZ, "to_timestamp": (start + length) / CONTROL_HZ}
+        return video_columns(packets, {"chunk_index": chunk, "file_index": file} | times)
 
-    def _open_videos(self) -> None:
-        for key in self._keys:
-            path = self.limits.path(self.root, VIDEO_PATH, self._n_videos, video_key=key)
-            self._videos[key] = VideoWriter(path, self._image_size, CONTROL_HZ, self.encoding)
-        self._n_videos += 1
+    def _fits(self, video: VideoFile, packets: list[Packet]) -> bool:
+        size_bytes = video.size_bytes + sum(packet.size for packet in packets)
+        frames = video.frames + len(packets)
+        return size_bytes <= self.limits.video_mb * MIB and frames <= self.limits.video_s * CONTROL_HZ
 
     def _close_videos(self) -> None:
         for video in self._videos.values():
             video.close()
         self._videos = {}
 
-    def _fits(self, video: VideoWriter, frames: int) -> bool:
-        expected_bytes = video.size_bytes * (1 + frames / video.frames)
-        return expected_bytes < self.limits.video_mb * MIB and video.frames + frames <= self.limits.video_s * CONTROL_HZ
+    def _flush_rows(self) -> None:
+        if not self._pending:
+            return
+        table = pa.Table.from_pylist(self._pending, self._rows.schema)
+        for name, value in zip(("chunk_index", "file_index"), self._rows.place_for(table), strict=True):
+            position = self._rows.schema.get_field_index(f"meta/episodes/{name}")
+            cells = pa.array([value] * len(table), pa.int64())
+            table = table.set_column(position, self._rows.schema.field(position), cells)
+        self._rows.append(table)
+        self._pending.clear()
+
+    def _stats(self) -> dict[str, Stats]:
+        """Return the dataset's statistics by key: of images from those of episodes, of columns from all frames."""
+        stats = {key: pooled(found) for key, found in self._image_stats.items()}
+        paths = sorted((self.root / "data").glob("*/*.parquet"))
+        for key in numeric_keys(self.features):
+            values = np.concatenate([column_array(pq.read_table(path, columns=[key]), key) for path in paths])
+            stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
+        return stats
+
+    def _info(self) -> dict[str, Any]:
+        has_video = any(feature["dtype"] == "video" for feature in self.features.values())
+        return {
+            "codebase_version": CODEBASE_VERSION,
+            "fps": CONTROL_HZ,
+            "features": self.features,
+            "total_episodes": self.episodes,
+            "total_frames": self.frames,
+            "total_tasks": len(self._tasks),
+            "chunks_size": self.limits.chunk_files,
+            "data_files_size_in_mb": self.limits.data_mb,
+            "video_files_size_in_mb": self.limits.video_mb,
+            "data_path": DATA_PATH,
+            "video_path": VIDEO_PATH if has_video else None,
+            "robot_type": ROBOT_TYPE,
+            "splits": {"train": f"0:{self.episodes}"},
+        }
+
+
+def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
+    """Refuse an episode with other columns.
+
+    Raises:
+        ValueError: naming the column, what the episode has and what the dataset needs.
+    """
+    frames = len(episode)
+    wanted = {f.key: f.array_shape(frames) for f in features if f.has_fixed_shape and not f.on_request}
+    images = {IMAGE_PREFIX + view: pixels.shape for view, pixels in episode.images.items()}
+    held = (f for f in dataset_features(episode) if f.has_fixed_shape and not f.is_image)
+    found = images | {f.key: np.shape(getattr(episode, f.name)) for f in held}
+    for key in (*wanted, *found):
+        if wanted.get(key) != found.get(key):
+            raise ValueError(
+                f"the episode of seed {episode.meta.seed} has {_described(key, found)}, the dataset needs "
+                f"{_described(key, wanted)}; all episodes of a dataset must have the same columns"
+            )
+
+
+def _described(key: str, shapes: dict[str, tuple[int, ...]]) -> str:
+    return f"{key} of shape {shapes[key]}" if key in shapes else f"no {key}"
+
+
+def _write_tasks(tasks: list[str], path: Path) -> None:
+    """Write LeRobot's task table: pandas must find the texts as the index named ``task``."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        for name, (kind, numpy) in kinds.items()
+    ]
+    note = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.3.3"}
+    schema = pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(note)})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table([list(range(len(tasks))), tasks], schema=schema), path, compression="snappy")

@@ -55,7 +55,7 @@ class DynahoiVectorEnv(VectorEnv):
     Observation:
         A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
         view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], home frame, and joint angles
-        [rad]; ``fingertips`` (30,) positions [m], home frame, and rotation vectors [rad]; ``phase`` (2,); and, if the
+        [rad]; ``phase`` (2,); and, if the
         capture rule uses contact sensors, ``touch`` (5,) force of each finger on the target [N]. Only on request
         ``environment_state`` (13,), the simulator's truth: pose of the target [m, 1], home frame, and its linear and
         angular velocity [m/s, rad/s].

@@ -12,13 +12,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, number, path
-from dynahoi_lerobot.core.features import FRAMES
+from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, number, path, whole
 from dynahoi_lerobot.core.files import check_output
-from dynahoi_lerobot.dataset.codecs import CODECS, Encoding
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.generate.executors import EXECUTORS, ClusterResources, Executor
+from dynahoi_lerobot.dataset.video import CODECS, Encoding
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
@@ -26,6 +24,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 RECIPE_OPTIONS = tuple(entry.name for entry in fields(Recipe) if entry.name not in ("actor", "teacher_share"))
 """Fields of the recipe that options of the command override; on-policy recordings have options of their own."""
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
+EXECUTORS = ("local", "slurm", "ray")
 LONGEST_VIDEO_S = 1e9
 """No dataset is longer."""
 
@@ -38,32 +37,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
     add_field_arguments(parser, Recipe, RECIPE_OPTIONS)
     parser.add_argument(
-        "--privileged-columns",
-        default=FRAMES,
-        help="table of the privileged columns: frames, or episodes (faster to load)",
-    )
-    parser.add_argument(
         "--subtasks", action="store_true", help="store the current subtask in LeRobot's language column"
     )
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
     parser.add_argument("--shard-episodes", type=int, help="episodes per shard; by default an eighth, at most 256")
-    parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS.names())}")
+    parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS)}")
     parser.add_argument("--crf", type=int, help="rate factor; lower means better quality and larger files")
     parser.add_argument("--preset", help="speed preset of the encoder")
-    parser.add_argument("--gop", type=int, default=Encoding.gop, help="frames between key frames")
+    parser.add_argument("--gop", type=int, help="frames between key frames")
     parser.add_argument(
         "--video-seconds",
         type=number(1.0, LONGEST_VIDEO_S),
         default=FileLimits.video_s,
         help="longest video file [s], at most 200 MB; LeRobot can only stream one file per view",
     )
-    parser.add_argument("--executor", help="run the shards as datatrove tasks: local, slurm or ray")
-    parser.add_argument("--tasks", type=int, help="number of tasks; one per shard by default")
+    parser.add_argument("--executor", choices=EXECUTORS, help="run the shards as datatrove tasks")
+    parser.add_argument("--tasks", type=whole(1, 100_000), help="number of tasks; one per shard by default")
     parser.add_argument("--dry-run", action="store_true", help="print what --executor would do")
-    parser.add_argument("--partition", default=ClusterResources.partition, help="Slurm partition")
-    parser.add_argument("--time", default=ClusterResources.time, help="Slurm time limit per task")
-    parser.add_argument("--cpus-per-task", type=int, default=ClusterResources.cpus_per_task)
-    parser.add_argument("--gpus-per-task", type=int, default=ClusterResources.gpus_per_task)
+    parser.add_argument("--partition", default="cpu", help="Slurm partition")
+    parser.add_argument("--time", default="24:00:00", help="Slurm time limit per task")
+    parser.add_argument("--cpus-per-task", type=whole(1, 4096), default=1)
+    parser.add_argument("--gpus-per-task", type=whole(0, 64), default=0)
     parser.add_argument("--json", type=path, help="also write the summary to this file")
 
 
@@ -86,9 +80,11 @@ def run(
         complete = args.root.exists()
         plan = _plan(args, recipe or load_recipe(args.recipe), runtime)
         if args.executor is not None:
-            executor = _executor(args, plan, record or _record(args.cpus_per_task))
-            if args.dry_run or not executor.run():
-                print(executor.describe())
+            from dynahoi_lerobot.generate import executors
+
+            work = (args.executor, plan, args.root, record or _record(args.cpus_per_task), _resources(args))
+            if args.dry_run or not executors.run(*work):
+                print(executors.describe(*work))
                 return 0
         recorder = record or _record(0 if args.workers == 1 else 1)
         manifest = _generate(plan, args, recorder)
@@ -114,13 +110,20 @@ def _plan(args: argparse.Namespace, recipe: Recipe, runtime: str) -> GenerationP
         recipe.changed(**given_fields(args, RECIPE_OPTIONS)),
         args.episodes,
         args.seed,
-        Encoding(args.codec, args.crf, args.preset, args.gop),
+        _encoding(args),
         shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
         FileLimits(video_s=args.video_seconds),
         runtime=runtime,
-        privileged_columns=args.privileged_columns,
         subtasks=args.subtasks,
     )
+
+
+def _encoding(args: argparse.Namespace) -> Encoding:
+    settings = {name: value for name in ("crf", "preset", "gop") if (value := getattr(args, name)) is not None}
+    if args.codec == "images" and settings:
+        name, value = next(iter(settings.items()))
+        raise ValueError(f"{name} is {value!r}; images has none, only a video has")
+    return Encoding(args.codec, **settings)
 
 
 def _record(threads: int) -> Record:
@@ -130,13 +133,13 @@ def _record(threads: int) -> Record:
     return partial(record, threads=threads)
 
 
-def _executor(args: argparse.Namespace, plan: GenerationPlan, record: Record) -> Executor:
-    workers = -1 if args.workers == 1 else args.workers
-    resources = ClusterResources(
-        args.tasks, workers, args.cpus_per_task, gpus_per_task=args.gpus_per_task,
+def _resources(args: argparse.Namespace) -> Any:
+    from dynahoi_lerobot.generate.executors import ClusterResources
+
+    return ClusterResources(
+        args.tasks, -1 if args.workers == 1 else args.workers, args.cpus_per_task, gpus_per_task=args.gpus_per_task,
         partition=args.partition, time=args.time,
     )  # fmt: skip
-    return EXECUTORS[args.executor](plan, args.root, record, resources)
 
 
 def _generate(plan: GenerationPlan, args: argparse.Namespace, record: Record) -> Manifest:

@@ -1,21 +1,43 @@
-"""generate: make all shards of a plan, check them and merge them. Stop it anywhere and start it again."""
+"""generate: make all shards of a plan, check them and merge them. Stop it anywhere and start it again.
+
+Shards are made in the workspace ``<root>.partial`` by one run at a time, on one process or several.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import itertools
+import logging
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
+from itertools import islice
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
 from dynahoi_lerobot.core.files import check_output
-from dynahoi_lerobot.core.working_folder import differences
+from dynahoi_lerobot.core.working_folder import LOCK, differences, read_task, working_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Progress, Record
-from dynahoi_lerobot.generate.shard import ShardMaker
-from dynahoi_lerobot.generate.workers import make_in_processes
-from dynahoi_lerobot.generate.workspace import open_workspace, remove_workspace
+from dynahoi_lerobot.generate.shard import SHARD, ShardMaker
 
+logger = logging.getLogger(__name__)
+
+PLAN, LOGS = "plan.json", "logs"
 MAX_WORKERS = 4096
 CHECKS = 3
 """How often shards that are found damaged are made again before the disk is called unreliable."""
+STARTS = 3
+"""How often a pool is started before processes that die are an error."""
+POLL_S = 0.2
 
 
 def generate(
@@ -23,8 +45,8 @@ def generate(
 ) -> Manifest:
     """Make the dataset of a plan.
 
-    Shards are made in ``<root>.partial`` and merged at the end, so ``root`` exists only when it is complete. Whatever
-    ended an earlier run, the shards it finished are checked and kept, and the result is the same.
+    ``root`` exists only when it is complete. Whatever ended an earlier run, the shards it finished are checked and
+    kept, and the result is the same.
 
     Args:
         plan: what to make.
@@ -34,9 +56,10 @@ def generate(
         progress: called with the number of episodes that are done.
 
     Raises:
+        BlockingIOError: if another process is making this dataset.
         FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
-        GenerationError: if the expert cannot make the episodes, processes keep dying, another process is making this
-            dataset, or the files of a finished one have changed.
+        GenerationError: if the expert cannot make the episodes, processes keep dying, or the files of a finished
+            dataset have changed.
         ValueError: if ``workers`` is out of its range, or no folder can be made at ``root``.
     """
     if not 1 <= workers <= MAX_WORKERS:
@@ -71,19 +94,123 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
     return manifest
 
 
-def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
-    """Make every shard that is not there yet."""
-    if workers > 1:
-        return make_in_processes(maker, workers, progress)
-    done = itertools.count(maker.done_episodes() + 1)
-    for shard in maker.missing():
-        maker.make(shard, lambda: progress(next(done)))
-    return None
-
-
 def _make(maker: ShardMaker, root: Path, workers: int, progress: Progress) -> Manifest:
     for _ in range(CHECKS):
         make_missing(maker, workers, progress)
         if not maker.discard_damaged():
             return maker.merge(root)
     raise GenerationError(f"shards in {maker.folder} were damaged {CHECKS} times after they were made; check the disk")
+
+
+def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
+    """Make every shard that is not there yet; when a process dies, the shards it was making are made again.
+
+    Raises:
+        GenerationError: if processes keep dying.
+    """
+    if workers == 1:
+        done = itertools.count(maker.done_episodes() + 1)
+        for shard in maker.missing():
+            maker.make(shard, lambda: progress(next(done)))
+        return None
+    for _ in range(STARTS):
+        try:
+            return _run_pool(maker, workers, progress)
+        except BrokenProcessPool:
+            missing = maker.plan.shards - len(maker.finished())
+    raise GenerationError(
+        f"worker processes died {STARTS} times with {missing} shards to go; fewer workers need less memory"
+    )
+
+
+def _run_pool(maker: ShardMaker, workers: int, progress: Progress) -> None:
+    # Forked copies of a process that holds threads or a GPU hang; new ones do not.
+    context = multiprocessing.get_context("spawn")
+    counter = context.Value("q", maker.done_episodes())
+    count = max(1, min(workers, maker.plan.shards - len(maker.finished())))
+    with ProcessPoolExecutor(count, context, initializer=_enter, initargs=(counter, os.getpid())) as pool:
+        futures = (pool.submit(_make_shard, maker, shard) for shard in maker.missing())
+        try:
+            _watch(futures, 2 * count, lambda: progress(counter.value))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _watch(futures: Iterator[Future[None]], ahead: int, show: Callable[[], object]) -> None:
+    """Keep ``ahead`` shards submitted and report progress until all are done; raise what the first failure raised."""
+    pending = set(islice(futures, ahead))
+    while pending:
+        done, pending = wait(pending, POLL_S, FIRST_COMPLETED)
+        show()
+        for future in done:
+            future.result()
+        pending |= set(islice(futures, len(done)))
+
+
+_counter: Synchronized[int] | None = None
+
+
+def _enter(counter: Synchronized[int], parent: int) -> None:
+    """Prepare a worker: keep the shared counter, and end with the parent."""
+    global _counter  # noqa: PLW0603 - a process pool offers its workers no other memory
+    _counter = counter
+    exit_with_parent(parent)
+
+
+def _make_shard(maker: ShardMaker, shard: int) -> None:
+    maker.make(shard, _count)
+
+
+def _count() -> None:
+    if _counter is not None:
+        with _counter.get_lock():
+            _counter.value += 1
+
+
+PR_SET_PDEATHSIG = 1
+"""Option of Linux's ``prctl``: the signal that a process gets when its parent ends."""
+
+
+def exit_with_parent(parent: int) -> None:
+    """End this process when its parent has ended, however that happens: at once on Linux, soon elsewhere.
+
+    Args:
+        parent: the parent's process id. If it has ended already, this process ends here.
+    """
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(POLL_S)
+        os._exit(1)
+
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def workspace_path(root: Path) -> Path:
+    """Return where a dataset's shards are made."""
+    return root.with_name(f"{root.name}.partial")
+
+
+def open_workspace(plan: GenerationPlan, root: Path) -> AbstractContextManager[Path]:
+    """Return the context of a workspace, new or of an interrupted run of the same plan, see ``working_folder``."""
+    return working_folder(workspace_path(root), plan.identity(), PLAN)
+
+
+def remove_workspace(plan: GenerationPlan, root: Path) -> None:
+    """Remove what generation made in the plan's workspace, and the workspace if nothing else is in it."""
+    workspace = workspace_path(root)
+    if not workspace.is_dir() or read_task(workspace, PLAN) != plan.identity():
+        return
+    for path in [*workspace.glob(f"{SHARD}*"), *workspace.glob(f".{SHARD}*.tmp"), workspace / LOGS]:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+    for name in (LOCK, PLAN):
+        (workspace / name).unlink(missing_ok=True)
+    try:
+        workspace.rmdir()
+    except OSError:
+        names = ", ".join(sorted(path.name for path in workspace.iterdir()))
+        logger.warning("%s stays, because generation did not make all that is in it: %s", workspace, names)

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import FRAMES, PRIVILEGED_PLACES, Feature
-from dynahoi_lerobot.dataset.codecs import Encoding
+from dynahoi_lerobot.core.features import Feature, episode_features
 from dynahoi_lerobot.dataset.paths import FileLimits
+from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import REDRAW_STRIDE
@@ -56,12 +56,11 @@ class GenerationPlan:
         recipe: what to play.
         episodes: how many to store.
         seed: the first episode's seed.
-        encoding: how to store images.
+        encoding: how to store them.
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
         runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
-        privileged_columns: where the privileged columns are, in the table of ``frames`` or of ``episodes``.
         subtasks: whether to store subtasks as LeRobot's column for language.
     """
 
@@ -73,7 +72,6 @@ class GenerationPlan:
     limits: FileLimits = field(default_factory=FileLimits)
     code: str = field(default_factory=code_fingerprint)
     runtime: str = ""
-    privileged_columns: str = FRAMES
     subtasks: bool = False
 
     def __post_init__(self) -> None:
@@ -90,16 +88,15 @@ class GenerationPlan:
             raise ValueError(
                 f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for {self.episodes} episodes"
             )
-        if self.privileged_columns not in PRIVILEGED_PLACES:
-            allowed = " or ".join(PRIVILEGED_PLACES)
-            raise ValueError(f"the place of privileged columns is {self.privileged_columns!r}; it must be {allowed}")
-        if (size := self.recipe.image_size) % 2 and self.encoding.make_codec().is_video:
-            raise ValueError(f"the image size is {size} pixels; videos need an even number")
+        if self.recipe.image_size % 2 and self.encoding.is_video:
+            raise ValueError(
+                f"the image size is {self.recipe.image_size} pixels; it must be an even number for a video"
+            )
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """The columns of the dataset's frame table."""
-        return self.recipe.features(privileged=self.privileged_columns == FRAMES)
+        """The columns of the dataset, of the frame table and of the episode table."""
+        return (*self.recipe.features(), *episode_features(on_policy=self.recipe.on_policy))
 
     @property
     def shards(self) -> int:
@@ -123,7 +120,6 @@ class GenerationPlan:
             "shard_episodes": self.shard_episodes,
             "code": self.code,
             "runtime": self.runtime,
-            "privileged_columns": self.privileged_columns,
             "subtasks": self.subtasks,
         }
         return json.loads(json.dumps(content, default=str))

@@ -7,14 +7,10 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
-from av.error import FFmpegError
-
-from dynahoi_lerobot.dataset.episode_arrays import content_arrays
-from dynahoi_lerobot.dataset.files import temporary_sibling
-from dynahoi_lerobot.dataset.manifest import Manifest, file_problems, stray_files
+from dynahoi_lerobot.core.atomic import new_folder
+from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
@@ -81,15 +77,14 @@ class ShardMaker:
         if is_whole(target):
             return target
         _make_way(target)
-        with temporary_sibling(target) as temporary:
+        with new_folder(target) as temporary:
             plan = self.plan
-            writer = DatasetWriter(temporary, plan.features, plan.encoding, plan.limits, subtasks=plan.subtasks)
+            writer = DatasetWriter.for_episodes(
+                temporary, plan.features, plan.encoding, plan.limits, subtasks=plan.subtasks
+            )
             try:
                 tally = _Filling(self, writer, tick).fill(shard)
                 writer.finish(plan.identity(), tally)
-            except FFmpegError as error:
-                # FFmpeg's own errors cannot travel between processes.
-                raise OSError(error.errno, error.strerror, str(target)) from None
             finally:
                 writer.abandon()
         return target
@@ -105,7 +100,7 @@ class ShardMaker:
             return "it belongs to another plan"
         if sorted(seed % REDRAW_STRIDE for seed in manifest.seeds) != list(self.plan.slots(shard)):
             return f"its seeds are not those of shard {shard}"
-        return next(chain(file_problems(folder, manifest), stray_files(folder, manifest.files)), None)
+        return next(file_problems(folder, manifest), None)
 
     def discard_damaged(self) -> list[int]:
         """Remove shards that are not the plan's, so that they are made again; say which and why.
@@ -182,7 +177,7 @@ class _Filling:
                 raise GenerationError(f"the recorder gave an episode of seed {seed}, which was not asked for")
             seen.add(seed)
             limits = limits_of(episode.meta.capture, episode.meta.control_class)
-            if not trajectory_problems(content_arrays(episode), episode.home_position, limits):
+            if not trajectory_problems(episode, limits):
                 self._writer.add(episode)
                 kept.add(seed)
                 self._tally["failed"] += not episode.success

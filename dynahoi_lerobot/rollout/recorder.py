@@ -51,6 +51,7 @@ class Job:
 
 
 MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {
+    "fingertips": lambda batch: batch.fingertips(),
     "target_pose": lambda batch: batch.target_pose,
     "target_velocity": lambda batch: batch.target_velocity,
     "target_contacts": lambda batch: batch.touching(),

@@ -34,6 +34,8 @@ DECIDING = (
     "generate/shard.py",
 )
 """The sources that decide what is in a dataset; all others read datasets, play policies or spread work."""
+NOT_DECIDING = ("doctor.py", "hub.py")
+"""Modules among them that do not."""
 
 
 @cache
@@ -99,7 +101,7 @@ def _package_sources(name: str) -> Iterator[Path]:
 def deciding_sources(package: Path) -> Iterator[Path]:
     """Yield the deciding sources below ``package``."""
     for pattern in DECIDING:
-        yield from package.glob(pattern)
+        yield from (path for path in package.glob(pattern) if path.parent != package or path.name not in NOT_DECIDING)
 
 
 def _version(library: str) -> str:

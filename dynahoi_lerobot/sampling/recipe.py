@@ -177,19 +177,13 @@ class Recipe:
             changes = {"hand": "", "expert": ""} | changes
         return dataclasses.replace(self, **{k: tuple(v) if isinstance(v, list) else v for k, v in changes.items()})
 
-    def features(self, *, privileged: bool = True) -> tuple[Feature, ...]:
-        """Return the columns of the frame table of its episodes, in the dataset's order.
-
-        Args:
-            privileged: False leaves out the privileged columns that the episode table can hold.
-        """
+    def features(self) -> tuple[Feature, ...]:
+        """Return the columns of the frame table of its episodes, in the dataset's order."""
         return frame_features(
             self.image_size,
             self.views,
             contact_sensors=CAPTURES[self.capture].uses_contact_sensors,
-            on_policy=self.on_policy,
             environment_state=self.environment_state,
-            privileged=privileged,
         )
 
     @property

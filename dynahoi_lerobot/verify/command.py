@@ -5,32 +5,60 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import draccus
+import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import path, whole
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.verify.checks.base import Finding
-from dynahoi_lerobot.verify.runner import DECODED, verify
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.verify.files import format_problems, manifest_problems, rewritten, tables_readable
+from dynahoi_lerobot.verify.replay import replay_problems
+from dynahoi_lerobot.verify.verdicts import derived_problems, verdict_problems
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.rollout.replay import Resimulate
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
+SHOWN, LONGEST = 5, 600
+"""Findings of a claim that are reported, the rest are counted; characters of a finding that are shown."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something wrong with a dataset.
+
+    Attributes:
+        check: the claim that it refutes: ``files``, ``format``, ``verdicts`` or ``replay``.
+        message: what is wrong, where, and what was expected.
+    """
+
+    check: str
+    message: str
+
+    def __str__(self) -> str:
+        """Return both on one line, with what cannot be printed escaped: it may come from a hostile dataset."""
+        line = f"{self.check}: {self.message}"
+        return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line[:LONGEST])
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi verify``."""
     parser.add_argument("root", type=path, help="the dataset's folder")
-    parser.add_argument("--decode", default=str(DECODED), help="episodes whose pictures are decoded, or 'all'")
     parser.add_argument(
-        "--replay", type=whole(0, 10**9), default=0, help="episodes to make again from their seeds and to compare"
+        "--replay",
+        type=whole(0, 10**9),
+        default=0,
+        help="episodes, drawn at random, to make again from their seeds and compare, images included",
     )
-    parser.add_argument("--json", type=path, help="write the findings there as well")
+    parser.add_argument("--json", type=path, help="also write the findings to this file")
 
 
 def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> int:
@@ -44,41 +72,101 @@ def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> in
         The exit code: 0 no findings, 1 findings, 2 bad input.
     """
     try:
-        decoded = _decoded(args.decode)
-        Store(args.root)  # raises where there is no dataset
-    except (OSError, ValueError) as error:
+        episodes = Store(args.root).info.get("total_episodes")
+    except FileNotFoundError as error:
         print(f"dynahoi verify: {error}", file=sys.stderr)
         return BAD_INPUT
-    with tqdm(total=_episodes(args.root), unit="episode", disable=None) as bar:
-
-        def show(done: int) -> None:
-            bar.update(done - bar.n)
-
-        findings = verify(args.root, decoded=decoded, replayed=args.replay, resimulate=resimulate, progress=show)
-    _report(args, findings)
+    except ValueError:
+        episodes = None  # a finding
+    with tqdm(total=episodes if isinstance(episodes, int) else None, unit="episode", disable=None) as bar:
+        findings = verify(args.root, replayed=args.replay, resimulate=resimulate, progress=bar.update, note=print)
+    for finding in findings:
+        print(finding)
+    print(f"{args.root}: {f'{len(findings)} findings' if findings else f'{episodes} episodes, no findings'}")
+    if args.json:
+        args.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
     return FAILED if findings else PASSED
 
 
-def _report(args: argparse.Namespace, findings: list[Finding]) -> None:
-    for finding in findings:
-        print(finding)
-    found = f"{len(findings)} findings" if findings else f"{_episodes(args.root)} episodes, no findings"
-    print(f"{args.root}: {found}")
-    if args.json:
-        args.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
+def verify(
+    root: Path,
+    *,
+    replayed: int = 0,
+    resimulate: Resimulate | None = None,
+    progress: Callable[[], object] = lambda: None,
+    note: Callable[[str], object] = lambda _: None,
+) -> list[Finding]:
+    """Check the three claims about a dataset.
+
+    Args:
+        root: the dataset's folder.
+        replayed: how many episodes are made again from their seeds and compared; they are drawn at random.
+        resimulate: makes the episode of a seed; by default the expert of the manifest's recipe.
+        progress: called after each episode whose verdict was checked.
+        note: told in a sentence what a replay found equal.
+
+    Returns:
+        At most ``SHOWN`` findings per claim and a count of the rest; empty if all claims hold. If a table cannot be
+        read, that alone; if another tool has written the dataset, that, and what LeRobot's format finds wrong.
+
+    Raises:
+        FileNotFoundError: if ``root`` holds no dataset.
+    """
+    store = Store(root)
+    if unreadable := _guarded("files", tables_readable(store)):
+        return [*unreadable, *_guarded("files", manifest_problems(store))]
+    findings = _guarded("format", format_problems(store))
+    if (sentence := rewritten(store)) is not None:
+        return [Finding("files", sentence), *findings]
+    findings = _guarded("files", manifest_problems(store)) + findings
+    recipe = _recipe(store)
+    findings += _guarded("verdicts", _verdicts(store, recipe, progress))
+    if replayed:
+        drawn = drawn_evenly(store, replayed, np.random.default_rng())
+        note(f"drawn for the replay: episodes {', '.join(map(str, drawn))}")
+        findings += _guarded("replay", replay_problems(store, drawn, recipe, resimulate, note))
+    return findings
 
 
-def _episodes(root: Path) -> int | None:
-    """Return how many episodes the manifest promises, None where there is none that can be read."""
+def _verdicts(store: Store, recipe: Recipe | None, progress: Callable[[], object]) -> Iterator[str]:
+    hand = recipe.hand if recipe else None
+    for row, table in store.stored_episodes():
+        where = f"episode {row['episode_index']}: "
+        try:
+            episode = store.as_episode(row, table, images=False)
+            problems = [*verdict_problems(episode, hand), *derived_problems(episode, row, table)]
+        except (LookupError, ValueError, TypeError) as error:
+            problems = [f"it cannot be judged: {type(error).__name__}: {error}"]
+        yield from (where + problem for problem in problems)
+        progress()
+
+
+def _recipe(store: Store) -> Recipe | None:
+    """Return the recipe that the manifest names; None if it names none, or none that this project can read."""
     try:
-        return Manifest.read(root).episodes
-    except (OSError, ValueError):
+        stored = Manifest.read(store.root).provenance.get("recipe")
+        return None if stored is None else draccus.decode(Recipe, stored)
+    except (draccus.utils.DraccusException, OSError, ValueError, TypeError, AttributeError):
         return None
 
 
-def _decoded(text: str) -> int | None:
-    if text == "all":
-        return None
-    if not text.isdigit():
-        raise ValueError(f"--decode is {text!r}; it is a number of episodes or 'all'")
-    return int(text)
+def drawn_evenly(store: Store, count: int, rng: np.random.Generator) -> list[int]:
+    """Return ``count`` indices of episodes (all if there are fewer), divided evenly among the kinds of motion."""
+    order = rng.permutation(store.episodes)
+    turns: Counter[str] = Counter()
+    ranked = []
+    for index in order:
+        ranked.append((turns[motion := store.rows[index]["motion"]], int(index)))
+        turns[motion] += 1
+    return sorted(index for _, index in sorted(ranked, key=lambda pair: pair[0])[:count])
+
+
+def _guarded(name: str, problems: Iterable[str]) -> list[Finding]:
+    """Collect what one check finds, the first few; an exception in a check is a finding, too."""
+    found: list[str] = []
+    try:
+        found.extend(problems)
+    except Exception as error:  # whatever a hostile dataset makes a reader raise
+        found.append(f"cannot be checked: {error or type(error).__name__}")
+    more = [f"and {len(found) - SHOWN} more"] if len(found) > SHOWN else []
+    return [Finding(name, message) for message in [*found[:SHOWN], *more]]

@@ -227,6 +227,10 @@ class WorldBatch:
         """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
         return self._fingertips.target_distance()
 
+    def fingertips(self) -> np.ndarray:
+        """Return (N, 30), position [m], home frame, and rotation vector [rad] of each fingertip."""
+        return self._fingertips.poses(self.home_pos_w)
+
     def touching(self) -> np.ndarray:
         """Return (N, 5) bool, the fingers that touch the target, or would if they collided."""
         if self.rule.uses_contact_sensors:
@@ -246,7 +250,6 @@ class WorldBatch:
         return Observation(
             images={view: self._render(view, self._seeing(ids)) for view in views},
             state=self.state.astype(np.float32),
-            fingertips=self._fingertips.poses(self.home_pos_w).astype(np.float32),
             phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,

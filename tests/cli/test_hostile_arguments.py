@@ -95,6 +95,7 @@ HARMLESS = {
     "generate --video-seconds": ("1e3",),
     "generate --gpus-per-task": ("0",),
     "verify --replay": ("0",),
+    "filter --drop": ("0", ""),
     "view --seed": ("0",),
     "view --episode": ("0",),
     "evaluate --gifs": ("0",),

@@ -13,7 +13,6 @@ from PIL import Image, ImageSequence
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.clip import Clip, write_clip
 from dynahoi_lerobot.evaluate.gif import BORDERS
-from tests.dataset.episodes import write
 
 CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "tracker_standard"
 
@@ -51,15 +50,6 @@ def test_an_episode_of_a_dataset(dataset: Path, tmp_path: Path, capsys: pytest.C
         assert np.abs(np.array(gif.convert("RGB").getpixel((0, 0))) - BORDERS["observing"]).max() < 12
         gif.seek(gif.n_frames - 1)  # type: ignore[attr-defined] - of every animated format
         assert np.abs(np.array(gif.convert("RGB").getpixel((0, 0))) - BORDERS["localized"]).max() < 12
-
-
-def test_an_episode_whose_privileged_columns_are_in_the_episode_table_looks_the_same(tmp_path: Path) -> None:
-    films = []
-    for place, privileged in (("frames", True), ("episodes", False)):
-        root = write(tmp_path / place, [3], privileged=privileged)
-        assert view("--dataset", root, "--out", tmp_path / f"{place}.gif") == 0
-        films.append((tmp_path / f"{place}.gif").read_bytes())
-    assert films[0] == films[1]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import frame_features
+from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from tests.synthetic import synthetic_episode
 
@@ -19,7 +19,7 @@ def varied_episode(seed: int, image_size: int | None = 32, views: Sequence[str] 
     episode = synthetic_episode(seed, frames=20 + seed % 7, image_size=image_size)
     meta = dataclasses.replace(episode.meta, task=f"Catch the {('red', 'blue')[seed % 2]} ball.")
     images = {}
-    if image_size:
+    if image_size is not None:
         ego = episode.images["ego"] + np.uint8(seed % 5)
         ego[:, :4, :4] = np.random.default_rng(seed).integers(0, 255, (4, 4, 3), np.uint8)
         images = {"ego": ego} | {view: ego[:, ::-1] // (2 + n) for n, view in enumerate(views)}
@@ -27,21 +27,12 @@ def varied_episode(seed: int, image_size: int | None = 32, views: Sequence[str] 
 
 
 def write(
-    root: Path,
-    seeds: range | list[int],
-    image_size: int | None = 32,
-    views: Sequence[str] = (),
-    *,
-    privileged: bool = True,
-    **options,
+    root: Path, seeds: range | list[int], image_size: int | None = 32, views: Sequence[str] = (), **options
 ) -> Path:
-    """Write the varied episodes of ``seeds`` as a dataset.
-
-    ``privileged`` keeps privileged columns in the frame table, else they are in the episode table; ``options`` go to
-    ``DatasetWriter``.
-    """
-    writer = DatasetWriter(root, frame_features(image_size, views, privileged=privileged), **options)
-    for seed in seeds:
-        writer.add(varied_episode(seed, image_size, views))
+    """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter.for_episodes``."""
+    episodes = [varied_episode(seed, image_size, views) for seed in seeds]
+    writer = DatasetWriter.for_episodes(root, dataset_features(episodes[0]), **options)
+    for episode in episodes:
+        writer.add(episode)
     writer.finish()
     return root

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, info_features
-from dynahoi_lerobot.dataset.episode_arrays import content_arrays, features_of
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, content_arrays, dataset_features, info_features
 
 logging.disable(logging.WARNING)
 
@@ -28,16 +27,13 @@ def open_dataset(root: Path, **options) -> LeRobotDataset:
 
 def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobotDataset:
     """The same episodes through LeRobot's own recording interface."""
-    described = info_features(features_of(episodes[0]), encoding)
+    columns = dataset_features(episodes[0])
+    described = info_features(columns, encoding)
     features = {key: feature for key, feature in described.items() if key not in BOOKKEEPING}
     for feature in features.values():
         feature.pop("info", None)
         feature["shape"] = tuple(feature["shape"])
-    codec = encoding.make_codec()
-    encoder = RGBEncoderConfig(
-        vcodec="h264", crf=codec.chosen_crf, preset=codec.chosen_preset, g=encoding.gop,
-        fast_decode=int(encoding.fast_decode),
-    )  # fmt: skip
+    encoder = RGBEncoderConfig(vcodec="h264", crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1)
     dataset = LeRobotDataset.create(
         "local/dataset",
         20,
@@ -48,7 +44,7 @@ def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobot
         encoder_threads=1,
     )
     for episode in episodes:
-        arrays = content_arrays(episode)
+        arrays = content_arrays(episode, columns)
         for frame in range(len(episode)):
             row = {key: np.asarray(values[frame]) for key, values in arrays.items()}
             dataset.add_frame(row | {"observation.images.ego": episode.images["ego"][frame], "task": episode.meta.task})

@@ -3,15 +3,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.core.features import frame_features
-from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.dataset import write_episodes
+from dynahoi_lerobot.dataset.video import Encoding
 from tests.dataset.episodes import varied_episode
 from tests.dataset.lerobot_api import open_dataset, write_with_lerobot
 
@@ -23,21 +20,13 @@ def pair(request, tmp_path_factory) -> tuple[Path, Path]:
     """The same episodes written by us and by LeRobot."""
     folder, encoding = tmp_path_factory.mktemp("pair"), Encoding(codec=request.param)
     episodes = [varied_episode(seed) for seed in SEEDS]
-    writer = DatasetWriter(folder / "ours", frame_features(32), encoding)
-    for episode in episodes:
-        writer.add(episode)
-    writer.finish()
+    write_episodes(folder / "ours", episodes, encoding)
     write_with_lerobot(folder / "theirs", episodes, encoding)
     return folder / "ours", folder / "theirs"
 
 
 def load(root: Path, name: str):
     return json.loads((root / name).read_text())
-
-
-def pixels(column: pa.ChunkedArray) -> np.ndarray:
-    cells = [np.frombuffer(cell["bytes"], np.uint8) for cell in column.to_pylist()]
-    return np.stack([cv2.imdecode(cell, cv2.IMREAD_COLOR_RGB) for cell in cells])
 
 
 def test_info_is_the_same(pair):
@@ -53,10 +42,6 @@ def test_info_is_the_same(pair):
 def test_frames_are_the_same(pair):
     ours, theirs = (pq.read_table(root / "data/chunk-000/file-000.parquet") for root in pair)
     assert ours.schema.equals(theirs.schema)
-    key = "observation.images.ego"
-    if key in ours.column_names:  # Pillow and OpenCV compress the same pixels differently
-        np.testing.assert_array_equal(pixels(ours[key]), pixels(theirs[key]))
-        ours, theirs = ours.drop_columns(key), theirs.drop_columns(key)
     assert ours.equals(theirs)
     features = [json.loads(table.schema.metadata[b"huggingface"])["info"] for table in (ours, theirs)]
     assert features[0] == features[1]
@@ -93,24 +78,6 @@ def test_dataset_statistics_are_the_same_but_for_pinned_quantiles(pair):
             assert np.shape(ours[key][name]) == np.shape(value)
             if name in ("min", "max", "mean", "std", "count"):
                 np.testing.assert_allclose(ours[key][name], value, atol=3e-4, err_msg=f"{key} {name}")
-
-
-def test_quantiles_are_those_of_all_frames(pair):
-    root, stats = pair[0], load(pair[0], "meta/stats.json")
-    table = pq.read_table(root / "data/chunk-000/file-000.parquet")
-    for key in (
-        "action",
-        "observation.state",
-        "timestamp",
-        "episode_index",
-        "index",
-        "task_index",
-        "localized",
-    ):
-        values = np.array(table[key].to_pylist(), np.float64)
-        for name, share in {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}.items():
-            expected = np.quantile(values, share, axis=0, method="inverted_cdf")
-            np.testing.assert_array_equal(stats[key][name], np.atleast_1d(expected), err_msg=f"{key} {name}")
 
 
 def test_decoded_frames_are_the_same(pair):

@@ -19,4 +19,4 @@ print(len(names))
 def test_no_module_of_the_dataset_room_imports_a_simulator_torch_or_lerobot():
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 15, "the walk must have found the modules"
+    assert int(done.stdout) > 8, "the walk must have found the modules"

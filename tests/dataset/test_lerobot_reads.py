@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.dataset import read_episodes
-from dynahoi_lerobot.dataset.store import Store
 from tests.dataset.episodes import varied_episode, write
 from tests.dataset.lerobot_api import REPO, open_dataset
 
@@ -30,7 +29,7 @@ def test_opens(dataset):
     item = opened[first_of_third + 3]
     np.testing.assert_array_equal(item["action"], varied_episode(2).action[3])
     assert item["task"] == "Catch the red ball."
-    assert item["localized"].dtype.is_floating_point is False
+    assert not [name for name in opened.meta.episodes.column_names if name.startswith("stats/")]
 
 
 def test_windows_over_time(dataset):
@@ -96,10 +95,3 @@ def test_viz_loads_an_episode(dataset):
     loader = torch.utils.data.DataLoader(opened, num_workers=0, batch_size=8)
     frames = [int(frame) for batch in loader for frame in batch["frame_index"]]
     assert frames == list(range(LENGTHS[3]))
-
-
-def test_store_says_when_there_is_no_dataset(tmp_path):
-    with pytest.raises(FileNotFoundError, match="is no LeRobot dataset"):
-        Store(tmp_path)
-    with pytest.raises(IndexError, match="episode 6 does not exist"):
-        Store(write(tmp_path / "d", range(6), 16)).episode(6)

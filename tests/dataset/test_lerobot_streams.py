@@ -1,16 +1,15 @@
-"""What ``StreamingLeRobotDataset`` does with our datasets, and what it does with LeRobot's own in the same way."""
+"""``StreamingLeRobotDataset`` reads our datasets."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from dynahoi_lerobot.core.features import frame_features
-from dynahoi_lerobot.dataset.codecs import Encoding
+from dynahoi_lerobot.dataset.video import Encoding
 from tests.dataset.episodes import varied_episode, write
-from tests.dataset.lerobot_api import REPO, write_with_lerobot
+from tests.dataset.lerobot_api import REPO
 
 
 def stream(root: Path, window: dict[str, list[float]] | None = None, **options):
@@ -18,16 +17,6 @@ def stream(root: Path, window: dict[str, list[float]] | None = None, **options):
 
     options = {"shuffle": False, "buffer_size": 1} | options
     return iter(StreamingLeRobotDataset(REPO, root=root, delta_timestamps=window, **options))
-
-
-@pytest.fixture(scope="module", params=["ours", "LeRobot's"])
-def pictures(request, tmp_path_factory) -> Path:
-    """Pictures in the frame table, as the decoder of streamed video needs libraries of the system."""
-    root, encoding = tmp_path_factory.mktemp("streamed") / "d", Encoding("images")
-    if request.param == "ours":
-        return write(root, range(2), encoding=encoding)
-    write_with_lerobot(root, [varied_episode(seed) for seed in range(2)], encoding)
-    return root
 
 
 def test_streams(tmp_path, monkeypatch):
@@ -47,27 +36,15 @@ def test_streams(tmp_path, monkeypatch):
     assert np.abs(shown - expected.images["ego"][2:4]).mean() < 6
 
 
-def test_streams_windows_over_every_observation(pictures):
-    """A policy with history asks for a window over each of them."""
+def test_streams_windows_over_every_observation(tmp_path):
+    """A policy with history asks for a window over each of them; images are in the frame table."""
+    images = write(tmp_path / "d", range(2), encoding=Encoding("images"))
     observed = [feature for feature in frame_features(None) if feature.observed]
     window = {feature.key: [-0.05, 0.0] for feature in observed}
-    items = stream(pictures, window | {"observation.images.ego": [-0.05, 0.0]})
+    items = stream(images, window | {"observation.images.ego": [-0.05, 0.0]})
     expected = varied_episode(0)
     item = next(item for item in items if int(item["frame_index"]) == expected.meta.window_frames)
     for feature in observed:
         wanted = getattr(expected, feature.name)[expected.meta.window_frames - 1 :][:2]
         np.testing.assert_array_equal(item[feature.key], wanted, feature.key)
     assert item["observation.images.ego"].shape == (2, 3, 32, 32)
-
-
-@pytest.mark.parametrize("key", ["next.reward", "timestamp"])
-def test_streaming_has_no_windows_over_columns_of_one_number(pictures, key):
-    """Their shapes are LeRobot's. Once LeRobot mends it, this fails: then say so in docs/lerobot.md."""
-    with pytest.raises(TypeError, match="expected Tensor as element 0 in argument 0, but got float"):
-        next(stream(pictures, {key: [-0.05, 0.0]}))
-
-
-def test_streaming_without_loader_processes_has_no_data(pictures):
-    """``lerobot-train`` asks for as many shards as ``--num_workers``."""
-    assert not list(stream(pictures, max_num_shards=0))
-    assert next(stream(pictures, max_num_shards=1))["frame_index"] == 0

@@ -9,7 +9,7 @@ import pytest
 
 from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset import read_episodes
-from dynahoi_lerobot.dataset.codecs import Encoding
+from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from tests.dataset.episodes import varied_episode
 

@@ -23,7 +23,6 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests import recompute_metrics
-from tests.dataset.episodes import write
 
 SEVEN = ("S_loc", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
 KINDS = len(BENCHMARK.splits["train"].motions)
@@ -80,18 +79,6 @@ def test_fingertip_distances_follow_from_poses_and_solids(recorded) -> None:
     for row in store.full_rows():
         computed = recompute_metrics.fingertip_distance(pd.Series(row), store.frames(row).to_pandas())
         np.testing.assert_allclose(computed, row["stats/fingertip_distance"], rtol=0, atol=POSITION_ERROR_M)
-
-
-def test_where_the_privileged_columns_are_makes_no_difference(tmp_path) -> None:
-    roots = [write(tmp_path / str(privileged), [1], privileged=privileged) for privileged in (True, False)]
-    both, computed = [Store(root) for root in roots], [recompute_metrics.metrics(root) for root in roots]
-    pd.testing.assert_frame_equal(*computed)
-    one, other = (
-        recompute_metrics.fingertip_distance(pd.Series(row), store.frames(row).to_pandas())
-        for store in both
-        for row in store.full_rows()
-    )
-    np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("baseline", ["pursuit", "hold"])

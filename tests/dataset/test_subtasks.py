@@ -5,15 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import read_episodes
-from dynahoi_lerobot.dataset.language import ARROW, HOLD, INFO, LANGUAGE, REACH, WATCH, language_column, subtask_rows
+from dynahoi_lerobot.dataset.columns import LANGUAGE, SUBTASKS, subtask_rows
+from dynahoi_lerobot.dataset.store import Store
 from tests.dataset.lerobot_api import open_dataset
-from tests.verify.forgery import changed_column
+
+WATCH, REACH, HOLD = SUBTASKS
 
 
 @pytest.fixture(scope="module")
@@ -68,35 +69,12 @@ def test_the_column_is_lerobots(root: Path) -> None:
     )
 
     assert LANGUAGE == LANGUAGE_PERSISTENT == column_for_style("subtask")
-    assert tuple(field.name for field in ARROW.value_type) == PERSISTENT_ROW_FIELDS
-    told = language_feature_info()[LANGUAGE]
-    assert {**told, "shape": list(told["shape"])} == INFO
     (path,) = root.glob("data/*/*.parquet")
+    held = pq.read_schema(path).field(LANGUAGE).type.value_type
+    assert tuple(field.name for field in held) == PERSISTENT_ROW_FIELDS
+    told = language_feature_info()[LANGUAGE]
+    assert {**told, "shape": list(told["shape"])} == Store(root).features[LANGUAGE]
     noted = Features.from_arrow_schema(pq.read_schema(path))[LANGUAGE].feature
     assert list(noted) == list(PERSISTENT_ROW_FIELDS)
     streamed = next(iter(load_dataset(str(root), data_files="data/*/*.parquet", split="train", streaming=True)))
     assert [row["content"] for row in streamed[LANGUAGE]] == [WATCH, REACH, HOLD]
-
-
-def test_lerobot_edits_it(root: Path, tmp_path: Path) -> None:
-    from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets
-
-    whole = open_dataset(root)
-    rest = delete_episodes(whole, [0], output_dir=tmp_path / "rest", repo_id="local/rest")
-    assert rest[0][LANGUAGE] == whole[int(whole.meta.episodes[1]["dataset_from_index"])][LANGUAGE]
-    merged = merge_datasets([whole, rest], "local/merged", tmp_path / "merged")
-    assert merged[len(merged) - 1][LANGUAGE] == whole[len(whole) - 1][LANGUAGE]
-
-
-def test_verify_derives_them_again(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["verify", str(root), "--replay", "1"]) == 0
-
-    def late(column: pa.ChunkedArray) -> pa.Array:
-        return pa.array(
-            [[{**row, "timestamp": row["timestamp"] + 0.05} for row in rows] for rows in column.to_pylist()], ARROW
-        )
-
-    with changed_column(root, LANGUAGE, late):
-        assert main(["verify", str(root)]) == 1
-    assert f"subtasks: episode 0, frame 0: {LANGUAGE} is" in capsys.readouterr().out
-    assert language_column([], 2).to_pylist() == [[], []]

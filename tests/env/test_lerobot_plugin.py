@@ -85,7 +85,6 @@ class StandStill(PreTrainedPolicy):
 
     def select_action(self, batch: dict) -> torch.Tensor:
         assert batch["observation.images.ego"].shape[1:] == (3, 32, 32)
-        assert batch["observation.fingertips"].shape[1:] == (30,)
         assert batch["observation.phase"].shape[1:] == (2,)
         assert all(isinstance(text, str) and text for text in batch["task"])
         return batch["observation.state"]
@@ -129,7 +128,6 @@ def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig])
     assert {key: tuple(feature.shape) for key, feature in features.items()} == {
         "observation.images.ego": (3, 32, 32),
         "observation.state": (18,),
-        "observation.fingertips": (30,),
         "observation.phase": (2,),
         "action": (18,),
     }
@@ -236,7 +234,7 @@ def test_lerobot_records_what_the_policy_saw(config_class: type[EnvConfig], tmp_
     assert recorded.num_episodes == 1
     sample = recorded[0]
     assert sample["observation.images.ego"].shape == (3, 32, 32)
-    assert {"agent_pos", "fingertips", "phase", "action", "next.reward", "next.done"} <= set(sample)
+    assert {"agent_pos", "phase", "action", "next.reward", "next.done"} <= set(sample)
     assert 0.2 < sample["observation.images.ego"].mean() < 0.9, "an image, not black"
 
 

@@ -16,7 +16,7 @@ from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.verify.runner import verify
+from dynahoi_lerobot.verify.command import verify
 from tests.generate.test_with_simulator import run
 
 MOTIONS = ("constant", "lob", "depth", "planar")
@@ -58,28 +58,6 @@ def test_by_default_they_are_drawn_again(tmp_path):
     manifest = Manifest.read(tmp_path / "d")
     assert episode_table(tmp_path / "d")["success"].all()
     assert manifest.yields["missed"] > 0 == manifest.yields["failed"]
-
-
-@pytest.mark.slow
-def test_any_number_of_workers_gives_the_same_bytes(kept, tmp_path):
-    generate(plan(), tmp_path / "d", record=record, workers=2)
-    assert Manifest.read(tmp_path / "d") == Manifest.read(kept)
-
-
-def test_an_interrupted_generation_goes_on(kept, tmp_path):
-    seen: list[int] = []
-
-    def stopping(recipe, seeds):
-        for episode in record(recipe, seeds):
-            seen.append(episode.meta.seed)
-            if len(seen) == 8:
-                raise KeyboardInterrupt
-            yield episode
-
-    with pytest.raises(KeyboardInterrupt):
-        generate(plan(), tmp_path / "d", record=stopping)
-    generate(plan(), tmp_path / "d", record=record)
-    assert Manifest.read(tmp_path / "d") == Manifest.read(kept)
 
 
 def test_datasets_with_and_without_failures_merge(kept, tmp_path):

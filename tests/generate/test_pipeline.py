@@ -1,31 +1,27 @@
+"""A dataset is a function of its plan, whoever makes it, in whatever pieces and whatever goes wrong meanwhile."""
+
 from __future__ import annotations
 
 import dataclasses
-import errno
-import itertools
-import json
-import re
+import shutil
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
 
-import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.compatibility import MixedError
-from dynahoi_lerobot.dataset import read_episodes, write_episodes
+from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
-from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.dataset.video import decode
-from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.generate import workers
-from dynahoi_lerobot.generate.pipeline import generate
+from dynahoi_lerobot.generate import pipeline
+from dynahoi_lerobot.generate.pipeline import generate, open_workspace, workspace_path
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, shard_size
-from dynahoi_lerobot.generate.workspace import workspace_path
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
-from dynahoi_lerobot.verify.runner import verify
-from tests.dataset.episodes import varied_episode, write
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
+from tests.generate.test_command import run
 
 
 def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -> GenerationPlan:
@@ -33,14 +29,14 @@ def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory):
+def reference(tmp_path_factory) -> Path:
     """Ten episodes made without disturbance."""
     root = tmp_path_factory.mktemp("reference") / "d"
     generate(plan(), root, record=recorder.record)
     return root
 
 
-def same(first, second) -> bool:
+def same(first: Path, second: Path) -> bool:
     return hash_files(first) == hash_files(second) and Manifest.read(first) == Manifest.read(second)
 
 
@@ -50,8 +46,10 @@ def test_shards_grow_with_the_dataset_up_to_a_size_that_is_cheap_to_redo(episode
 
 
 def test_slots_follow_the_seed(reference):
-    assert Manifest.read(reference).seeds == list(range(10))
-    assert Manifest.read(reference).yields == {"tried": 10, "kept": 10, "failed": 0, "missed": 0, "rejected": 0}
+    manifest = Manifest.read(reference)
+    assert manifest.seeds == list(range(10))
+    assert manifest.yields == {"tried": 10, "kept": 10, "failed": 0, "missed": 0, "rejected": 0}
+    assert manifest.provenance["recipe"] == dataclasses.asdict(FakeRecipe()) | {"views": []}
     assert not workspace_path(reference).exists()
     assert plan(episodes=10, seed=5).slots(3) == range(14, 15)
 
@@ -61,79 +59,14 @@ def test_any_number_of_workers_gives_the_same_bytes(reference, tmp_path):
     assert same(reference, tmp_path / "d")
 
 
-def test_any_shard_size_gives_the_same_frames(reference, tmp_path):
+def test_any_shard_size_gives_the_same_tables_and_videos(reference, tmp_path):
     generate(plan(shard_episodes=4), tmp_path / "d", record=recorder.record)
-    assert not same(reference, tmp_path / "d")
-    assert (tmp_path / "d/meta/stats.json").read_bytes() == (reference / "meta/stats.json").read_bytes()
-    for one, other in zip(read_episodes(reference), read_episodes(tmp_path / "d"), strict=True):
-        assert one.meta == other.meta
-        assert (one.action == other.action).all()
-
-
-def test_one_shard_is_merged_to_itself(tmp_path):
-    single = write(tmp_path / "single", range(5))
-    merge([single], tmp_path / "merged")
-    assert hash_files(single) == hash_files(tmp_path / "merged")
-
-
-def test_merging_is_the_same_as_writing_at_once_but_for_how_packets_are_put_into_the_video(tmp_path):
-    parts = [write(tmp_path / "a", range(3)), write(tmp_path / "b", range(3, 5))]
-    merged, whole = merge(parts, tmp_path / "merged"), write(tmp_path / "whole", range(5))
-    ours, theirs = hash_files(tmp_path / "merged"), hash_files(whole)
-    assert set(ours) == set(theirs), "one file a view, without which LeRobot streams wrong pictures"
-    video = "videos/observation.images.ego/chunk-000/file-000.mp4"
-    assert {name for name in theirs if ours[name] != theirs[name]} <= {"README.md", video}  # it names all hashes
-    assert merged.seeds == Manifest.read(whole).seeds
-    apart = [frame for part in parts for frame in decode(part / video)]
-    np.testing.assert_array_equal(list(decode(tmp_path / "merged" / video)), apart)
-    findings = verify(tmp_path / "merged", decoded=None)
-    assert not [finding for finding in findings if finding.check in ("videos", "files")]
-
-
-@pytest.mark.parametrize("limits", [FileLimits(video_s=3.0), FileLimits(video_mb=0.001)])
-def test_videos_that_would_be_too_long_or_too_large_stay_apart_and_are_linked(tmp_path, limits: FileLimits):
-    parts = [write(tmp_path / "a", range(3)), write(tmp_path / "b", range(3, 5))]
-    merge(parts, tmp_path / "merged", limits=limits)
-    videos = sorted((tmp_path / "merged" / "videos").rglob("*.mp4"))
-    assert [video.stat().st_nlink for video in videos] == [2, 2]
-
-
-def test_merge_refuses_unlike_datasets(tmp_path):
-    parts = [write(tmp_path / "a", range(1), 16), write(tmp_path / "b", range(1), 32)]
-    sentence = f"{parts[1]} has other features than {parts[0]} (observation.images.ego); merge datasets that"
-    with pytest.raises(ValueError, match=re.escape(sentence)):
-        merge(parts, tmp_path / "merged")
-    with pytest.raises(ValueError, match="nothing to merge"):
-        merge([], tmp_path / "merged")
-    assert not (tmp_path / "merged").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "differing"),
-    [({"subtasks": True}, "language_persistent"), ({"privileged": False}, "captured, intercept.position, ")],
-)
-def test_merge_refuses_datasets_of_other_options_and_names_the_columns(tmp_path, options, differing):
-    plain, other = write(tmp_path / "a", range(1), None), write(tmp_path / "b", range(1), None, **options)
-    for parts in ([plain, other], [other, plain]):
-        with pytest.raises(ValueError, match=re.escape(f"has other features than {parts[0]} ({differing}")):
-            merge(parts, tmp_path / "merged")
-
-
-def test_merge_refuses_versions_of_the_benchmark_unless_asked(tmp_path):
-    old, new = tmp_path / "old", write(tmp_path / "new", range(1))
-    made = varied_episode(1)
-    write_episodes(old, [dataclasses.replace(made, meta=dataclasses.replace(made.meta, benchmark="v0"))])
-    sentence = f"{old} has benchmark 'v0', {new} has benchmark '{BENCHMARK.version}'; merge datasets of one version"
-    with pytest.raises(MixedError, match=re.escape(sentence)):
-        merge([old, new], tmp_path / "merged")
-    assert not (tmp_path / "merged").exists()
-    assert merge([old, new], tmp_path / "merged", allow_version_mismatch=True).benchmark == f"v0, {BENCHMARK.version}"
+    one, other = hash_files(reference), hash_files(tmp_path / "d")
+    assert {name for name in one if one[name] != other[name]} == {"README.md"}, "which shows the plan"
 
 
 def test_missed_slots_are_drawn_again(tmp_path):
     manifest = generate(plan(miss_every=4, seed=1), tmp_path / "d", record=recorder.record)
-    assert manifest.episodes == 10
-    assert len(set(manifest.seeds)) == 10
     assert {seed % REDRAW_STRIDE for seed in manifest.seeds} == set(range(1, 11))
     assert sorted(manifest.seeds)[-2:] == [4 + REDRAW_STRIDE, 8 + REDRAW_STRIDE]
     assert manifest.yields == {"tried": 12, "kept": 10, "failed": 0, "missed": 2, "rejected": 0}
@@ -150,6 +83,8 @@ def test_an_impossible_recipe_ends_with_a_sentence(tmp_path):
     with pytest.raises(GenerationError, match=f"failed {MAX_DRAWS} times on each of 3 slots, the first of seed 0"):
         generate(plan(hopeless=True), tmp_path / "d", record=recorder.record)
     assert not (tmp_path / "d").exists()
+    with pytest.raises(FileExistsError, match="hopeless"):  # its unfinished work belongs to another plan
+        generate(plan(), tmp_path / "d", record=recorder.record)
 
 
 def test_a_recorder_that_gives_other_seeds_is_caught(tmp_path):
@@ -170,33 +105,21 @@ def test_a_dead_worker_is_replaced(tmp_path):
 
 
 def test_workers_that_keep_dying_end_with_a_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr(workers, "STARTS", 1)
+    monkeypatch.setattr(pipeline, "STARTS", 1)
     with pytest.raises(GenerationError, match="died 1 times with 4 shards to go"):
         generate(plan(), tmp_path / "d", record=recorder.record_and_die, workers=2)
     assert not (tmp_path / "d").exists()
 
 
-def test_done_already(reference):
+def test_other_datasets_are_left_alone(reference, tmp_path):
     before = hash_files(reference)
-    generate(plan(), reference, record=recorder.record_and_die)
-    assert hash_files(reference) == before
-
-
-def test_another_dataset_is_left_alone(reference, tmp_path):
-    before = hash_files(reference)
-    with pytest.raises(FileExistsError, match=r"another dataset .other episodes, shard_episodes, name"):
+    generate(plan(), reference, record=recorder.record_and_die)  # done already
+    with pytest.raises(FileExistsError, match=r"another dataset .other name, episodes, shard_episodes"):
         generate(plan(shard_episodes=2, episodes=3, name="x"), reference, record=recorder.record)
     assert hash_files(reference) == before
     (tmp_path / "precious").mkdir()
     with pytest.raises(FileExistsError, match="no dataset of ours"):
         generate(plan(), tmp_path / "precious", record=recorder.record)
-
-
-def test_unfinished_work_of_another_plan_is_left_alone(tmp_path):
-    with pytest.raises(GenerationError):
-        generate(plan(hopeless=True), tmp_path / "d", record=recorder.record)
-    with pytest.raises(FileExistsError, match=r"unfinished work of another dataset .other hopeless"):
-        generate(plan(), tmp_path / "d", record=recorder.record)
 
 
 def test_progress_counts_episodes(tmp_path):
@@ -206,37 +129,191 @@ def test_progress_counts_episodes(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"episodes": 0}, "number of episodes is 0"),
-        ({"episodes": -3}, "number of episodes is -3"),
-        ({"seed": -1}, "seed is -1"),
-        ({"image_size": 33}, "image size is 33"),
-        ({"image_size": 8}, "image size is 8"),
-    ],
+    "change", [{"episodes": 0}, {"episodes": -3}, {"seed": -1}, {"image_size": 33}, {"image_size": 8}]
 )
-def test_impossible_plans_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
+def test_impossible_plans_are_refused(change):
+    with pytest.raises(ValueError, match=str(next(iter(change.values())))):
         plan(**change)
 
 
-def test_full_disk_leaves_no_dataset_and_the_next_run_goes_on(reference, tmp_path, monkeypatch):
-    adds = itertools.count()
-    add = DatasetWriter.add
+BILLION = 10**9
 
-    def add_until_full(self, episode):
-        if next(adds) == 5:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        add(self, episode)
 
-    monkeypatch.setattr(DatasetWriter, "add", add_until_full)
-    with pytest.raises(OSError, match="No space left"):
-        generate(plan(), tmp_path / "d", record=recorder.record)
+def test_a_plan_of_a_billion_episodes_begins_at_once(tmp_path, capsys):
+    """Its shards are numbered one by one, and no list of them is made."""
+    asked: list[list[int]] = []
+
+    def stopped(recipe, seeds):
+        asked.append(list(seeds))
+        raise KeyboardInterrupt
+
+    tracemalloc.start()
+    begin = time.monotonic()
+    assert run("--root", tmp_path / "d", "--episodes", BILLION, record=stopped) == 130
+    maker = ShardMaker(GenerationPlan(FakeRecipe(), BILLION), tmp_path, recorder.record)
+    shards = maker.missing()
+    assert [next(shards), next(shards)] == [0, 1]
+    assert maker.plan.slots(maker.plan.shards - 1) == range(BILLION - 256, BILLION)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert asked == [list(range(256))]
+    assert time.monotonic() - begin < 30
+    assert peak < 60e6
+
+
+WORKSPACE = GenerationPlan(FakeRecipe(), 6, shard_episodes=2)
+
+
+@pytest.fixture(scope="module")
+def undamaged(tmp_path_factory) -> dict[str, str]:
+    root = tmp_path_factory.mktemp("undamaged") / "d"
+    generate(WORKSPACE, root, record=recorder.record)
+    return hash_files(root)
+
+
+@pytest.fixture
+def interrupted(tmp_path) -> Path:
+    """The workspace of a run that made every shard and did not come to merge them."""
+    with open_workspace(WORKSPACE, tmp_path / "d") as workspace:
+        maker = ShardMaker(WORKSPACE, workspace, recorder.record)
+        for shard in range(WORKSPACE.shards):
+            maker.make(shard)
+    return workspace
+
+
+def flip_byte(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+def exchange_shards(workspace: Path) -> None:
+    (workspace / "shard-000000").rename(workspace / "spare")
+    (workspace / "shard-000001").rename(workspace / "shard-000000")
+    (workspace / "spare").rename(workspace / "shard-000001")
+
+
+def take_from_another_plan(workspace: Path) -> None:
+    """Put a shard of the same seeds and another recipe into the place of ours."""
+    other_plan = GenerationPlan(FakeRecipe(name="other"), 6, shard_episodes=2)
+    with open_workspace(other_plan, workspace.parent / "other") as other:
+        made = ShardMaker(other_plan, other, recorder.record).make(1)
+    shutil.rmtree(workspace / "shard-000001")
+    made.rename(workspace / "shard-000001")
+
+
+def become_an_empty_file(path: Path) -> None:
+    shutil.rmtree(path)
+    path.touch()
+
+
+VIDEO = "shard-000001/videos/observation.images.ego/chunk-000/file-000.mp4"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda folder: flip_byte(folder / VIDEO),
+        lambda folder: flip_byte(folder / "shard-000001/data/chunk-000/file-000.parquet"),
+        lambda folder: (folder / VIDEO).write_bytes(b""),
+        lambda folder: (folder / "shard-000001/data/extra").touch(),
+        exchange_shards,
+        take_from_another_plan,
+        lambda folder: (folder / "shard-000001/meta/manifest.json").write_bytes(b""),
+        lambda folder: become_an_empty_file(folder / "shard-000001"),
+    ],
+)
+def test_damaged_shards_are_made_again(interrupted, undamaged, tmp_path, damage):
+    damage(interrupted)
+    generate(WORKSPACE, tmp_path / "d", record=recorder.record)
+    assert hash_files(tmp_path / "d") == undamaged
+    assert not interrupted.exists()
+
+
+def test_a_shard_of_another_plan_is_discarded(interrupted):
+    take_from_another_plan(interrupted)
+    assert ShardMaker(WORKSPACE, interrupted, recorder.record).discard_damaged() == [1]
+
+
+def test_intact_shards_are_kept(interrupted, undamaged, tmp_path):
+    (interrupted / "shard-000000000009").mkdir()  # beyond the plan
+    generate(WORKSPACE, tmp_path / "d", record=recorder.record_and_die)
+    assert hash_files(tmp_path / "d") == undamaged
+
+
+def test_shards_that_are_damaged_again_and_again_end_with_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(ShardMaker, "discard_damaged", lambda self: [0])
+    with pytest.raises(GenerationError, match="check the disk"):
+        generate(WORKSPACE, tmp_path / "d", record=recorder.record)
     assert not (tmp_path / "d").exists()
-    assert [path.name for path in (tmp_path / "d.partial").iterdir() if "shard" in path.name] == ["shard-000000"]
-    generate(plan(), tmp_path / "d", record=recorder.record)
-    assert same(reference, tmp_path / "d")
 
 
-def test_recipe_is_in_the_manifest(reference):
-    assert Manifest.read(reference).provenance["recipe"] == json.loads(json.dumps(FakeRecipe().stored()))
+def test_a_file_in_the_place_of_a_shard_is_refused_and_kept(interrupted, tmp_path):
+    shutil.rmtree(interrupted / "shard-000001")
+    (interrupted / "shard-000001").write_text("mine")
+    with pytest.raises(FileExistsError, match="shard-000001 is a file"):
+        generate(WORKSPACE, tmp_path / "d", record=recorder.record)
+    assert (interrupted / "shard-000001").read_text() == "mine"
+
+
+def test_what_is_not_ours_is_refused_and_kept(interrupted, tmp_path, capsys):
+    words = ("--root", tmp_path / "d", "--episodes", 6, "--shard-episodes", 2)
+    (interrupted / "plan.json").write_bytes(b"")
+    assert run(*words) == 2
+    (interrupted / "plan.json").unlink()
+    assert run(*words, "--seed", 100) == 2
+    foreign = workspace_path(tmp_path / "e")
+    foreign.mkdir()
+    (foreign / "thesis.tex").write_text("mine")
+    assert run("--root", tmp_path / "e") == 2
+    assert [path.name for path in foreign.iterdir()] == ["thesis.tex"]
+    workspace_path(tmp_path / "f").touch()
+    assert run("--root", tmp_path / "f") == 2
+    assert capsys.readouterr().err.count("\n") == 4, "a sentence each"
+
+
+def test_files_that_generation_did_not_make_stay(interrupted, tmp_path):
+    (interrupted / "notes.txt").write_text("mine")
+    generate(WORKSPACE, tmp_path / "d", record=recorder.record)
+    assert [path.name for path in interrupted.iterdir()] == ["notes.txt"]
+
+
+def test_a_finished_dataset_is_checked(tmp_path, capsys):
+    words = ("--root", tmp_path / "d", "--episodes", 6, "--shard-episodes", 2)
+    assert [run(*words), run(*words)] == [0, 0]
+    flip_byte(tmp_path / "d/data/chunk-000/file-000.parquet")
+    assert run(*words) == 1
+    assert "is complete but damaged: data/chunk-000/file-000.parquet" in capsys.readouterr().err
+
+
+def test_the_images_of_a_merged_dataset_are_its_episodes(reference):
+    for episode in read_episodes(reference):
+        (made,) = recorder.record(FakeRecipe(), [episode.meta.seed])
+        assert abs(episode.images["ego"].astype(int) - made.images["ego"]).mean() < 6
+
+
+PARENT = """
+import subprocess, sys, time
+child = subprocess.Popen([sys.executable, "-c", '''
+import os, time
+from dynahoi_lerobot.generate.pipeline import exit_with_parent
+exit_with_parent(os.getppid())
+print("ready", flush=True)
+time.sleep(60)
+'''], stdout=subprocess.PIPE)
+child.stdout.readline()
+print(child.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_worker_ends_with_its_parent_however_that_ends():
+    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    parent.kill()
+    parent.wait()
+    deadline = time.monotonic() + 20
+    while (status := Path(f"/proc/{child}/stat")).exists() and status.read_text().split()[2] != "Z":
+        assert time.monotonic() < deadline, "the child outlives its parent"
+        time.sleep(0.05)

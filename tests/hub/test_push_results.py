@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.hub.conftest import Push, write_split
 from tests.hub.server import Hub
@@ -22,7 +23,7 @@ def results(tmp_path: Path) -> Path:
 def test_results_need_their_checkpoint(results: Path, hub: Hub, push: Push):
     code, _, err = push(results, "me/policy")
     assert (code, err.count("\n")) == (1, 1)
-    assert "me/policy: the Hub has no such checkpoint" in err
+    assert "me/policy holds no checkpoint" in err
     assert hub.repos == {}
 
 
@@ -117,46 +118,38 @@ def test_results_of_another_policy_are_refused_unless_they_are_said_to_be_of_thi
     assert push(results, "me/policy", "--policy", policy)[0] == 0
 
 
-def test_results_of_a_folder_go_to_the_repository_with_its_weights(
+def test_results_go_to_the_repository_with_the_weights_that_they_name(
     checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
 ):
     push(checkpoint, "me/policy")
-    results = write_split(tmp_path / "results", "ood_speed", range(2), policy=str(checkpoint))
-    assert push(results, "me/policy")[0] == 0
-    (checkpoint / "model.safetensors").write_bytes(b"other weights")
+    digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
+    for number, (weights, code) in enumerate(
+        (({"model.safetensors": "0a" * 32}, 1), ({"model.safetensors": digest}, 0))
+    ):
+        results = write_split(
+            tmp_path / str(number), "ood_speed", range(2), policy=str(checkpoint), extra={"weights": weights}
+        )
+        assert push(results, "me/policy")[0] == code
+    (checkpoint / "model.safetensors").write_bytes(b"trained further")
+    push(checkpoint, "me/policy", "--replace")
     code, _, err = push(results, "me/policy")
     assert (code, err.count("\n")) == (1, 1)
-    assert f"me/policy: {results} is of {checkpoint}, whose model.safetensors is not the repository's" in err
     assert push(results, "me/policy", "--policy", checkpoint)[0] == 0
-    (checkpoint / "model.safetensors").rename(checkpoint / "adapter_model.safetensors")
-    assert "whose adapter_model.safetensors is not the repository's" in push(results, "me/policy")[2]
 
 
-def test_results_that_say_their_weights_are_of_these_whatever_the_folder_holds_now(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_the_card_lists_the_results_once(checkpoint: Path, results: Path, hub: Hub, push: Push):
     push(checkpoint, "me/policy")
-    of_others = {"weights": {"model.safetensors": "0a" * 32}}
-    results = write_split(tmp_path / "results", "ood_speed", range(2), policy=str(checkpoint), extra=of_others)
-    assert "whose model.safetensors is not the repository's" in push(results, "me/policy")[2]
-    digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
-    (checkpoint / "model.safetensors").write_bytes(b"trained further")
-    of_these = {"weights": {"model.safetensors": digest}}
-    results = write_split(tmp_path / "of_these", "ood_speed", range(2), policy=str(checkpoint), extra=of_these)
+    for _ in range(2):
+        assert push(results, "me/policy")[0] == 0
+    _, head, body = hub.repos[REPO].files["README.md"].decode().split("---\n", 2)
+    (model,) = yaml.safe_load(head)["model-index"]
+    (entry,) = model["results"]
+    assert entry["dataset"]["split"] == "ood_speed"
+    assert {metric["type"] for metric in entry["metrics"]} == {"S_loc", "S_joint"}
+    assert "dynahoi evaluate" in body
+    commits = list(hub.repos[REPO].commits)
     assert push(results, "me/policy")[0] == 0
-
-
-def test_results_of_lerobot_eval_name_the_folder_in_their_command(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
-    push(checkpoint, "me/policy")
-    command = f"lerobot-eval --policy.path={checkpoint} --env.type=dynahoi"
-    results = write_split(tmp_path / "results", "ood_speed", range(2), policy="tracker", command=command)
-    assert push(results, "me/policy")[0] == 0
-    trained = write_split(
-        tmp_path / "trained", "ood_speed", range(2), policy="tracker", command=command.replace("eval", "train")
-    )
-    assert "is of tracker, and nothing shows" in push(trained, "me/policy")[2]
+    assert list(hub.repos[REPO].commits) == commits
 
 
 def test_what_is_for_results_is_refused_for_a_checkpoint(checkpoint: Path, hub: Hub, push: Push):

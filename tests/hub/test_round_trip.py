@@ -20,7 +20,7 @@ CHECKPOINT = Path(__file__).parents[2] / "checkpoints/tracker_standard"
 READ = """
 from datasets import load_dataset
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from dynahoi_lerobot.verify.runner import verify
+from dynahoi_lerobot.verify.command import verify
 dataset = LeRobotDataset("me/catching", video_backend="pyav")
 sample = dataset[len(dataset) - 1]
 print(dataset.num_episodes, dataset.meta.episodes[0]["motion"], *sample["observation.images.ego"].shape)
@@ -107,7 +107,7 @@ def test_lerobot_trains_on_a_dataset_by_its_name_pushes_the_policy_and_plays_it_
     elsewhere(hub, tmp_path / "other_home", "-m", "lerobot.scripts.lerobot_eval", *words)
     (metrics,) = (tmp_path / "eval").rglob(METRICS_FILE)
     assert json.loads(metrics.read_text())["n"] == 1
-    code, _, err = push(metrics.parent, "me/trained")
+    code, _, err = push(metrics.parent, "me/trained", "--policy", json.loads(metrics.read_text())["policy"])
     assert code == 0, err
     folders = {name.split("/")[1] for name in hub.repos["models/me/trained"].files if name.startswith("results/")}
     assert [name.startswith("v1_test_small_attach_standard_image_size_32_1_episodes") for name in folders] == [True]

@@ -18,7 +18,7 @@ def frame(t: int, worlds: int) -> Observation:
     images = {"ego": rng.integers(0, 255, (worlds, 32, 32, 3), dtype=np.uint8)}
     state = np.tile(np.linspace(0.01, 0.1, 18, dtype=np.float32), (worlds, 1))
     acting = one_hot_phase(np.ones(worlds, bool))
-    return Observation(images, state, np.zeros((worlds, 30), np.float32), acting, ("",) * worlds)
+    return Observation(images, state, acting, ("",) * worlds)
 
 
 def test_chunks_of_different_latencies_each_begin_with_their_own_old_chunk(tmp_path: Path):

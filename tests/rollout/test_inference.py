@@ -63,7 +63,7 @@ class Clock(ChunkAgent):
 
 def observation() -> Observation:
     still = np.full((2, 18), STILL, np.float32)
-    return Observation({}, still, np.zeros((2, 30), np.float32), one_hot_phase(np.ones(2, bool)), ("", ""))
+    return Observation({}, still, one_hot_phase(np.ones(2, bool)), ("", ""))
 
 
 def played(agent: RealTimeAgent, frames: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from tests.world.playing import digest
 QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=0)
 SEEING = replace(QUICK, image_size=32)
 SEEDS = (0, 1, 2, 5, 4, 10)
-ALLOWED = {"images", "state", "fingertips", "phase", "tasks", "touch", "environment_state"}
+ALLOWED = {"images", "state", "phase", "tasks", "touch", "environment_state"}
 
 
 class Clumsy(Expert):
@@ -156,7 +156,6 @@ def test_an_agent_is_shown_observations_and_nothing_else(specs: list[EpisodeSpec
     for shown in agent.shown[0]:
         assert type(shown) is Observation
         assert shown.state.shape == (2, 18)
-        assert shown.fingertips.shape == (2, 30)
         assert list(shown.images) == ["ego"] * sees_images
         assert shown.tasks == (specs[0].task, specs[1].task)
         assert shown.environment_state is None, "the truth is shown on request alone"
@@ -169,7 +168,7 @@ def test_an_agent_cannot_change_the_world_through_what_it_is_shown(specs: list[E
     batch.reset([0], specs[:1])
     before = batch._batch.state.copy()
     observation = batch.observe(images=True)
-    for values in (observation.state, observation.fingertips, observation.phase, observation.images["ego"]):
+    for values in (observation.state, observation.phase, observation.images["ego"]):
         values[:] = 7
     np.testing.assert_array_equal(batch._batch.state, before)
     assert not (batch.observe(images=True).images["ego"] == 7).all()

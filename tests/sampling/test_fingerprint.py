@@ -43,7 +43,7 @@ def test_an_edit_of_a_deciding_module_changes_the_fingerprint(copy, module):
     assert hash_sources(copy) != before
 
 
-@pytest.mark.parametrize("room", [*READING, "generate/executors.py"])
+@pytest.mark.parametrize("room", [*READING, "generate/executors.py", "hub.py", "doctor.py"])
 def test_an_edit_elsewhere_leaves_the_fingerprint(copy, room):
     before = hash_sources(copy)
     place = copy / room

@@ -1,8 +1,10 @@
-"""Datasets that LeRobot's own tools wrote anew give a sentence about what is gone, and are checked as LeRobot's."""
+"""Datasets that LeRobot's own tools edited: a sentence says what is gone, and the rest is checked as LeRobot's."""
 
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import pyarrow as pa
@@ -10,20 +12,34 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from lerobot.datasets import LeRobotDataset
-from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, remove_feature
+from lerobot.datasets.dataset_tools import (
+    delete_episodes,
+    merge_datasets,
+    recompute_stats,
+    remove_feature,
+    split_dataset,
+)
 
-from dynahoi_lerobot.verify.runner import verify
+from dynahoi_lerobot.verify.command import verify
 from tests.dataset.episodes import write
+
+pytestmark = pytest.mark.slow  # LeRobot takes long to import
 
 
 def opened(root: Path) -> LeRobotDataset:
     return LeRobotDataset(f"local/{root.name}", root=root)
 
 
+def split(source: Path, out: Path) -> None:
+    split_dataset(opened(source), {"a": [0, 1], "b": [2, 3]}, out.parent)
+    (out.parent / "a").rename(out)
+
+
 EDITS = {
     "delete": lambda source, out: delete_episodes(opened(source), [1], out, "local/edited"),
     "merge": lambda source, out: merge_datasets([opened(source), opened(source)], "local/edited", out),
-    "remove a feature": lambda source, out: remove_feature(opened(source), "target.contacts", out, "local/edited"),
+    "split": split,
+    "remove a feature": lambda source, out: remove_feature(opened(source), "next.success", out, "local/edited"),
 }
 
 
@@ -33,13 +49,23 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write(tmp_path_factory.mktemp("ours") / "source", range(4))
 
 
-@pytest.mark.slow  # LeRobot takes long to import
 @pytest.mark.parametrize("name", EDITS)
 def test_one_sentence_says_what_is_gone(source: Path, tmp_path: Path, name: str):
     EDITS[name](source, tmp_path / "edited")
     (finding,) = verify(tmp_path / "edited", replayed=1)
-    assert "written anew by another tool" in finding.message
-    assert "meta/manifest.json and meta/histograms.json are gone" in finding.message
+    assert "meta/manifest.json is gone" in finding.message
+    assert ("our columns" in finding.message) == (name in ("delete", "split")), "the others copy them"
+
+
+def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(source: Path, tmp_path: Path):
+    copy = shutil.copytree(source, tmp_path / "copy")
+    recompute_stats(opened(copy))
+    changed = [finding.message for finding in verify(copy) if finding.check == "files"]
+    assert len(changed) == 1
+    assert "meta/stats.json has changed" in changed[0]
+    for finding in verify(copy):
+        numbers = re.findall(r"[0-9][0-9.e+-]*[0-9]|[0-9]", finding.message)
+        assert len(set(numbers)) == len(numbers), f"it tells the same number twice: {finding}"
 
 
 def add_episode(root: Path) -> None:
@@ -59,13 +85,8 @@ def cut_video(root: Path) -> None:
     path.write_bytes(path.read_bytes()[:-100])
 
 
-DAMAGES = {"counts": add_episode, "timestamps": shift_times, "videos": cut_video}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("check", DAMAGES)
-def test_damage_that_lerobots_format_shows_is_found(source: Path, tmp_path: Path, check: str):
+@pytest.mark.parametrize("damage", [add_episode, shift_times, cut_video])
+def test_damage_that_lerobots_format_shows_is_found(source: Path, tmp_path: Path, damage):
     EDITS["delete"](source, tmp_path / "edited")
-    DAMAGES[check](tmp_path / "edited")
-    found = {finding.check for finding in verify(tmp_path / "edited")}
-    assert found == {"reading", check}
+    damage(tmp_path / "edited")
+    assert {finding.check for finding in verify(tmp_path / "edited")} == {"files", "format"}

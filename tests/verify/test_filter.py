@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.dataset import write_episodes
+from dynahoi_lerobot.dataset import frame_column, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.verify.outliers import Outlier, find_outliers
-from dynahoi_lerobot.verify.runner import verify
+from dynahoi_lerobot.verify.command import verify
+from dynahoi_lerobot.verify.filter import Outlier, find_outliers
 from tests.dataset.episodes import varied_episode
 from tests.dataset.lerobot_api import open_dataset
 
@@ -84,12 +84,12 @@ def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, ca
     np.testing.assert_array_equal(opened[first_of_eighth + 3]["action"], varied_episode(8).action[3])
     image = np.moveaxis(opened[first_of_eighth + 3]["observation.images.ego"].numpy() * 255, 0, -1)
     assert np.abs(image - varied_episode(8, 16).images["ego"][3]).mean() < 6
-    assert verify(tmp_path / "new", decoded=None) == []
+    assert [f for f in verify(tmp_path / "new") if f.check != "verdicts"] == []
     assert Manifest.read(tmp_path / "new").provenance["kept"] == kept
     assert hash_files(with_outlier) == before
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert (summary["episodes"], summary["kept"]) == (12, 11)
-    assert [found["episode"] for found in summary["left_out"]] == [7]
+    assert [found["episode"] for found in summary["outliers"]] == summary["left_out"] == [7]
 
 
 def test_a_dry_run_writes_nothing(with_outlier, tmp_path, capsys):
@@ -99,6 +99,16 @@ def test_a_dry_run_writes_nothing(with_outlier, tmp_path, capsys):
     assert "dry run, nothing was written" in printed
     assert run(with_outlier, "--dry-run", "--out", tmp_path / "new") == 0
     assert not any(tmp_path.iterdir())
+
+
+def test_named_episodes_are_left_out_and_nothing_else_is_lost(with_outlier, tmp_path, capsys):
+    assert run(with_outlier, "--out", tmp_path / "new", "--drop", "0,3") == 0
+    assert [row["seed"] for row in Store(tmp_path / "new").rows] == [1, 2, *range(4, 12)]
+    assert frame_column(tmp_path / "new", "target.pose").shape[1] == 7
+    for words in ("12", "-1", "first"):
+        assert run(with_outlier, "--out", tmp_path / "other", f"--drop={words}") == 2
+    assert capsys.readouterr().err.count("\n") == 3
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_dataset_without_outliers_is_copied_whole(with_outlier, tmp_path):

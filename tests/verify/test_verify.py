@@ -1,189 +1,304 @@
+"""``dynahoi verify`` refutes each of its three claims where it does not hold, also where a forger signed anew."""
+
 from __future__ import annotations
 
-import itertools
+import dataclasses
 import json
-from dataclasses import replace
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import frame_features
-from dynahoi_lerobot.dataset.codecs import Encoding
-from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video import VideoWriter, decode
-from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import GenerationPlan
+from dynahoi_lerobot.dataset.video import Encoding, VideoFile, stored_packets, stream_like
+from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.loop import record
-from dynahoi_lerobot.rollout.replay import simulator
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.verify import replay_check
-from dynahoi_lerobot.verify.checks.base import Finding, stratified
-from dynahoi_lerobot.verify.runner import verify
-from tests.dataset.episodes import varied_episode, write
-from tests.verify.forgery import DATA, ROWS, pa, sign, table, with_column
+from dynahoi_lerobot.verify.command import Finding, drawn_evenly, verify
+from dynahoi_lerobot.verify.replay import BLOCK_LEVELS, _greatest_block
+from tests.dataset.episodes import write
+from tests.verify.rewriting import changed, rewrite, sign
 
-RECIPE = Recipe(motions=("constant", "struck"), image_size=16, hold_frames=12)
+DATA, ROWS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
+VIDEO = "videos/observation.images.ego/chunk-000/file-000.mp4"
+RECIPE = Recipe(motions=("constant", "lob"), image_size=32)
 
 
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory) -> Path:
-    """Two simulated episodes, whose pictures are PNG files in the frame table."""
-    root = tmp_path_factory.mktemp("simulated") / "d"
-    generate(GenerationPlan(RECIPE, 2, encoding=Encoding("images")), root, record=record)
+def generated(root: Path, *words: str) -> Path:
+    small = ["--episodes", "2", "--image-size", "32", "--motions", "constant,lob"]
+    assert main(["generate", "--root", str(root), *small, *words]) == 0
     return root
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> Path:
+    return generated(tmp_path_factory.mktemp("sound") / "d")
+
+
 @pytest.fixture
-def replayed(simulated):
-    """Returns the findings of a replay whose first episode was changed."""
-    honest = simulator(Manifest.read(simulated).provenance["recipe"])
-
-    def run(**changes) -> list[str]:
-        def dishonest(seed: int) -> Episode | None:
-            made = honest(seed)
-            return replace(made, **{name: change(getattr(made, name)) for name, change in changes.items()})
-
-        return [finding.message for finding in verify(simulated, replayed=1, resimulate=dishonest)]
-
-    return run
+def copy(sound, tmp_path) -> Path:
+    return shutil.copytree(sound, tmp_path / "copy")
 
 
-def test_intact_datasets_have_no_findings(tmp_path):
-    assert verify(write(tmp_path / "video", range(6)), decoded=None) == []
-    assert verify(write(tmp_path / "images", range(3), encoding=Encoding("images")), decoded=None) == []
-    assert verify(write(tmp_path / "blind", range(3), None)) == []
-    parts = [write(tmp_path / "a", range(2)), write(tmp_path / "b", range(2, 4))]
-    merge(parts, tmp_path / "merged")
-    assert verify(tmp_path / "merged") == []
+def found(root: Path, **options) -> set[str]:
+    return {finding.check for finding in verify(root, **options)}
 
 
-def test_an_episode_recorded_twice_is_named(tmp_path):
-    writer = DatasetWriter(tmp_path / "d", frame_features(32))
-    for episode in (twin := varied_episode(1), replace(twin, meta=replace(twin.meta, seed=2))):
-        writer.add(episode)
-    writer.finish()
-    assert list(map(str, verify(tmp_path / "d"))) == ["duplicates: episodes 0 and 1 have the same trajectory"]
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--environment-state", "--subtasks"),
+        ("--capture", "contact", "--motions", "constant,struck"),
+        pytest.param(("--codec", "images", "--views", "side,ego_depth"), marks=pytest.mark.slow),
+        pytest.param(("--image-size", "0", "--keep-failures"), marks=pytest.mark.slow),
+    ],
+)
+def test_what_was_generated_is_sound_and_replays_to_the_same_bytes(tmp_path, capsys, words):
+    root = generated(tmp_path / "d", *words)
+    assert main(["verify", str(root), "--replay", "2"]) == 0
+    told = capsys.readouterr().out
+    views = len(Store(root).image_keys)
+    assert f"of {2 * views} videos of them {2 * views} are equal byte for byte" in told
 
 
-def test_a_changed_png_picture_is_found_to_the_pixel(simulated, tmp_path):
-    root = tmp_path / "d"
-    merge([simulated], root, provenance=Manifest.read(simulated).provenance)
-
-    def exchanged(old: pa.Table) -> pa.Table:
-        cells = old["observation.images.ego"].to_pylist()
-        return with_column(old, "observation.images.ego", pa.array([cells[9], *cells[1:]], old.schema.field(0).type))
-
-    table(DATA, exchanged)(root)
-    sign(root)
-    assert verify(root, decoded=0) == []
-    (finding,) = verify(root)
-    assert "ego of episode 0 does not show what its statistics were taken from" in finding.message
-    assert "pixels have other levels" in finding.message
+def test_every_metric_follows_from_what_is_stored(sound):
+    made = {episode.meta.seed: episode for episode in record(RECIPE, range(2), images=False)}
+    for episode in read_episodes(sound, images=False):
+        assert measure(episode) == measure(made[episode.meta.seed])
+        assert measure(episode).keys() == set(METRICS.names())
 
 
-def test_many_findings_are_shortened(tmp_path):
-    root = write(tmp_path / "d", range(7))
-    late = lambda old: with_column(old, "timestamp", pa.array(np.array(old["timestamp"]) + np.float32(0.01)))  # noqa: E731
-    table(DATA, late)(root)
-    found = [finding.message for finding in verify(root) if finding.check == "timestamps"]
-    assert len(found) == 6
-    assert found[-1] == "and 2 more"
+def flip_byte(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
 
 
-def test_replay_compares_facts_columns_and_pictures(replayed):
-    assert replayed() == []
-    (fact,) = replayed(meta=lambda meta: replace(meta, task="Wave."))
-    assert "episode 0 replays to task 'Wave.'; stored is" in fact
-    (column,) = replayed(target_velocity=lambda v: v + np.where(np.arange(len(v)) == 7, 1e-3, 0)[:, None])
-    assert "another target.velocity from frame 7 on, up to 0.001 apart" in column
-    assert any("another picture of ego at frame" in said for said in replayed(images=lambda i: {"ego": i["ego"][::-1]}))
-    assert any("palm_distance of shape (19,)" in said for said in replayed(palm_distance=lambda values: values[:19]))
+FILES: dict[str, Callable[[Path], object]] = {
+    "a flipped byte in a table": lambda root: flip_byte(root / DATA),
+    "a flipped byte in a video": lambda root: flip_byte(root / VIDEO),
+    "a truncated table": lambda root: (root / ROWS).write_bytes((root / ROWS).read_bytes()[:-40]),
+    "an empty video": lambda root: (root / VIDEO).write_bytes(b""),
+    "a table gone": lambda root: (root / "meta/tasks.parquet").unlink(),
+    "statistics gone": lambda root: (root / "meta/stats.json").unlink(),
+    "a folder in place of a video": lambda root: [(root / VIDEO).unlink(), (root / VIDEO).mkdir()],
+    "a file too many": lambda root: (root / "data/notes.txt").write_text("mine"),
+    "an empty folder": lambda root: (root / "data/chunk-001").mkdir(),
+    "a link": lambda root: (root / "data/link").symlink_to("/etc/passwd"),
+    "text in place of info": lambda root: (root / "meta/info.json").write_text("[" * 5000),
+    "info without features": lambda root: (root / "meta/info.json").write_text("{}"),
+    "an unreadable manifest": lambda root: (root / "meta/manifest.json").write_text("{}"),
+    "a path that leads outside": lambda root: edit(
+        root / "meta/manifest.json", lambda m: m["files"].update({"../x": "0"})
+    ),
+    "other seeds": lambda root: edit(root / "meta/manifest.json", lambda m: m["seeds"].reverse()),
+    "fewer episodes promised": lambda root: edit(root / "meta/manifest.json", lambda m: m.update(episodes=1)),
+}  # fmt: skip
 
 
-def test_a_seed_that_the_expert_does_not_manage_is_named(simulated):
-    (finding,) = verify(simulated, replayed=1, resimulate=lambda seed: None)
-    assert finding.message == "episode 0: the expert does not manage seed 0"
+def edit(path: Path, change: Callable[[dict], object]) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
 
 
-def test_only_the_same_code_replays(simulated, monkeypatch):
-    assert verify(simulated, replayed=2) == []
-    monkeypatch.setattr(replay_check, "code_fingerprint", lambda: "other")
-    (finding,) = verify(simulated, replayed=2)
-    assert "made by other code" in finding.message
+@pytest.mark.parametrize("name", FILES)
+def test_other_files_are_found(copy, name):
+    FILES[name](copy)
+    assert "files" in found(copy)
 
 
-def test_the_manifests_digest_does_not_depend_on_layout_and_stands_for_all_files(simulated):
-    manifest = Manifest.read(simulated)
-    text = (simulated / "meta/manifest.json").read_text()
-    assert json.loads(text)["sha256"] == manifest.digest == manifest.sha256
-    assert replace(manifest, files={**manifest.files, DATA: "0"}).digest != manifest.digest
-    assert replace(manifest, files=dict(reversed(manifest.files.items()))).digest == manifest.digest
+def column(path: str, key: str, change: Callable[[list], list]) -> Callable[[Path], None]:
+    """Return a damage of one column of a table."""
+
+    def apply(root: Path) -> None:
+        table = pq.read_table(root / path)
+        place, field = table.schema.get_field_index(key), table.schema.field(key)
+        values = change(table[key].to_pylist())
+        pq.write_table(table.set_column(place, field, pa.array(values, field.type)), root / path)
+
+    return apply
 
 
-def test_snapshots_of_the_hubs_cache_are_no_stray_links(simulated, tmp_path):
-    blobs, snapshot = tmp_path / "blobs", tmp_path / "snapshots/abc"
-    blobs.mkdir()
-    for number, path in enumerate(path for path in simulated.rglob("*") if path.is_file()):
-        (blobs / str(number)).write_bytes(path.read_bytes())
-        link = snapshot / path.relative_to(simulated)
-        link.parent.mkdir(parents=True, exist_ok=True)
-        link.symlink_to(blobs / str(number))
-    (snapshot / "README.md").write_text("a card")
-    assert verify(snapshot) == []
-
-
-def test_findings_are_one_printable_line():
-    assert str(Finding("tasks", "\x1b[2J\nCatch\u202e")) == "tasks: \\x1b[2J\\nCatch\\u202e"
-    assert len(str(Finding("tasks", "x" * 10_000))) == 600
-
-
-def test_samples_take_turns_among_kinds():
-    rows = [{"motion": kind} for kind in "aaaaaaaabbc"]
-    assert stratified(rows, 3) == [0, 8, 10]
-    assert stratified(rows, 5) == [0, 7, 8, 9, 10]
-    assert stratified(rows, 6) == [0, 4, 7, 8, 9, 10]
-    assert all(len(set(stratified(rows, count))) == count for count in range(12))
-    assert stratified(rows, 100) == list(range(11))
-
-
-def test_verify_needs_a_dataset(tmp_path):
-    with pytest.raises(FileNotFoundError, match="is no LeRobot dataset"):
-        verify(tmp_path)
-
-
-def test_progress(tmp_path):
-    seen: list[int] = []
-    root = write(tmp_path / "d", range(6))
-    verify(root, progress=seen.append)
-    assert seen == [1, 2, 3, 4, 5, 6]
-    assert len(Store(root).rows) == 6
-
-
-def test_episode_rows_in_another_type_are_named(tmp_path):
-    root = write(tmp_path / "d", range(2))
-    table(ROWS, lambda old: with_column(old, "attempts", old["attempts"].cast(pa.int32())))(root)
-    assert any("holds attempts as int32; it is int64" in str(finding) for finding in verify(root))
-
-
-def test_every_swap_of_pictures_in_which_a_small_thing_moves_is_found(tmp_path: Path):
-    """A square of 3 px, none of them among those that thinning keeps."""
-    slope = np.linspace(60, 160, 128).astype(np.uint8)
-    made = np.tile(slope[None, None, :, None], (12, 128, 1, 3))
-    for frame in range(12):
-        made[frame, 61:64, 10 * frame + 1 : 10 * frame + 4] = 240
-    video = VideoWriter(tmp_path / "video.mp4", 128, 20, Encoding())
-    video.write(made)
+def without_a_packet(root: Path) -> None:
+    *kept, _ = stored_packets(root / VIDEO)
+    video = VideoFile(root / "again.mp4", stream_like(root / VIDEO))
+    video.append(kept)
     video.close()
-    stored = np.stack(list(decode(tmp_path / "video.mp4")))
-    assert not list(replay_check._frames(made, stored))
-    for place, shown in itertools.permutations(range(12), 2):
-        swapped = stored.copy()
-        swapped[place] = stored[shown]
-        (problem,) = replay_check._frames(made, swapped)
-        assert problem.startswith(f"at frame {place}, ")
-        assert problem.endswith(f"it looks like frame {shown}")
+    (root / "again.mp4").replace(root / VIDEO)
+
+
+def one_fewer_frame(root: Path) -> None:
+    table = pq.read_table(root / DATA)
+    pq.write_table(table.slice(0, len(table) - 1), root / DATA)
+
+
+FORMAT: dict[str, Callable[[Path], object]] = {
+    "times that are shifted": column(DATA, "timestamp", lambda times: [time + 0.01 for time in times]),
+    "frames in another order": column(DATA, "frame_index", lambda frames: frames[::-1]),
+    "another instruction": column(DATA, "task_index", lambda tasks: [0] * len(tasks)),
+    "episodes that overlap": column(ROWS, "dataset_from_index", lambda starts: [0] * len(starts)),
+    "episodes at other times of a video": column(
+        ROWS, "videos/observation.images.ego/from_timestamp", lambda starts: [start + 0.05 for start in starts]
+    ),
+    "a file that is not there": column(ROWS, "data/file_index", lambda files: [7] * len(files)),
+    "a frame fewer": one_fewer_frame,
+    "an image fewer": without_a_packet,
+    "another rate": lambda root: edit(root / "meta/info.json", lambda info: info.update(fps=30)),
+    "more episodes": lambda root: edit(root / "meta/info.json", lambda info: info.update(total_episodes=9)),
+    "another shape": lambda root: edit(
+        root / "meta/info.json", lambda info: info["features"]["action"].update(dtype="int64")
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORMAT)
+def test_what_lerobot_would_read_wrongly_is_found_though_it_is_signed(copy, name):
+    FORMAT[name](copy)
+    sign(copy)
+    assert "format" in found(copy)
+
+
+VERDICTS: dict[str, Callable[[Episode], Episode]] = {
+    "a state that fingertips do not have": changed("state", (-3, 8), lambda angle: angle + 0.1),
+    "other fingertips": changed("fingertips", (-3, 0), lambda x: x + 0.001),
+    "a nearer palm": changed("palm_distance", 20, lambda distance: distance - 0.02),
+    "a farther palm": changed("palm_distance", 20, lambda distance: distance + 0.02),
+    "a nearer fingertip": changed("fingertip_distance", 5, lambda distance: distance - 0.001),
+    "another target": changed("target_pose", (slice(None), 2), lambda z: z + 0.05),
+    "another object": changed("object_primitives", (0, 1), lambda size: size * 1.1),
+    "contacts that are none": changed("target_contacts", 3, 1.0),
+    "localised before": changed("localized", slice(5, None), True),
+    "never localised": changed("localized", slice(None), False),
+    "captured before": changed("captured", slice(5, None), True),
+    "a success before": changed("succeeded", slice(5, None), True),
+    "a failure": lambda episode: dataclasses.replace(episode, success=False),
+    "another stage": lambda episode: dataclasses.replace(episode, stage="missed"),
+    "no number": changed("action", (4, 2), np.nan),
+    "an unknown rule": lambda episode: dataclasses.replace(
+        episode, meta=dataclasses.replace(episode.meta, capture="magic")
+    ),
+}
+
+
+@pytest.mark.parametrize("name", VERDICTS)
+def test_verdicts_that_do_not_follow_are_found_though_they_are_signed(copy, name):
+    first, *others = read_episodes(copy)
+    rewrite(copy, [VERDICTS[name](first), *others])
+    assert "verdicts" in found(copy)
+
+
+@pytest.mark.parametrize("key", ["next.reward", "observation.environment_state", "language_persistent"])
+def test_derived_columns_that_do_not_follow_are_found_though_they_are_signed(tmp_path, key):
+    root = generated(tmp_path / "d", "--environment-state", "--subtasks", "--image-size", "0")
+    column(DATA, key, lambda values: values[::-1])(root)
+    sign(root)
+    assert found(root) == {"verdicts"}
+
+
+@pytest.fixture(scope="module")
+def made() -> list[Episode]:
+    """The episodes of the dataset, as they were rendered."""
+    return list(record(RECIPE, range(2)))
+
+
+def white_square(images: np.ndarray) -> np.ndarray:
+    marked = images.copy()
+    marked[:, 6:8, 9:11] = 255
+    return marked
+
+
+def with_images(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Episode], Episode]:
+    return lambda episode: dataclasses.replace(episode, images={"ego": change(episode.images["ego"])})
+
+
+def swapped(images: np.ndarray) -> np.ndarray:
+    return images[[*range(8), 12, *range(9, 12), 8, *range(13, len(images))]]
+
+
+def meta(**values: object) -> Callable[[Episode], Episode]:
+    return lambda episode: dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **values))
+
+
+REPLAYS: dict[str, Callable[[Episode], Episode]] = {
+    "a white square of 2 x 2 px in every image": with_images(white_square),
+    "two images exchanged": with_images(swapped),
+    "mirrored images": with_images(lambda images: images[:, :, ::-1]),
+    "another command": changed("action", (12, 0), lambda x: x + 0.01),
+    "another velocity": changed("target_velocity", (12, 3), lambda x: x + 0.01),
+    "another mass": lambda episode: dataclasses.replace(episode, object_mass=episode.object_mass * 1.01),
+    "another instruction": meta(task="Drop it."),
+    "another seed": meta(seed=5),
+}
+
+
+@pytest.mark.parametrize("codec", ["h264", pytest.param("images", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", REPLAYS)
+def test_episodes_that_do_not_follow_from_their_seeds_are_found_though_they_are_signed(copy, made, name, codec):
+    rewrite(copy, [REPLAYS[name](made[0]), made[1]], Encoding(codec))
+    assert "replay" in found(copy, replayed=2)
+
+
+def test_a_white_square_in_every_image_is_found_also_where_no_image_is_equal(copy, made):
+    """As where images were rendered on a GPU: a few levels are tolerated, a square of 2 x 2 px is not."""
+
+    def noisy(images: np.ndarray) -> np.ndarray:
+        noise = np.random.default_rng(0).integers(-2, 3, images.shape)
+        return np.clip(images.astype(int) + noise, 0, 255).astype(np.uint8)
+
+    rewrite(copy, [with_images(noisy)(episode) for episode in made])
+    assert found(copy, replayed=2) == set()
+    rewrite(copy, [with_images(lambda images: white_square(noisy(images)))(episode) for episode in made])
+    assert found(copy, replayed=2) == {"replay"}
+
+
+def test_a_block_is_seen_wherever_it_lies():
+    one = np.full((2, 16, 16, 3), 100, np.uint8)
+    for row, left in ((0, 0), (5, 7), (14, 14)):
+        other = one.copy()
+        other[1, row : row + 2, left : left + 2] = 255
+        assert _greatest_block(one, other) == 155 > BLOCK_LEVELS
+    assert _greatest_block(one, one[:, :8]) == 255
+
+
+def test_only_the_code_that_made_a_dataset_replays_it(copy):
+    edit(copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123"))
+    sign(copy)
+    (finding,) = verify(copy, replayed=1)
+    assert "made by other code (0123" in finding.message
+
+
+def test_an_expert_that_fails_where_it_succeeded_is_found(sound):
+    assert {finding.check for finding in verify(sound, replayed=2, resimulate=lambda seed: None)} == {"replay"}
+
+
+def test_what_is_replayed_is_drawn_evenly_from_all_kinds_of_motion(tmp_path):
+    store = Store(write(tmp_path / "d", range(6), None))
+    rng = np.random.default_rng(0)
+    draws = {tuple(drawn_evenly(store, 3, rng)) for _ in range(20)}
+    assert len(draws) > 5, "nobody knows beforehand which"
+    for row, motion in zip(store.rows, ("lob", "lob", "lob", "lob", "planar", "planar"), strict=True):
+        row["motion"] = motion
+    for _ in range(20):
+        assert sum(index >= 4 for index in drawn_evenly(store, 4, rng)) == 2
+    assert drawn_evenly(store, 99, rng) == list(range(6))
+
+
+def test_the_command_counts_and_shortens_and_writes_what_it_found(copy, tmp_path, capsys):
+    (copy / "data/\x1b[31m.txt").touch()
+    for number in range(9):
+        (copy / f"data/{number}.txt").touch()
+    assert main(["verify", str(copy), "--json", str(tmp_path / "findings.json")]) == 1
+    told = capsys.readouterr().out
+    assert "\x1b" not in told
+    assert "files: and 5 more" in told
+    assert len(json.loads((tmp_path / "findings.json").read_text())) == 6
+    assert str(Finding("a", "b\nc" * 1000)).count("\n") == 0
+    assert main(["verify", str(tmp_path)]) == 2

@@ -196,8 +196,8 @@ def observe(acting: list[int], idle: tuple[int, ...] = ()) -> Observation:
     images = np.full((n, 8, 8, 3), 9, np.uint8)
     images[list(idle)] = 0
     state = np.ones((n, 18), np.float32)
-    tips, tasks = np.zeros((n, 30), np.float32), ("a", "b", "c")[:n]
-    return Observation({"ego": images}, state, tips, one_hot_phase(np.array(acting, bool)), tasks)
+    tasks = ("a", "b", "c")[:n]
+    return Observation({"ego": images}, state, one_hot_phase(np.array(acting, bool)), tasks)
 
 
 def test_one_request_for_ten_frames_of_each_acting_world():

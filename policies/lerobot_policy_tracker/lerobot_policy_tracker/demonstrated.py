@@ -17,7 +17,7 @@ from torch import Tensor
 from .configuration_tracker import TrackerConfig
 from .heads.base import ActionHead, ForecastHead
 from .heads.intercept import KNOTS, PALM_DIM
-from .privileged import read_column, read_episode_column
+from .privileged import find_column, read_column
 
 CAUGHT = "localized"
 """Column that tells whether the target has been caught."""
@@ -66,10 +66,10 @@ class Demonstrated:
         lengths = ends - starts
         self.end = torch.from_numpy(np.repeat(ends, lengths))  # (F,) first frame of the next episode
         self.catch = torch.from_numpy(np.repeat(np.array(catches), lengths))  # (F,) first frame with the target caught
-        self.closed = torch.from_numpy(np.repeat(_grasps(meta, ends), lengths, axis=0))  # (F, J)
+        self.closed = torch.from_numpy(_grasps(meta, ends, lengths))  # (F, J)
         self.arrival = self.catch - torch.arange(len(episode))  # (F,)
-        if ARRIVAL in meta.features:
-            self.arrival = torch.from_numpy(np.rint(read_column(meta, ARRIVAL, 1)[:, 0] * meta.fps).astype(np.int64))
+        if (told_s := find_column(meta, ARRIVAL)) is not None:
+            self.arrival = torch.from_numpy(np.rint(told_s[:, 0] * meta.fps).astype(np.int64))
 
     def __call__(self, index: Tensor, offsets: list[int]) -> ForecastLabels:
         """Return the labels at frames ``index + offsets``, ``(B, K, ...)``.
@@ -88,10 +88,11 @@ class Demonstrated:
         return ForecastLabels(*(label.to(index.device) for label in labels))
 
 
-def _grasps(meta: Any, ends: np.ndarray) -> np.ndarray:
-    """Return the joints of each episode's grasp, ``(E, J)``: the known one, or else the last that were commanded."""
-    known = read_episode_column(meta, GRASP)
-    return read_column(meta, ACTION, PALM_DIM + 1)[ends - 1, PALM_DIM:] if known is None else known
+def _grasps(meta: Any, ends: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Return the joints of each frame's grasp, ``(F, J)``: the known one, or else the last that were commanded."""
+    if (known := find_column(meta, GRASP)) is not None:
+        return known
+    return np.repeat(read_column(meta, ACTION, PALM_DIM + 1)[ends - 1, PALM_DIM:], lengths, axis=0)
 
 
 def demonstrated(head: ActionHead, config: TrackerConfig, meta: Any | None) -> Demonstrated | None:

@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import torch
 from torch import Tensor, nn
+
+from dynahoi_lerobot.dataset import frame_column
 
 from .configuration_tracker import TrackerConfig
 
 
 class FrameColumn:
-    """One vector column of a LeRobot dataset, by global frame index.
+    """One vector column of a LeRobot dataset, by global frame index, see ``dynahoi_lerobot.dataset.frame_column``.
 
     Args:
         meta: the dataset's LeRobot metadata.
@@ -58,17 +58,10 @@ def read_column(meta: Any, key: str, n_dims: int) -> np.ndarray:
     Raises:
         ValueError: if the dataset has no such column of at least that many entries.
     """
-    feature = meta.features.get(key)
-    if feature is None or len(feature["shape"]) != 1 or feature["shape"][0] < n_dims:
-        raise ValueError(
-            f"training needs {key!r}, a vector column of {n_dims} or more entries; the dataset has "
-            f"{', '.join(meta.features)}."
-        )
-    files = sorted(Path(meta.root).glob("data/*/*.parquet"))
-    tables = [pq.read_table(file, columns=list({"index", key})) for file in files]
-    index = np.concatenate([table["index"].to_numpy() for table in tables])
-    values = np.concatenate([_as_array(table[key]) for table in tables])
-    return values[np.argsort(index)]
+    values = frame_column(Path(meta.root), key)
+    if values.shape[1] < n_dims:
+        raise ValueError(f"training needs {n_dims} or more entries of {key!r}; the dataset has {values.shape[1]}.")
+    return values.astype(np.float32)
 
 
 def privileged_labels(config: TrackerConfig, meta: Any | None) -> FrameColumn | None:
@@ -91,13 +84,12 @@ def privileged_labels(config: TrackerConfig, meta: Any | None) -> FrameColumn | 
     return FrameColumn(meta, config.privileged_key, config.relative_dims)
 
 
-def read_episode_column(meta: Any, key: str) -> np.ndarray | None:
-    """Return a column of the episode table in the order of its episodes, float32, ``(E, D)``; None if there is none."""
-    files = sorted(Path(meta.root).glob("meta/episodes/*/*.parquet"))
-    if not all(key in pq.read_schema(file).names for file in files):
+def find_column(meta: Any, key: str) -> np.ndarray | None:
+    """Return what ``read_column`` does, None if the dataset has no such column."""
+    try:
+        return read_column(meta, key, 1)
+    except ValueError:
         return None
-    rows = [row for file in files for row in pq.read_table(file, columns=["episode_index", key]).to_pylist()]
-    return np.array([row[key] for row in sorted(rows, key=lambda row: row["episode_index"])], np.float32)
 
 
 class PositionProbe(nn.Module):
@@ -117,9 +109,3 @@ class PositionProbe(nn.Module):
         """Map tokens ``(..., N, D)`` to positions ``(..., n_dims)``."""
         weights = self.relevance(tokens).softmax(dim=-2)  # (..., N, 1)
         return self.position((weights * tokens).sum(dim=-2))
-
-
-def _as_array(column: Any) -> np.ndarray:
-    values = column.combine_chunks()
-    flat = values if pa.types.is_primitive(values.type) else values.flatten()
-    return flat.to_numpy(zero_copy_only=False).reshape(len(values), -1).astype(np.float32)

@@ -59,7 +59,7 @@ def test_a_frame_column_is_looked_up_by_global_index(target_root: Path) -> None:
 @pytest.mark.parametrize(("key", "n_dims"), [("target.velocity", 3), ("target.pose", 8)])
 def test_a_column_that_is_not_there_is_refused(target_root: Path, key: str, n_dims: int) -> None:
     meta = LeRobotDatasetMetadata("local/target", root=target_root)
-    with pytest.raises(ValueError, match=f"training needs '{key}', a vector column of {n_dims}"):
+    with pytest.raises(ValueError, match=key):
         FrameColumn(meta, key, n_dims)
 
 

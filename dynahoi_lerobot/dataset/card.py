@@ -1,0 +1,147 @@
+"""The dataset card, ``README.md``, and its histograms. The same dataset gives the same bytes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from jinja2 import StrictUndefined, Template
+
+from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, image_feature
+from dynahoi_lerobot.dataset.columns import LANGUAGE
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, HISTOGRAM_PATH
+from dynahoi_lerobot.dataset.store import Store, frame_column
+
+METADATA = {
+    "license": "apache-2.0",
+    "task_categories": ["robotics"],
+    "tags": ["LeRobot", "dynahoi", "robotics", "dexterous-manipulation", "simulation", "mujoco"],
+    "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
+}
+"""What the Hub's search and viewer read."""
+LEROBOTS = {
+    "timestamp": ("s", "time of the frame in its episode"),
+    "frame_index": ("1", "number of the frame in its episode"),
+    "episode_index": ("1", "number of the episode"),
+    "index": ("1", "number of the frame in the dataset"),
+    LANGUAGE: ("s", "subtasks, each with its timestamp: the same rows in every frame of an episode"),
+    "task_index": ("1", "number of the instruction in `meta/tasks.parquet`"),
+}
+"""Unit and meaning of LeRobot's own columns."""
+DRAWN = ("action", "observation.state")
+"""Columns whose histograms are drawn."""
+BINS = 50
+
+
+def write_card(store: Store, manifest: Manifest) -> None:
+    """Write the card and its histograms of a dataset that lacks only these and the manifest.
+
+    Args:
+        store: the dataset.
+        manifest: what is known about it; the files that it lists do not matter.
+    """
+    histograms = {key: HISTOGRAM_PATH.format(key=key) for key in DRAWN}
+    for key, name in histograms.items():
+        (path := store.root / name).parent.mkdir(exist_ok=True)
+        path.write_text(histogram_svg(frame_column(store.root, key), store.features[key]["names"]), encoding="utf-8")
+    metadata = METADATA | {"size_categories": [_size_category(manifest.frames)]}
+    template = Template(Path(__file__).with_suffix(".md").read_text(), undefined=StrictUndefined)
+    text = template.render(
+        metadata=yaml.safe_dump(metadata, sort_keys=False).rstrip(),
+        manifest=manifest,
+        recipe=manifest.provenance.get("recipe", {}),
+        yields=manifest.yields,
+        provenance=yaml.safe_dump(manifest.provenance, sort_keys=False),
+        fps=CONTROL_HZ,
+        version=CODEBASE_VERSION,
+        successes=sum(row["success"] for row in store.rows),
+        motions=_counts(store, "motion"),
+        objects=_counts(store, "object"),
+        histograms=histograms,
+        frame_columns=[_frame_column(key, entry) for key, entry in store.features.items()],
+        episode_columns=[_cells(f.key, f.dtype, _episode_shape(f), f.unit, f.meaning) for f in store.array_features],
+    )
+    (store.root / CARD_PATH).write_text(text, encoding="utf-8")
+
+
+def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:
+    """Return the number of episodes and of successes by value of a column of the episode table."""
+    names = sorted({row[column] for row in store.rows})
+    groups = {name: [row["success"] for row in store.rows if row[column] == name] for name in names}
+    return {name: (len(successes), sum(successes)) for name, successes in groups.items()}
+
+
+def _frame_column(key: str, entry: dict[str, Any]) -> list[str]:
+    if key in LEROBOTS:
+        unit, meaning = LEROBOTS[key]
+    else:
+        known = {feature.key: feature for feature in FEATURES.values()}
+        is_image = key.startswith(IMAGE_PREFIX)
+        feature = image_feature(key.removeprefix(IMAGE_PREFIX), entry["shape"][0]) if is_image else known[key]
+        unit, meaning = feature.unit, feature.meaning
+    return _cells(key, entry["dtype"], entry["shape"], unit, meaning)
+
+
+def _episode_shape(feature: Feature) -> Sequence[object]:
+    return feature.column_shape if feature.constant else ("n", *feature.shape)
+
+
+def _cells(key: str, dtype: str, shape: Sequence[object], unit: str, meaning: str) -> list[str]:
+    return [f"`{key}`", dtype, " x ".join(map(str, shape)), unit, meaning]
+
+
+def _size_category(rows: int) -> str:
+    """Return the Hub's name for this number of rows, such as ``10K<n<100K``."""
+    bounds = [(10**3, "1K"), (10**4, "10K"), (10**5, "100K"), (10**6, "1M"), (10**7, "10M"), (10**8, "100M")]
+    below = "n"
+    for bound, name in bounds:
+        if rows < bound:
+            return f"{below}<{name}" if below == "n" else f"{below}<n<{name}"
+        below = name
+    return f"n>{below}"
+
+
+COLUMNS, WIDTH, HEIGHT, TOP, BOTTOM, GAP = 6, 130, 60, 16, 14, 10
+"""Panels in a row; of one panel its bars [px], the lines of text above and below them, the space to the next one."""
+INK, TEXT = "#4477aa", "#888888"
+"""Legible on the Hub's light and dark pages."""
+
+
+def histogram_svg(values: np.ndarray, names: Sequence[str]) -> str:
+    """Return one panel per dimension, six in a row; any version of any library draws the same bytes.
+
+    Args:
+        values: (N, D) in a unit of their own.
+        names: of the D dimensions.
+    """
+    panels = [_panel(name, column) for name, column in zip(names, values.T, strict=True)]
+    placed = [
+        f'<g transform="translate({GAP + number % COLUMNS * (WIDTH + GAP)},'
+        f'{number // COLUMNS * (TOP + HEIGHT + BOTTOM + GAP)})">{panel}</g>'
+        for number, panel in enumerate(panels)
+    ]
+    width = GAP + min(len(panels), COLUMNS) * (WIDTH + GAP)
+    height = math.ceil(len(panels) / COLUMNS) * (TOP + HEIGHT + BOTTOM + GAP)
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" font-family="sans-serif">'
+    return "\n".join([head, *placed, "</svg>", ""])
+
+
+def _panel(name: str, values: np.ndarray) -> str:
+    """Return the outline of the bars, whose heights grow with log(1 + count), and the ends of the range."""
+    values = values[np.isfinite(values)]
+    low, high = float(values.min(initial=np.inf)), float(values.max(initial=-np.inf))
+    counts, _ = np.histogram(values, BINS, (low, high) if high > low else None)
+    baseline, tallest = TOP + HEIGHT, math.log1p(counts.max()) or 1.0
+    bars = (baseline - HEIGHT * math.log1p(count) / tallest for count in counts)
+    outline = f"M0,{baseline}" + "".join(f"V{bar:.1f}h{WIDTH / BINS:.2f}" for bar in bars) + f"V{baseline}Z"
+    label = f'font-size="9" fill="{TEXT}" y="{baseline + 11}"'
+    return (
+        f'<text x="0" y="{TOP - 4}" font-size="11" fill="{TEXT}">{name}</text><path d="{outline}" fill="{INK}"/>'
+        f'<text x="0" {label}>{low:.3g}</text><text x="{WIDTH}" {label} text-anchor="end">{high:.3g}</text>'
+    )

@@ -1,0 +1,379 @@
+"""``dynahoi doctor``: check every part of this machine, and whether it reproduces our episodes."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib
+import importlib.util
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, distributions, entry_points, requires, version
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from packaging.requirements import Requirement
+
+from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF
+from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.registry import GROUP, import_plugin
+from dynahoi_lerobot.dataset.video import CODECS
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.fingerprint import LIBRARIES
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
+
+SOUND, PROBLEMS = 0, 1
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One finding about this machine.
+
+    Attributes:
+        name: what was examined.
+        found: what is there, with units.
+        follows: the consequence for the commands; empty if none.
+        problem: whether the installed commands need something that is missing or wrong.
+    """
+
+    name: str
+    found: str
+    follows: str = ""
+    problem: bool = False
+
+    def __str__(self) -> str:
+        """Return one line."""
+        mark, follows = "PROBLEM: " if self.problem else "", f"  -> {self.follows}" if self.follows else ""
+        return f"{self.name:<24} {mark}{self.found}{follows}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi doctor``."""
+    parser.add_argument("--folder", type=path, default=Path(), help="output folder, whose disk is checked")
+    parser.add_argument(
+        "--reference", action="store_true", help="also play 44 episodes and compare them bit by bit with ours"
+    )
+    parser.add_argument("--json", type=path, help="also write the facts to this file")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the findings; return the exit code: 0 without problems, 1 with problems.
+
+    Raises:
+        ValueError: if the folder or the file is not writable.
+    """
+    check_output(args.folder)
+    if args.json:
+        check_output(args.json)
+    facts = []
+    for fact in chain(examine(args.folder), compare(play(EPISODES), Reference.read()) if args.reference else ()):
+        print(fact, flush=True)
+        facts.append(fact)
+    if args.json:
+        args.json.write_text(json.dumps([asdict(fact) for fact in facts], indent=2) + "\n", encoding="utf-8")
+    problems = [fact.name for fact in facts if fact.problem]
+    print(f"problems: {', '.join(problems)}" if problems else "no problems")
+    return PROBLEMS if problems else SOUND
+
+
+def examine(folder: Path) -> Iterator[Fact]:
+    """Yield the facts of every part; a part that raises is a problem.
+
+    Args:
+        folder: output folder.
+    """
+    parts: tuple[tuple[str, Callable[[], Iterator[Fact]]], ...] = (
+        ("processor", processor), ("disk", lambda: disk(folder)), ("gpu", gpu), ("opengl", opengl), ("codecs", codecs),
+        ("versions", versions), ("plugins", plugins), ("pace", pace),
+    )  # fmt: skip
+    for name, look in parts:
+        try:
+            yield from look()
+        except Exception as error:  # whatever a broken installation raises is what the user wants to know
+            yield Fact(name, f"check failed: {type(error).__name__}: {error}", problem=True)
+
+
+WORKER_GB = 0.9
+"""Memory of a process of ``dynahoi generate`` at 128 px (docs/notes/scale.md)."""
+
+
+def processor() -> Iterator[Fact]:
+    """Yield the available cores and the memory."""
+    count, memory_gb = cores(), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    workers = max(1, min(count, int(memory_gb / WORKER_GB)))
+    yield Fact("cores", f"{count}, {platform.machine()}", f"`dynahoi generate --workers {workers}`")
+    enough = memory_gb >= WORKER_GB
+    yield Fact("memory", f"{memory_gb:.1f} GB", "" if enough else f"a worker needs {WORKER_GB} GB", problem=not enough)
+
+
+def cores() -> int:
+    """Return the number of cores available to this process."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+WRITTEN_MB, EPISODE_MB = 64, 0.13
+"""Of the test of speed; of an episode at 128 px (docs/notes/scale.md)."""
+LEAST_GB = 0.5
+"""What the quickstart and the compiled kernels need."""
+
+
+def disk(folder: Path) -> Iterator[Fact]:
+    """Yield free space and sequential write speed (with fsync) of the nearest existing folder."""
+    place = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir())
+    free_gb = shutil.disk_usage(place).free / 1e9
+    enough = free_gb >= LEAST_GB
+    room = f"room for about {free_gb / EPISODE_MB:.0f} thousand episodes at 128 px"
+    yield Fact("disk", f"{free_gb:.1f} GB free in {place}", room if enough else "0.5 GB are needed", problem=not enough)
+    if enough:
+        with tempfile.TemporaryFile(dir=place) as file:
+            start = time.perf_counter()
+            file.write(os.urandom(WRITTEN_MB * 10**6))
+            file.flush()
+            os.fsync(file.fileno())
+            yield Fact("write speed", f"{WRITTEN_MB / (time.perf_counter() - start):.0f} MB/s")
+
+
+def gpu() -> Iterator[Fact]:
+    """Yield the devices of Warp, on which images are rendered, and of torch, on which policies run."""
+    from dynahoi_lerobot.renderers.device import wp
+
+    found = [f"{device.name}, {device.total_memory / 1e9:.0f} GB" for device in wp.get_cuda_devices()]
+    where = "CUDA" if found else "the CPU"
+    yield Fact("GPU", "; ".join(found) or "none", f"the renderer `tiles` runs on {where}; it needs no OpenGL")
+    if importlib.util.find_spec("torch") is None:
+        return
+    import torch
+
+    if torch.cuda.is_available():
+        yield Fact("torch device", f"CUDA {torch.version.cuda}", "policies run on the GPU")
+    else:
+        wanted = "; install a torch with CUDA to use the GPU" if found else ""
+        yield Fact("torch device", "CPU", f"policies run on the CPU{wanted}")
+
+
+TIMEOUT_S = 60.0
+PROBE = """
+import mujoco
+from dynahoi_lerobot.renderers.opengl import open_context
+open_context(mujoco.MjModel.from_xml_string("<mujoco/>"), 16)
+"""
+
+
+def opengl() -> Iterator[Fact]:
+    """Yield whether a context can be opened; a subprocess tries, because a broken driver may crash it."""
+    try:
+        done = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=TIMEOUT_S, check=False)
+        works = done.returncode == 0
+    except subprocess.TimeoutExpired:
+        works = False
+    follows = "the renderer `opengl` works" if works else "all renderers but `opengl` work"
+    yield Fact("OpenGL", "works" if works else "none", follows)
+
+
+def codecs() -> Iterator[Fact]:
+    """Yield PyAV with the encoder that is needed, and torchcodec."""
+    import av.codec
+
+    works = CODECS["h264"] in av.codec.codecs_available
+    follows = "`dynahoi generate` writes h264" if works else "only `--codec images` works"
+    yield Fact("PyAV", f"{version('av')}, writes {'h264' if works else 'no video'}", follows, problem=not works)
+    if importlib.util.find_spec("torchcodec") is None:
+        yield Fact("torchcodec", "none", "LeRobot decodes with PyAV")
+        return
+    try:
+        importlib.import_module("torchcodec")
+        yield Fact("torchcodec", version("torchcodec"), "LeRobot decodes with torchcodec")
+    except (ImportError, OSError, RuntimeError):
+        told = "LeRobot decodes with PyAV, slower; install FFmpeg's libraries for torchcodec"
+        yield Fact("torchcodec", f"{version('torchcodec')}, finds no FFmpeg libraries", told)
+
+
+OURS = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact", "lerobot_policy_tracker")
+OPTIONAL = {
+    "lerobot": "training and LeRobot's commands need it: pip install '.[lerobot]', in a checkout",
+    "torch": "comes with lerobot",
+}
+"""Optional libraries and their purpose."""
+SHOWN = (*OURS, "mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL)
+
+
+def versions() -> Iterator[Fact]:
+    """Yield the versions of Python, the distributions and their requirements; report those out of bounds."""
+    yield Fact("Python", platform.python_version())
+    wanted: dict[str, list[Requirement]] = {}
+    for distribution in OURS:
+        needed = requires(distribution) or () if installed_version(distribution) else ()
+        for requirement in map(Requirement, needed):
+            if requirement.marker is None or requirement.marker.evaluate():
+                wanted.setdefault(requirement.name, []).append(requirement)
+    for name in [*SHOWN, *sorted(wanted.keys() - set(SHOWN))]:
+        if (fact := _library(name, wanted.get(name, []))) is not None:
+            yield fact
+
+
+def _library(name: str, wanted: list[Requirement]) -> Fact | None:
+    """Return the fact about a library; None if it is fine and not in ``SHOWN``."""
+    found = installed_version(name)
+    if found is None:
+        if wanted:
+            return Fact(name, "none", f"install it: pip install {str(wanted[0])!r}", problem=True)
+        return Fact(name, "none", OPTIONAL[name]) if name in OPTIONAL else None
+    if any(not requirement.specifier.contains(found, prereleases=True) for requirement in wanted):
+        bounds = ", ".join(str(requirement.specifier) for requirement in wanted if requirement.specifier)
+        return Fact(name, found, f"needs {bounds}: pip install {str(wanted[0])!r}", problem=True)
+    return Fact(name, found) if name in SHOWN else None
+
+
+def installed_version(name: str) -> str | None:
+    """Return the version of an installed distribution; None if there is none of that name."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+LEROBOT_PREFIXES = ("lerobot_env_", "lerobot_policy_", "lerobot_robot_", "lerobot_teleoperator_", "lerobot_camera_")
+"""Names by which LeRobot finds its plugins."""
+
+
+def plugins() -> Iterator[Fact]:
+    """Yield the distributions that LeRobot imports as plugins, and the modules that the core imports."""
+    found = {(dist.name, dist.version) for dist in distributions() if dist.name.startswith(LEROBOT_PREFIXES)}
+    for name, installed in sorted(found):
+        yield Fact(name, installed, "LeRobot finds it")
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            import_plugin(entry)
+        follows = str(told[0].message) if told else ""
+        yield Fact(f"plugin {entry.name}", entry.value, follows, problem=bool(told))
+
+
+PACED = Recipe(image_size=64)
+PACED_EPISODES = 16
+KNOWN_FRAMES_S, KNOWN_PROCESSOR_S, KNOWN_ELAPSED_S = 593.0, 400.0, 276.0
+"""Speed of a core of the machine on which the quickstart was timed; its processor time there, and wall time on two idle
+cores."""
+
+
+def pace() -> Iterator[Fact]:
+    """Yield the speed over some episodes of ``train``, sampling included, and an estimate from it."""
+    frames_s = frames_per_s()
+    known_s = KNOWN_PROCESSOR_S if cores() == 1 else KNOWN_ELAPSED_S
+    minutes = max(1.0, known_s * KNOWN_FRAMES_S / frames_s / 60)
+    found = f"{frames_s:.0f} frames/s per core at {PACED.image_size} px"
+    yield Fact("pace", found, f"the quickstart takes about {minutes:.0f} min")
+
+
+def frames_per_s() -> float:
+    """Return the frames that one thread simulates and renders per second of processor time."""
+    for _ in record(PACED, [0], threads=1):  # compiles the scene and, once on a machine, the renderer
+        pass
+    start = time.process_time()
+    frames = sum(len(episode) for episode in record(PACED, range(1, 1 + PACED_EPISODES), threads=1))
+    return frames / (time.process_time() - start)
+
+
+REFERENCE = Path(__file__).with_suffix(".npz")
+PLAYED = Recipe(split="test", image_size=32)
+EPISODES = 44
+"""Every kind of motion twice."""
+STRIDE = 10
+"""Frames between the stored poses, from which differences are measured."""
+TOLERANCE = 1e-5
+"""Greatest difference [m, rad] with which `dynahoi evaluate --replay` confirms results of another machine."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What the expert's first ``n`` episodes of ``test`` were on some machine.
+
+    Attributes:
+        machine: processor and library versions, in words.
+        motions: (n,) digests of states, commands and target poses, all frames.
+        pictures: (n,) digests of all images.
+        poses: (K, 25) float32, hand state [m, rad] and target pose [m, 1] at every tenth frame of all episodes.
+        images: (n, 32, 32, 3) uint8 RGB at control start.
+    """
+
+    machine: str
+    motions: np.ndarray
+    pictures: np.ndarray
+    poses: np.ndarray
+    images: np.ndarray
+
+    def write(self) -> None:
+        """Write it to the packaged file."""
+        np.savez_compressed(REFERENCE, **vars(self))
+
+    @classmethod
+    def read(cls) -> Reference:
+        """Read the packaged file."""
+        with np.load(REFERENCE, allow_pickle=False) as held:
+            arrays = {name: held[name] for name in ("motions", "pictures", "poses", "images")}
+            return cls(str(held["machine"]), **arrays)
+
+
+def play(count: int) -> Reference:
+    """Play the first ``count`` episodes on this machine."""
+    specs = sample_specs(PLAYED, range(count), threads=0)
+    played = evaluate(WorldBatch(PLAYED, min(count, 22)), EXPERTS[PLAYED.expert](), specs, images=True)
+    episodes = sorted(played, key=lambda episode: episode.meta.seed)
+    poses = [np.concatenate([e.state, e.target_pose], axis=1)[::STRIDE] for e in episodes]
+    return Reference(
+        machine=", ".join([platform.machine(), *(f"{library} {version(library)}" for library in LIBRARIES[:4])]),
+        motions=np.array([digest([e.state, e.action, e.target_pose]) for e in episodes]),
+        pictures=np.array([digest([e.images[EGO_VIEW]]) for e in episodes]),
+        poses=np.concatenate(poses),
+        images=np.stack([e.images[EGO_VIEW][e.meta.window_frames] for e in episodes]),
+    )
+
+
+def digest(arrays: Iterable[np.ndarray]) -> str:
+    """Return 16 hexadecimal digits of the bytes."""
+    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:16]
+
+
+def compare(found: Reference, wanted: Reference) -> Iterator[Fact]:
+    """Yield how this machine's episodes differ from the reference."""
+    yield Fact("reference", f"benchmark {BENCHMARK.version}, {wanted.machine}", f"here {found.machine}")
+    told = _counted(found.motions == wanted.motions)
+    if (found.motions == wanted.motions).all():
+        yield Fact("motion", told, "results agree with ours to the last digit")
+    elif found.poses.shape != wanted.poses.shape:
+        yield Fact("motion", f"{told}; some lengths differ", "results differ from ours", problem=True)
+    else:
+        off = np.abs(found.poses - wanted.poses).max(axis=0)
+        told += f"; palm off by at most {off[:3].max():.2g} m, target by {off[HAND_DOF:][:3].max():.2g} m"
+        close = bool(off.max() <= TOLERANCE)
+        confirmed = "`dynahoi evaluate --replay` confirms results across both, with the same library versions"
+        yield Fact("motion", told, confirmed if close else "results differ from ours", problem=not close)
+    told = _counted(found.pictures == wanted.pictures)
+    if (found.pictures == wanted.pictures).all():
+        yield Fact("images", told, "policies see identical images")
+    else:
+        off = np.abs(found.images.astype(int) - wanted.images)
+        yield Fact("images", f"{told}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average")
+
+
+def _counted(same: np.ndarray) -> str:
+    return f"{int(same.sum())} of {len(same)} episodes are bit-identical to ours"
+
+
+if __name__ == "__main__":  # rewrites the file on the reference machine
+    play(EPISODES).write()

@@ -1,1 +1,0 @@
-"""``dynahoi doctor``: check a machine, and whether it reproduces published episodes."""

@@ -1,0 +1,457 @@
+"""``dynahoi push``: upload a dataset, a checkpoint, results or an environment to the Hugging Face Hub.
+
+A repository is never mixed with other content. What stopped is resumed by the same command, because the Hub's client
+sends only what the Hub lacks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
+from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights
+from dynahoi_lerobot.evaluate.replay_results import changed_rules
+from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
+from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, read_results
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.splits import split_of
+from dynahoi_lerobot.verify.command import verify
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi, ModelCard
+
+DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
+KIND_FILES = {"dataset": INFO_PATH, "results": METRICS_FILE, "checkpoint": CONFIG, "environment": "env.py"}
+"""What can be pushed, and the file that identifies it; LeRobot's ``make_env("user/name")`` runs ``env.py``."""
+HUB_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
+"""Files that every repository may have, whoever wrote them."""
+RESULTS = "results"
+"""Folder of a checkpoint's repository with the result folders, for ``dynahoi evaluate --replay``."""
+IGNORED = [".cache/**", "training_state/**", "**/__pycache__/**", "__pycache__/**"]
+NAME_LENGTH, DIGITS = 120, 8
+"""Characters of the longest name of a result folder; a longer one is cut and ends with digits of a hash."""
+SHOWN_METRICS = ("S_loc", "S_joint", "S_hold")
+"""Metrics of results that a model card lists."""
+
+RESUME = "nothing is lost; run the same command to resume"
+LOG_IN = "create one that can write at https://huggingface.co/settings/tokens, then run `hf auth login` or set HF_TOKEN"
+ANSWERS = {
+    401: f"the Hub rejected the token; {LOG_IN}",
+    403: f"the token has no write access there; {LOG_IN}",
+    413: "the Hub rejected it as too large",
+    429: f"the Hub limits the rate of requests; wait a few minutes: {RESUME}",
+}
+"""By HTTP status."""
+
+
+class HubError(RuntimeError):
+    """A push that cannot be done; the message is one sentence without the token."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi push``."""
+    parser.add_argument(
+        "folder", type=path, help="a dataset, a pretrained_model folder, results of evaluate, or envs/hub"
+    )
+    parser.add_argument("repo", help="USER/NAME on the Hub; results go to their checkpoint's repository")
+    parser.add_argument("--private", action="store_true", help="create a private repository")
+    parser.add_argument(
+        "--replace", action="store_true", help="checkpoints only: replace other weights and remove their results"
+    )
+    parser.add_argument("--policy", help="results only: the policy that was evaluated, if it had another name")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check the folder, push it and print its address.
+
+    Args:
+        args: the parsed arguments of ``add_arguments``.
+
+    Returns:
+        The exit code: 0 success, 1 refused or failed, 2 bad input, 130 interrupted.
+    """
+    try:
+        kind = kind_of(args.folder)
+        for option, wanted in (("policy", "results"), ("replace", "checkpoint")):
+            if getattr(args, option) and kind != wanted:
+                raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
+        pushed = PUSHES[kind](args, Repository.open(args.repo, "dataset" if kind == "dataset" else "model"))
+    except ModuleNotFoundError as error:
+        return _say(f"it needs {error.name}, which the extra `lerobot` installs", BAD_INPUT)
+    except HubError as error:
+        return _say(error, FAILED)
+    except KeyboardInterrupt:
+        return _say(f"interrupted; {RESUME}", STOPPED)
+    print(f"{kind} pushed to {pushed}")
+    return DONE
+
+
+def kind_of(folder: Path) -> str:
+    """Return what a folder holds: a key of ``KIND_FILES``.
+
+    Raises:
+        ValueError: if it is none of them.
+    """
+    for kind, file in KIND_FILES.items():
+        if (folder / file).is_file():
+            return kind
+    nested = sorted(folder.glob(f"**/pretrained_model/{CONFIG}"))
+    hint = f"; did you mean {nested[-1].parent}?" if nested else ""
+    known = ", ".join(f"{kind} ({file})" for kind, file in KIND_FILES.items())
+    raise ValueError(f"{folder} holds none of these: {known}{hint}")
+
+
+@dataclass(frozen=True)
+class Repository:
+    """A repository and the account that writes to it.
+
+    Attributes:
+        api: the Hub's client.
+        name: ``user/name``.
+        kind: ``dataset`` or ``model``.
+        token: of the account.
+    """
+
+    api: HfApi
+    name: str
+    kind: str
+    token: str
+
+    @classmethod
+    def open(cls, name: str, kind: str) -> Repository:
+        """Log in with the token that ``hf auth login`` stored, or of ``HF_TOKEN``.
+
+        Raises:
+            HubError: if there is no token, the Hub refuses it or cannot be reached.
+            ValueError: if the name is none.
+        """
+        from huggingface_hub import HfApi, get_token
+        from huggingface_hub.utils import HFValidationError, validate_repo_id
+
+        try:
+            validate_repo_id(name)
+        except HFValidationError as error:
+            raise ValueError(f"the repository is {name!r}; it must be USER/NAME: {error}") from None
+        if name.count("/") != 1:
+            raise ValueError(f"the repository is {name!r}; it must be USER/NAME")
+        if not (token := get_token()):
+            raise HubError(f"no Hub token found; {LOG_IN}")
+        repository = cls(HfApi(token=token), name, kind, token)
+        with repository.explained():
+            repository.api.whoami()
+        return repository
+
+    @property
+    def address(self) -> str:
+        """Where it is found."""
+        return f"{self.api.endpoint}/{'datasets/' if self.kind == 'dataset' else ''}{self.name}"
+
+    @contextmanager
+    def explained(self) -> Iterator[None]:
+        """Turn the exceptions of the Hub's client into one sentence without the token.
+
+        Raises:
+            HubError: instead of it.
+        """
+        try:
+            yield
+        except (HubError, ValueError):
+            raise
+        except Exception as error:
+            sentence = _sentence(error, self.api.endpoint).replace(self.token, "[REDACTED]")
+            raise HubError(f"{self.name}: {sentence}") from None
+
+    def files(self) -> set[str]:
+        """Return the paths of its files."""
+        return set(self.api.list_repo_files(self.name, repo_type=self.kind))
+
+    def weights(self) -> dict[str, str]:
+        """Return the sha256 of its large files, by path."""
+        from huggingface_hub.hf_api import RepoFile
+
+        tree = self.api.list_repo_tree(self.name, recursive=True, repo_type=self.kind)
+        return {entry.path: entry.lfs.sha256 for entry in tree if isinstance(entry, RepoFile) and entry.lfs}
+
+    def claim(
+        self, folder: Path, *, private: bool, identity: tuple[str, str] = ("", ""), others: str = "\n"
+    ) -> set[str]:
+        """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``, and return its files.
+
+        Args:
+            folder: what is pushed.
+            private: make a private repository.
+            identity: JSON file that tells this content from another one under the same file names, and its key.
+            others: folder of the repository that belongs to this content, but comes with other pushes.
+
+        Raises:
+            HubError: if it holds other content, or is public where a private one is asked for.
+        """
+        self.api.create_repo(self.name, repo_type=self.kind, private=private or None, exist_ok=True)
+        if private and not self.api.repo_info(self.name, repo_type=self.kind).private:
+            raise HubError(f"{self.name} exists and is public; make it private in its settings, or choose another name")
+        held, ours = self.files(), {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+        if foreign := sorted(name for name in held - ours - set(HUB_FILES) if not name.startswith(others)):
+            raise HubError(f"{self.name} holds other content ({foreign[0]}); choose another name")
+        file, key = identity
+        if file in held & ours:
+            there = _json_value(Path(self.api.hf_hub_download(self.name, file, repo_type=self.kind)), key)
+            if there != (here := _json_value(folder / file, key)):
+                told = f"the {key} in {file} is {there}, not {here}"
+                raise HubError(f"{self.name} holds other content ({told}); choose another name")
+        return held
+
+    def upload(self, folder: Path, **options: Any) -> None:
+        """Upload a folder; ``options`` go to ``HfApi.upload_folder``."""
+        message = f"Push {folder.resolve().name} with dynahoi"
+        defaults: dict[str, Any] = {"ignore_patterns": IGNORED, "commit_message": message}
+        self.api.upload_folder(repo_id=self.name, folder_path=folder, repo_type=self.kind, **defaults | options)
+
+    def upload_card(self, card: ModelCard) -> None:
+        """Replace the card, unless it says the same."""
+        content = str(card)
+        if CARD_PATH in self.files():
+            held = Path(self.api.hf_hub_download(self.name, CARD_PATH, repo_type=self.kind)).read_text(encoding="utf-8")
+            if held == content:
+                return
+        self.api.upload_file(
+            repo_id=self.name, path_or_fileobj=content.encode(), path_in_repo=CARD_PATH, repo_type=self.kind,
+            commit_message="Write the card with dynahoi",
+        )  # fmt: skip
+
+    def tag(self, tag: str) -> None:
+        """Set a tag on the latest commit; one that exists is moved."""
+        from huggingface_hub.errors import RevisionNotFoundError
+
+        with suppress(RevisionNotFoundError):
+            self.api.delete_tag(self.name, tag=tag, repo_type=self.kind)
+        self.api.create_tag(self.name, tag=tag, repo_type=self.kind)
+
+
+def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
+    """Push a dataset that verifies, tagged with LeRobot's version, which its reader asks for, and the benchmark's."""
+    if findings := verify(args.folder):
+        print(*findings, sep="\n", file=sys.stderr)
+        raise HubError(f"{args.folder} was not pushed: `dynahoi verify` has findings")
+    with repository.explained():
+        repository.claim(args.folder, private=args.private, identity=(MANIFEST_PATH, "sha256"))
+        repository.upload(args.folder)
+        versions = Manifest.read(args.folder).benchmark.split(", ")
+        tags = [CODEBASE_VERSION, *(f"dynahoi-{version}" for version in versions if version)]
+        for tag in tags:
+            repository.tag(tag)
+    return f"{repository.address}, tagged {', '.join(tags)}"
+
+
+def push_checkpoint(args: argparse.Namespace, repository: Repository) -> str:
+    """Push a checkpoint, with a card if it has none; over other weights only with ``--replace``.
+
+    Raises:
+        ValueError: if it holds a pickle, which our loader refuses, or names no policy type.
+    """
+    folder = args.folder
+    if pickles := sorted(p.name for p in folder.rglob("*") if p.suffix.lower() in PICKLES):
+        raise ValueError(f"{folder} holds the pickle {pickles[0]}, which nobody should load; save it as safetensors")
+    card = checkpoint_card(folder, repository.name)
+    with repository.explained():
+        held = repository.claim(folder, private=args.private, identity=(CONFIG, "type"), others=f"{RESULTS}/")
+        there = repository.weights()
+        other = [name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256]
+        if other and not args.replace:
+            raise HubError(
+                f"{repository.name} holds other weights ({other[0]}); choose another name, or add --replace, which "
+                "also removes the results of the old ones"
+            )
+        repository.upload(folder, delete_patterns=[f"{RESULTS}/*"] if other else None)
+        if CARD_PATH not in held and not (folder / CARD_PATH).is_file():
+            repository.upload_card(card)
+    return repository.address
+
+
+def push_results(args: argparse.Namespace, repository: Repository) -> str:
+    """Push results into the repository of their checkpoint, under a name of their own, and list them on its card.
+
+    Raises:
+        HubError: if the repository holds no checkpoint, or nothing shows that the results are of it.
+        ResultsError: if the folder is incomplete or damaged.
+    """
+    from huggingface_hub import ModelCard
+
+    results = read_results(args.folder)
+    name, played = variant(results), [METRICS_FILE, EPISODES_FILE, ACTIONS_FILE]
+    with repository.explained():
+        if not repository.api.repo_exists(repository.name) or CONFIG not in (held := repository.files()):
+            raise HubError(f"{repository.name} holds no checkpoint; push it before its results")
+        _check_policy(results, repository, args.policy or "")
+        repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
+        if CARD_PATH in held:
+            there = repository.api.hf_hub_download(repository.name, CARD_PATH)
+            card = ModelCard.load(there, ignore_metadata_errors=True)
+            repository.upload_card(with_results(card, repository.name, results, name))
+    return repository.address
+
+
+def push_environment(args: argparse.Namespace, repository: Repository) -> str:
+    """Push an environment of LeRobot's EnvHub, which lies in a repository like a checkpoint's."""
+    with repository.explained():
+        repository.claim(args.folder, private=args.private)
+        repository.upload(args.folder)
+    return repository.address
+
+
+PUSHES: dict[str, Callable[[argparse.Namespace, Repository], str]] = {
+    "dataset": push_dataset, "checkpoint": push_checkpoint, "results": push_results, "environment": push_environment,
+}  # fmt: skip
+
+
+def _check_policy(results: Results, repository: Repository, said: str) -> None:
+    """Refuse results of another policy than the repository's, unless the user ``said`` that it is the same."""
+    policy, weights = results.info.policy, results.info.extra.get(WEIGHTS) or {}
+    here = f"{repository.name}: {results.folder} is of {policy}"
+    if said and said != policy:
+        raise HubError(f"{here}, not of {said}")
+    there = repository.weights()
+    same = bool(weights) and all(there.get(name) == sha256 for name, sha256 in weights.items())
+    if not (said or same or (policy == repository.name and not weights)):
+        raise HubError(
+            f"{here}, and nothing shows that this repository holds it; push that checkpoint, or add --policy {policy} "
+            "if it does"
+        )
+
+
+def variant(results: Results) -> str:
+    """Return a folder name for the conditions of an evaluation; others have another one.
+
+    It says the rules, whatever of the recipe is not the benchmark's, and the number of episodes of a part of a split.
+
+    Raises:
+        ResultsError: if the results do not say what was played.
+        ValueError: if there is no such split, capture rule or control class.
+    """
+    info = results.info
+    words = [info.benchmark, info.split, info.capture, results.control_class]
+    words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
+    words += [f"{name}_{_text(value)}" for name, (value, _) in changed_rules(results).items() if name != "salt"]
+    seeds = sorted(row["seed"] for row in results.rows)
+    if len(seeds) != BENCHMARK.splits[split_of(info.split)].size:
+        words += [f"{len(seeds)}_episodes", *([] if seeds == list(range(len(seeds))) else [_digest(str(seeds))])]
+    text = "_".join(words)
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("_.")
+    return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - DIGITS - 1]}_{_digest(text)}"
+
+
+PLUGINS = {name: f"lerobot_policy_{name}" for name in ("obact", "tracker", "actiontokens")}
+"""Distribution that provides a policy type."""
+EXTRAS = {"pi0": "pi", "pi0_fast": "pi", "pi05": "pi", "multi_task_dit": "multi-task-dit", "vla_jepa": "vla-jepa"}
+"""Extra of LeRobot that a policy type needs, where the names differ."""
+CARD = """
+# {name}
+
+A `{type}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catching moving objects with a
+dexterous hand.
+
+```bash
+pip install {needed}   # in a checkout of dynahoi-lerobot
+dynahoi evaluate --policy {repo} --split test --out results/{name}
+```
+"""
+
+
+def checkpoint_card(folder: Path, repo: str) -> ModelCard:
+    """Return the card of a ``pretrained_model`` folder.
+
+    Raises:
+        ValueError: if its config is no JSON object with a policy type.
+    """
+    from huggingface_hub import ModelCard, ModelCardData
+
+    kind = _json_value(folder / CONFIG, "type")
+    if not isinstance(kind, str):
+        raise ValueError(f"{folder / CONFIG} names no policy type; name a pretrained_model folder")
+    dataset = (_json_value(folder / "train_config.json", "dataset") or {}).get("repo_id") or ""
+    data = ModelCardData(
+        library_name="lerobot", license=_json_value(folder / CONFIG, "license") or "apache-2.0",
+        pipeline_tag="robotics", tags=["lerobot", "robotics", "dynahoi", kind],
+        datasets=[dataset] if "/" in dataset else None,
+    )  # fmt: skip
+    words = ['".[lerobot]"', "./envs/lerobot_env_dynahoi"]
+    if kind in PLUGINS:
+        words.append(f"./policies/{PLUGINS[kind]}")
+    elif (extra := EXTRAS.get(kind, kind)) in _extras_of_lerobot():
+        words.append(f'"lerobot[{extra}]"')
+    body = CARD.format(name=repo.rpartition("/")[2], type=kind, repo=repo, needed=" ".join(words))
+    return ModelCard(f"---\n{data.to_yaml()}\n---\n{body}")
+
+
+def with_results(card: ModelCard, repo: str, results: Results, name: str) -> ModelCard:
+    """Return a card that lists the main metrics of results, in the form that the Hub shows."""
+    from huggingface_hub import EvalResult
+
+    data: Any = card.data
+    held = [entry for entry in data.eval_results or [] if entry.dataset_name != name]
+    values = {key: value["value"] for key, value in results.as_json()["metrics"].items() if key in SHOWN_METRICS}
+    held += [
+        EvalResult(
+            task_type="robotics", dataset_type="dynahoi", dataset_name=name, dataset_split=results.info.split,
+            metric_type=metric, metric_value=round(value, 4),
+        )
+        for metric, value in values.items()
+        if value is not None
+    ]  # fmt: skip
+    data.eval_results, data.model_name = held, repo
+    return card
+
+
+def _extras_of_lerobot() -> list[str]:
+    try:
+        return metadata("lerobot").get_all("Provides-Extra") or []
+    except PackageNotFoundError:
+        return []
+
+
+def _sentence(error: Exception, endpoint: str) -> str:
+    import httpx
+    from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
+
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, HfHubHTTPError):
+            status = cause.response.status_code
+            said = " ".join((cause.server_message or "no reason").split())
+            return ANSWERS.get(status, f"the Hub answered {status} ({said}); {RESUME}")
+        if isinstance(cause, httpx.TransportError | OfflineModeIsEnabled):
+            return f"cannot reach {endpoint} ({type(cause).__name__}); {RESUME}"
+        cause = cause.__cause__ or cause.__context__
+    return f"the upload failed ({type(error).__name__}: {' '.join(str(error).split())}); {RESUME}"
+
+
+def _json_value(path: Path, key: str) -> Any:
+    """Return a value of a JSON file, None if the file or the value is not there."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8")).get(key)
+    except (OSError, ValueError, AttributeError):
+        return None
+
+
+def _text(value: Any) -> str:
+    return "_".join(map(str, value)) if isinstance(value, Sequence) and not isinstance(value, str) else str(value)
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
+
+
+def _say(problem: object, code: int) -> int:
+    print(f"dynahoi push: {problem}", file=sys.stderr)
+    return code

@@ -1,0 +1,217 @@
+"""Second claim: verdicts and metrics follow from the columns.
+
+States give fingertips; poses and solids give distances; distances give localisation and contacts; these and the capture
+rule give the verdict. Metrics are computed from these columns whenever they are asked for, so nothing else is stored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+
+import mujoco
+import numpy as np
+import pyarrow as pa
+
+from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS, HAND_NAMES
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import FEATURES
+from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix
+from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.dataset.columns import LANGUAGE, column_array, subtask_rows
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.dataset.quality_control import not_finite
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.objects.primitives import from_table
+from dynahoi_lerobot.rollout.recorder import next_frames
+from dynahoi_lerobot.scene.contact_sensors import TargetContacts
+from dynahoi_lerobot.scene.signed_distance import signed_distance
+from dynahoi_lerobot.world.batch import TOUCH_M
+
+TIP_TOLERANCE = 2e-5
+"""Of fingertips and of distances that are computed again from numbers in float32 [m, rad]."""
+START_TOLERANCE_M = 1e-5
+"""At the start ``palm_distance`` is the distance itself, up to float32."""
+ABOVE_M = 0.005
+"""A least distance exceeds the distance at the end of its step by at most this: where contact releases the target, the
+step is simulated twice (0.002 m seen)."""
+BELOW_M = 0.006
+"""How far a least distance lies below the straight line between two frames, beyond what changing velocities explain."""
+PALM_ONLY = ("touched", "missed")
+"""Stage of a failure in which only the palm touched the target, stored and as the stored columns tell it: that the palm
+did is not among them, and only a replay can say."""
+
+
+def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
+    """Yield columns that do not follow from those before them.
+
+    Args:
+        episode: without its images.
+        hand: its name; None where nobody knows it, so that fingertips are taken as they are.
+    """
+    if problem := not_finite(episode):
+        yield problem
+        return
+    if hand is not None and (problem := _fingertips(episode, hand)):
+        yield problem
+    rule = CAPTURES[episode.meta.capture]()
+    tips = tip_distances(episode)  # (T, 5)
+    yield from filter(None, (_palm(episode), _tips(episode, tips), _contacts(episode, rule, tips)))
+    track = _track(episode)
+    localized = np.maximum.accumulate((episode.palm_distance < rule.localization_radius_m) & _commanded(episode))
+    before = np.zeros(episode.meta.window_frames, bool)
+    flags = {
+        "localized": localized,
+        "captured": np.concatenate([before, rule.captured(track)]),
+        "succeeded": next_frames(np.concatenate([before, rule.succeeded(track)])),
+    }
+    for name, wanted in flags.items():
+        if (wrong := np.flatnonzero(getattr(episode, name) != wanted)).size:
+            frame = int(wrong[0])
+            yield f"{name} is {not wanted[frame]} at frame {frame}; rule {rule.name!r} says {wanted[frame]}"
+    for name, wanted in (("success", rule.success(track)), ("stage", rule.stage(track))):
+        found = getattr(episode, name)
+        if found != wanted and (found, wanted) != PALM_ONLY:
+            yield f"{name} is {found!r}; rule {rule.name!r} says {wanted!r}"
+
+
+def derived_problems(episode: Episode, row: EpisodeRow, table: pa.Table) -> Iterator[str]:
+    """Yield stored columns that a reader derives from others, and that say something else.
+
+    Args:
+        episode: as it was read.
+        row: its row of the episode table.
+        table: its frames.
+    """
+    for feature in FEATURES.values():
+        if feature.derived and feature.key in table.column_names:
+            wanted = np.reshape(getattr(episode, feature.name), (len(episode), -1))
+            if not np.array_equal(column_array(table, feature.key), wanted):
+                yield f"{feature.key} does not follow from the other columns"
+    if LANGUAGE in table.column_names:
+        wanted = [subtask_rows(is_acting(episode.phase), episode.localized)] * len(episode)
+        if table[LANGUAGE].to_pylist() != wanted:
+            yield f"{LANGUAGE} is not what phase and localisation say"
+    if row["stats/attempt_success"] != episode.attempt_success.tolist():
+        yield f"attempt_success is {row['stats/attempt_success']}; success and attempts say otherwise"
+
+
+def _commanded(episode: Episode) -> np.ndarray:
+    """(T,) bool, the step that ends at the frame was a step of the control phase."""
+    return np.concatenate([[False], is_acting(episode.phase)[:-1]])
+
+
+def _fingertips(episode: Episode, hand: str) -> str | None:
+    """Find fingertips that are not where forward kinematics puts them."""
+    apart = np.abs(fingertip_poses(episode.state, hand) - episode.fingertips)
+    apart = np.minimum(apart, np.abs(apart - 2 * np.pi)).max(axis=1)  # a rotation vector of half a turn has two signs
+    if apart.max() <= TIP_TOLERANCE:
+        return None
+    frame = int(apart.argmax())
+    return f"fingertips at frame {frame} are {apart[frame]:.2g} m or rad off the kinematics of the state"
+
+
+def fingertip_poses(state: np.ndarray, hand: str) -> np.ndarray:
+    """Return (T, 30), position [m] and rotation vector [rad] of each fingertip, of (T, 18) states of a hand."""
+    model, joints, tips = _hand_model(hand)
+    data = mujoco.MjData(model)
+    position, rotation = np.empty((len(state), len(FINGERS), 3)), np.empty((len(state), len(FINGERS), 3, 3))
+    for frame, angles in enumerate(state):
+        data.qpos[joints] = angles
+        mujoco.mj_kinematics(model, data)
+        position[frame], rotation[frame] = data.site_xpos[tips], data.site_xmat[tips].reshape(-1, 3, 3)
+    return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(len(state), -1)
+
+
+@cache
+def _hand_model(hand: str) -> tuple[mujoco.MjModel, np.ndarray, np.ndarray]:
+    """Return a hand without a world around it, the places of its joints, and the sites of its fingertips."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    HANDS[hand]().add_to(spec)
+    model = spec.compile()
+    joints = np.array([model.joint(name).qposadr[0] for name in HAND_NAMES])
+    return model, joints, np.array([model.site(f"{finger}_tip").id for finger in FINGERS])
+
+
+def _palm(episode: Episode) -> str | None:
+    """Find a least distance of a step that is larger than at its end, or smaller than on the straight line."""
+    offset = episode.target_pose[:, :3].astype(float) - episode.palm_pos_h
+    distance, found = np.linalg.norm(offset, axis=1), episode.palm_distance
+    low = np.concatenate([distance[:1] - START_TOLERANCE_M, _nearest(offset) - _bend(episode) - BELOW_M])
+    high = distance + np.where(np.arange(len(found)) == 0, START_TOLERANCE_M, ABOVE_M)
+    frame = int(np.maximum(found - high, low - found).argmax())
+    if low[frame] <= found[frame] <= high[frame]:
+        return None
+    return f"palm_distance at frame {frame} is {found[frame]:.4f} m; poses give {low[frame]:.4f} to {high[frame]:.4f} m"
+
+
+def _nearest(offset: np.ndarray) -> np.ndarray:
+    """Return (T - 1,) the least distance to the origin of the segments between (T, 3) points."""
+    start, step = offset[:-1], np.diff(offset, axis=0)
+    share = -(start * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12)
+    return np.linalg.norm(start + np.clip(share, 0, 1)[:, None] * step, axis=1)
+
+
+def _bend(episode: Episode) -> np.ndarray:
+    """Return (T - 1,) how far from a straight line changes of velocity may have led target and palm [m].
+
+    A change v of velocity leads at most v * 0.05 s / 4 astray. The target's is stored; the palm's, which is not, is
+    at most twice the change of its mean velocity from a frame to the next or from the one before.
+    """
+    target = np.linalg.norm(np.diff(episode.target_velocity[:, :3], axis=0), axis=1)
+    steps = np.diff(episode.palm_pos_h, axis=0)  # (T - 1, 3)
+    turns = np.linalg.norm(np.diff(steps, axis=0, prepend=steps[:1], append=steps[-1:]), axis=1)  # (T,)
+    return CONTROL_DT / 4 * target + np.maximum(turns[:-1], turns[1:]) / 2
+
+
+def tip_distances(episode: Episode) -> np.ndarray:
+    """Return (T, 5), signed distance of each fingertip to the solids of the object [m], negative inside."""
+    pads = episode.fingertips.reshape(-1, len(FINGERS), 6)[..., :3].astype(float)
+    pose = episode.target_pose.astype(float)
+    # a row vector times a rotation is turned back: from the world's frame into the object's, then into the solid's
+    local = (pads - pose[:, None, :3]) @ quat_to_matrix(pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1)[:, None])
+    distances = [
+        signed_distance(s.shape, (local - s.pos) @ quat_to_matrix(np.array(s.quat)), np.array(s.half_size))
+        for s in from_table(episode.object_primitives)
+    ]
+    return np.min(distances, axis=0)
+
+
+def _tips(episode: Episode, tips: np.ndarray) -> str | None:
+    """Find a fingertip distance (T,) that is not the least of the five (T, 5) ones, 0 inside."""
+    wanted = np.maximum(tips.min(axis=1), 0.0)
+    apart = np.abs(episode.fingertip_distance - wanted)
+    if apart.max() <= TIP_TOLERANCE:
+        return None
+    frame, found = int(apart.argmax()), episode.fingertip_distance
+    return f"fingertip_distance at frame {frame} is {found[frame]:.4f} m; object and poses give {wanted[frame]:.4f} m"
+
+
+def _contacts(episode: Episode, rule: CaptureRule, tips: np.ndarray) -> str | None:
+    """Find contacts that forces or distances contradict."""
+    contacts = episode.target_contacts
+    if episode.touch is not None and rule.uses_contact_sensors:
+        wrong = contacts != (episode.touch > 0)
+    else:
+        wrong = (np.abs(tips - TOUCH_M) > TIP_TOLERANCE) & (contacts != (tips <= TOUCH_M))
+    if not wrong.any():
+        return None
+    frame = int(wrong.any(axis=1).argmax())
+    return f"target_contacts at frame {frame} are {contacts[frame].tolist()}, which touch or fingertips contradict"
+
+
+def _track(episode: Episode) -> Track:
+    """Return what the rule judges; what touched the target besides fingers is not stored, so ``captured`` says it."""
+    control, captured = episode.control, episode.captured[episode.control]
+    touch = episode.target_contacts if episode.touch is None else episode.touch
+    return Track(
+        joints=episode.joints[control],
+        open_joints=episode.open_joints,
+        reference_joints=episode.reference_joints,
+        localized=episode.localized[control],
+        contacts=TargetContacts(touch[control], captured.astype(float), (~captured).astype(float)),
+        palm_distance=episode.palm_distance[control],
+        palm_pos_h=episode.palm_pos_h[control],
+    )

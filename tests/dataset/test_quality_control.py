@@ -1,0 +1,94 @@
+"""No recording of an expert is rejected; corrupt ones are."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
+from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.recipe import MAX_DISTURBANCE_M, Recipe
+from tests.synthetic import synthetic_episode
+
+KINDS = len(BENCHMARK.splits["train"].motions)
+STRAYING = {"disturbance_m": MAX_DISTURBANCE_M}
+
+
+@pytest.mark.parametrize(
+    ("capture", "options", "count"),
+    [
+        ("attach", {}, KINDS),
+        ("attach", {"control_class": "late"}, 8),
+        ("attach_lenient", {}, KINDS),
+        ("contact", {}, KINDS),
+        ("attach", STRAYING, 8),
+        ("contact", STRAYING, 8),
+        ("attach", {"control_class": "late", "protocol": "direct_act"}, 8),
+        ("attach", {"split": "ood_speed"}, 8),
+        ("contact", {"split": "ood_speed"}, 8),
+    ],
+)
+def test_experts_recordings_pass(capture, options, count):
+    episodes = list(record(Recipe(capture=capture, **options), range(count), images=False))
+    assert len(episodes) > 0.8 * count
+    found = {episode.meta.seed: problems(episode) for episode in episodes}
+    assert not any(found.values()), found
+
+
+def problems(episode: Episode, **changes: str) -> list[str]:
+    """What is wrong with an episode under its own capture rule and control class, or others."""
+    names = {"capture": episode.meta.capture, "control_class": episode.meta.control_class} | changes
+    return trajectory_problems(episode, limits_of(**names))
+
+
+def corrupted(name: str, where: object, value: object) -> Episode:
+    """A sound episode with ``value`` in an array, or added to it if it is a function."""
+    episode = synthetic_episode(0)
+    array = getattr(episode, name).copy()
+    array[where] = value(array[where]) if callable(value) else value
+    return dataclasses.replace(episode, **{name: array})
+
+
+@pytest.mark.parametrize(
+    ("episode", "told"),
+    [
+        (corrupted("state", (9, 0), np.nan), "state is not finite"),
+        (corrupted("state", (9, 2), 3.0), "palm at 3.00 m along axis 2 at frame 9"),
+        (corrupted("action", (9, 5), 2.4), "action has joint angles"),
+        (corrupted("state", (9, 1), lambda y: y + 0.25), "state jumps by 0.2"),
+        (corrupted("state", (9, 8), 1.5), "state jumps by 1.5"),
+        (corrupted("target_pose", (9, 1), lambda y: y + 1), "target_pose jumps by 1.0"),
+        (corrupted("action", (slice(8, None), 0), 2.0), "action[0] is at its limit"),
+        (corrupted("action", (slice(8, None), 6), 1.6), "action[6] is at its limit"),
+        (corrupted("state", slice(9, 20), lambda s: s[:1]), "state is frozen"),
+        (corrupted("phase", 9, 0.5), "phase is not"),
+    ],
+)
+def test_corrupt_recordings_are_rejected(episode, told):
+    assert any(told in problem for problem in trajectory_problems(episode))
+
+
+def test_the_speed_of_the_class_decides_what_is_a_jump():
+    moved = corrupted("state", (9, 1), lambda y: y + 0.08)
+    for control_class in ("standard", "late"):
+        (problem,) = problems(moved, control_class=control_class)
+        assert "m at frame 9; 0.06 m is possible" in problem
+    assert not problems(moved, control_class="unlimited")
+    assert not problems(moved, control_class="standard", capture="contact"), "its gantry is as fast as `unlimited`"
+
+
+def test_the_sound_episode_passes():
+    episode = synthetic_episode(0)
+    assert not trajectory_problems(episode)
+
+
+def test_the_range_of_the_slides_is_that_of_the_world():
+    """The same numbers in the home frame are possible at one home and not at another."""
+    episode = synthetic_episode(0)
+    beside_the_end = dataclasses.replace(episode, home_position=np.array([1.9, 0.0, 1.0], np.float32))
+    (problem,) = trajectory_problems(beside_the_end)
+    assert "-3.90 to 0.10 m are possible" in problem

@@ -1,0 +1,159 @@
+"""``dynahoi doctor``: it finds what is wrong with a machine, and whether episodes are ours bit for bit."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections import namedtuple
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot import doctor
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.doctor import EPISODES, REFERENCE, TOLERANCE, Fact, Reference, compare, play
+
+Usage = namedtuple("Usage", "free")
+
+
+def by_name(facts) -> dict[str, Fact]:
+    return {fact.name: fact for fact in facts}
+
+
+@pytest.fixture(scope="module")
+def ours() -> Reference:
+    return Reference.read()
+
+
+def test_this_machine_has_no_problems(tmp_path: Path):
+    facts = list(doctor.examine(tmp_path))
+    assert not [fact for fact in facts if fact.problem]
+    assert {"cores", "disk", "GPU", "OpenGL", "PyAV", "Python", "pace"} <= {fact.name for fact in facts}
+
+
+def test_the_command_writes_every_fact_and_fails_with_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    good, bad = Fact("cores", "2", "two workers"), Fact("torch", "0.1", "needs 2", problem=True)
+    for found, code in (([good], 0), ([good, bad], 1)):
+        monkeypatch.setattr(doctor, "examine", lambda folder, found=found: iter(found))
+        assert main(["doctor", "--json", str(tmp_path / "facts.json")]) == code
+        assert [Fact(**fact) for fact in json.loads((tmp_path / "facts.json").read_text())] == found
+
+
+def test_a_part_that_breaks_is_a_problem_and_the_others_are_looked_at(monkeypatch: pytest.MonkeyPatch):
+    def broken():
+        raise OSError("no such device")
+
+    monkeypatch.setattr(doctor, "gpu", broken)
+    facts = doctor.examine(Path())
+    assert [fact for fact in facts if fact.problem] == [
+        Fact("gpu", "check failed: OSError: no such device", problem=True)
+    ]
+
+
+def test_a_full_disk_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: Usage(10**8))
+    (fact,) = doctor.disk(tmp_path / "not" / "there")
+    assert fact.problem
+    assert str(tmp_path) in fact.found
+
+
+def test_too_little_memory_is_a_problem(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor.os, "sysconf", lambda name: 10_000)
+    assert by_name(doctor.processor())["memory"].problem
+
+
+def test_without_the_encoder_only_images_can_be_written(monkeypatch: pytest.MonkeyPatch):
+    import av.codec
+
+    monkeypatch.setattr(av.codec, "codecs_available", {"libx265"})
+    fact = by_name(doctor.codecs())["PyAV"]
+    assert fact.problem
+    assert fact.follows == "only `--codec images` works"
+
+
+def test_versions_out_of_bounds_and_absent_libraries_are_problems(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor, "requires", lambda name: ["numpy>=99", "tqdm>=4", "nowhere"])
+    found = by_name(doctor.versions())
+    assert {name for name, fact in found.items() if fact.problem} == {"numpy", "nowhere"}
+    assert "tqdm" not in found, "what is as it should be is not worth a line"
+
+
+def test_the_core_alone_is_no_problem(monkeypatch: pytest.MonkeyPatch):
+    known, absent = doctor.installed_version, {"lerobot", "torch", *doctor.OURS[1:]}
+    monkeypatch.setattr(doctor, "installed_version", lambda name: None if name in absent else known(name))
+    found = by_name(doctor.versions())
+    assert "pip install" in found["lerobot"].follows
+    assert not [name for name, fact in found.items() if fact.problem]
+
+
+def test_a_plugin_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor, "entry_points", lambda group: [EntryPoint("spiral", "no_such_package", doctor.GROUP)])
+    fact = by_name(doctor.plugins())["plugin spiral"]
+    assert fact.problem
+    assert "no_such_package" in fact.follows
+
+
+def test_a_machine_without_opengl_has_all_other_renderers(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor.subprocess, "run", lambda words, **_: subprocess.CompletedProcess(words, 1))
+    assert list(doctor.opengl()) == [Fact("OpenGL", "none", "all renderers but `opengl` work")]
+
+
+@pytest.mark.parametrize(("cores", "share", "minutes"), [(1, 1.0, 7), (2, 1.0, 5), (16, 1.0, 5), (2, 0.5, 9)])
+def test_the_quickstart_takes_as_long_as_where_it_was_timed_by_pace(
+    monkeypatch, cores: int, share: float, minutes: int
+):
+    monkeypatch.setattr(doctor, "frames_per_s", lambda: share * doctor.KNOWN_FRAMES_S)
+    monkeypatch.setattr(doctor, "cores", lambda: cores)
+    (fact,) = doctor.pace()
+    assert f"{minutes} min" in fact.follows
+
+
+def test_the_reference_is_small_and_holds_every_kind_twice(ours: Reference):
+    assert REFERENCE.stat().st_size < 100_000
+    assert len(set(ours.motions)) == len(set(ours.pictures)) == len(ours.images) == EPISODES == 44
+
+
+@pytest.mark.slow
+def test_this_machine_moves_as_the_reference_does(ours: Reference):
+    facts = by_name(compare(play(EPISODES), ours))
+    assert not [fact for fact in facts.values() if fact.problem], facts
+    assert facts["motion"].found.startswith("44 of 44 episodes"), "bit for bit on x86_64, on which it was made"
+    assert facts["images"].found.startswith("44 of 44 episodes")
+
+
+def test_the_first_episodes_are_the_same_in_other_numbers(ours: Reference):
+    few = play(2)
+    assert few.motions.tolist() == ours.motions[:2].tolist()
+    np.testing.assert_array_equal(few.images, ours.images[:2])
+
+
+@pytest.mark.parametrize(("off", "problem"), [(TOLERANCE / 2, False), (0.01, True)])
+def test_a_small_difference_is_measured_and_a_large_one_is_a_problem(ours: Reference, off: float, problem: bool):
+    poses = ours.poses.copy()
+    poses[5, 18] += off
+    found = replace(ours, motions=np.array(["f" * 16, *ours.motions[1:]]), poses=poses)
+    fact = by_name(compare(found, ours))["motion"]
+    assert fact.problem == problem
+    assert fact.found.startswith("43 of 44 episodes")
+
+
+def test_other_lengths_are_a_problem_and_other_pixels_are_counted(ours: Reference):
+    images = ours.images.copy()
+    images[3, 0, 0, 0] ^= 1
+    pictures = np.array(["f" * 16, *ours.pictures[1:]])
+    found = replace(ours, motions=ours.motions[::-1], poses=ours.poses[1:], images=images, pictures=pictures)
+    facts = by_name(compare(found, ours))
+    assert facts["motion"].problem
+    assert not facts["images"].problem
+    assert "at most 1 of 255" in facts["images"].found
+
+
+def test_the_command_compares_if_it_is_asked(ours: Reference, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor, "examine", lambda folder: iter(()))
+    monkeypatch.setattr(doctor, "play", lambda count: replace(ours, motions=ours.motions[::-1], poses=ours.poses + 1))
+    assert main(["doctor"]) == 0
+    assert main(["doctor", "--reference"]) == 1
