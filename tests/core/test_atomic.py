@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.working_folder import clear, exclusive, working_folder
 HOLDER = """
 import sys, time
 from pathlib import Path
-from dynahoi_lerobot.foundation.{module} import {name}
+from dynahoi_lerobot.core.{module} import {name}
 with {call}:
     print("held", flush=True)
     time.sleep(60)
@@ -125,6 +125,6 @@ def test_files_that_belong_together_appear_together(tmp_path):
         write_atomically({files[0]: lambda path: path.write_text("new"), files[1]: fail})
     assert not any((tmp_path / "out").iterdir())
     for text in ("one", "two"):
-        write_atomically({file: lambda path, text=text: path.write_text(text + path.name) for file in files})
+        write_atomically({file: lambda path, text=text, name=file.name: path.write_text(text + name) for file in files})
     assert [file.read_text() for file in files] == ["twoa", "twob"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]

@@ -14,21 +14,19 @@ from dynahoi_lerobot.dataset.writer import DatasetWriter
 from tests.synthetic import synthetic_episode
 
 
-def varied_episode(seed: int, image_size: int | None = 32, views: Sequence[str] = ()) -> Episode:
+def varied_episode(seed: int, image_size: int = 32, views: Sequence[str] = ()) -> Episode:
     """A synthetic episode whose length, task and images depend on its seed."""
     episode = synthetic_episode(seed, frames=20 + seed % 7, image_size=image_size)
     meta = dataclasses.replace(episode.meta, task=f"Catch the {('red', 'blue')[seed % 2]} ball.")
     images = {}
-    if image_size is not None:
+    if image_size:
         ego = episode.images["ego"] + np.uint8(seed % 5)
         ego[:, :4, :4] = np.random.default_rng(seed).integers(0, 255, (4, 4, 3), np.uint8)
         images = {"ego": ego} | {view: ego[:, ::-1] // (2 + n) for n, view in enumerate(views)}
     return dataclasses.replace(episode, meta=meta, images=images)
 
 
-def write(
-    root: Path, seeds: range | list[int], image_size: int | None = 32, views: Sequence[str] = (), **options
-) -> Path:
+def write(root: Path, seeds: range | list[int], image_size: int = 32, views: Sequence[str] = (), **options) -> Path:
     """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter.for_episodes``."""
     episodes = [varied_episode(seed, image_size, views) for seed in seeds]
     writer = DatasetWriter.for_episodes(root, dataset_features(episodes[0]), **options)

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from tests.dataset.episodes import varied_episode
@@ -17,7 +17,9 @@ from tests.dataset.episodes import varied_episode
 @pytest.mark.parametrize("codec", ["h264", "images"])
 def test_columns_have_types_and_shapes(codec: str, tmp_path: Path):
     datasets = pytest.importorskip("datasets")
-    writer = DatasetWriter(tmp_path / "d", frame_features(32), Encoding(codec=codec))
+    writer = DatasetWriter.for_episodes(
+        tmp_path / "d", dataset_features(varied_episode(0)), encoding=Encoding(codec=codec)
+    )
     for seed in range(2):
         writer.add(varied_episode(seed))
     writer.finish()

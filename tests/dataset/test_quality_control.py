@@ -33,7 +33,7 @@ STRAYING = {"disturbance_m": MAX_DISTURBANCE_M}
     ],
 )
 def test_experts_recordings_pass(capture, options, count):
-    episodes = list(record(Recipe(capture=capture, **options), range(count), images=False))
+    episodes = list(record(Recipe(capture=capture, image_size=0, **options), range(count)))
     assert len(episodes) > 0.8 * count
     found = {episode.meta.seed: problems(episode) for episode in episodes}
     assert not any(found.values()), found
