@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from dynahoi_lerobot.vlm.redaction import Redactor
-
 RESUME = "nothing is lost; run the same command to resume"
 LOG_IN = "create one that can write at https://huggingface.co/settings/tokens, then run `hf auth login` or set HF_TOKEN"
 ANSWERS = {
@@ -34,7 +32,8 @@ def explained(repo: str, endpoint: str, token: str) -> Iterator[None]:
     except HubError:
         raise
     except Exception as error:
-        raise HubError(Redactor(token)(f"{repo}: {_sentence(error, endpoint)}")) from None
+        sentence = f"{repo}: {_sentence(error, endpoint)}"
+        raise HubError(sentence.replace(token, "[token]") if token else sentence) from None
 
 
 def _sentence(error: Exception, endpoint: str) -> str:

@@ -17,7 +17,7 @@ from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
 
-LABEL_LENGTH = 32
+LABEL_LENGTH = 40
 
 GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
 """Folder names of training runs that do not identify the policy."""
