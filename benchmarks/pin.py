@@ -3,7 +3,7 @@
 python benchmarks/pin.py [--check] [--out tests/sampling/benchmark_digests.json] [--json FILE]
 
 Pinned are the definition (`sampling/benchmark.py`), the specs of every seed of all splits (of ``train`` the first 220),
-and pictures of the default renderer at 64 px. A digest that changes is a new version of the benchmark.
+and images of the default renderer at 64 px. A digest that changes is a new version of the benchmark.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from dynahoi_lerobot.world.batch import WorldBatch
 DIGESTS = Path(__file__).parents[1] / "tests" / "sampling" / "benchmark_digests.json"
 TRAIN_SEEDS = 220
 """How many seeds of the endless split are pinned."""
-PICTURED_EPISODES = 4
+IMAGE_EPISODES = 4
 """Of each split, at seeds of its own, so that all of them together have every kind of motion."""
-PICTURE_PX, PICTURE_STRIDE = 64, 5
+IMAGE_PX, IMAGE_STRIDE = 64, 5
 DECIMALS = 6
 """Lengths [m], times [s] and angles [rad] are pinned to a millionth, so that compilers may round differently."""
 ACROSS = 11
 """Digests in a line of the file."""
-TINY = {"out": Path("digests.json"), "seeds": 2, "pictured": 1}
+TINY = {"out": Path("digests.json"), "seeds": 2, "with_images": 1}
 
 Pinned = dict[str, Any]
-"""``version`` and ``definition``; ``specs`` and ``pictures`` by split and seed."""
+"""``version`` and ``definition``; ``specs`` and ``images`` by split and seed."""
 
 
 class Closing(SingleWorldExpert):
@@ -62,10 +62,10 @@ def main() -> int:
         "--check", action="store_true", help="write nothing; compare with the file and exit 1 if it differs"
     )
     parser.add_argument("--seeds", type=int, help="pin no more than the first seeds of each split")
-    parser.add_argument("--pictured", type=int, default=PICTURED_EPISODES, help="pictured episodes of each split")
+    parser.add_argument("--with-images", type=int, default=IMAGE_EPISODES, help="episodes of each split with images")
     args = parser.parse_args()
-    found = pin(args.seeds, args.pictured)
-    write_numbers(args, specs=sum(map(len, found["specs"].values())), pictures=len(found["pictures"]))
+    found = pin(args.seeds, args.with_images)
+    write_numbers(args, specs=sum(map(len, found["specs"].values())), images=len(found["images"]))
     if args.check:
         differing = differences(found, read(args.out))
         print("\n".join(differing) or f"{args.out}: nothing differs")
@@ -75,14 +75,14 @@ def main() -> int:
     return 0
 
 
-def pin(seeds: int | None = None, pictured: int = PICTURED_EPISODES) -> Pinned:
+def pin(seeds: int | None = None, with_images: int = IMAGE_EPISODES) -> Pinned:
     """Return all digests, of the first ``seeds`` of each split only if that is given."""
     return {
         "version": BENCHMARK.version,
         "definition": definition(),
         "specs": {split: spec_digests(split, pinned_seeds(split)[:seeds]) for split in BENCHMARK.streams},
-        "pictures": {
-            name: digest for split in BENCHMARK.streams for name, digest in picture_digests(split, pictured).items()
+        "images": {
+            name: digest for split in BENCHMARK.streams for name, digest in image_digests(split, with_images).items()
         },
     }
 
@@ -108,18 +108,16 @@ def spec_digest(spec: EpisodeSpec) -> str:
     return _digest(_content(spec))[:8]
 
 
-def picture_digests(
-    split: str, count: int = PICTURED_EPISODES, *, batch_size: int = 4, threads: int = 0
-) -> dict[str, str]:
-    """Return a digest of the pictures of the first of ``PICTURED_EPISODES`` episodes, by ``split/seed``.
+def image_digests(split: str, count: int = IMAGE_EPISODES, *, batch_size: int = 4, threads: int = 0) -> dict[str, str]:
+    """Return a digest of the images of the first of ``IMAGE_EPISODES`` episodes, by ``split/seed``.
 
     Of every fifth frame in which a hand moves forwards and closes, from the hand's camera, 64 px.
     """
-    recipe = Recipe(split=split, image_size=PICTURE_PX)
-    first = PICTURED_EPISODES * BENCHMARK.streams.index(split)
+    recipe = Recipe(split=split, image_size=IMAGE_PX)
+    first = IMAGE_EPISODES * BENCHMARK.streams.index(split)
     specs = sample_specs(recipe, range(first, first + count), threads=threads)
     episodes = evaluate(WorldBatch(recipe, batch_size, threads), Closing(), specs, images=True)
-    pixels = {f"{split}/{episode.meta.seed}": episode.images["ego"][::PICTURE_STRIDE] for episode in episodes}
+    pixels = {f"{split}/{episode.meta.seed}": episode.images["ego"][::IMAGE_STRIDE] for episode in episodes}
     return {name: hashlib.sha256(pixels[name].tobytes()).hexdigest()[:16] for name in sorted(pixels)}
 
 
@@ -139,7 +137,7 @@ def differences(found: Pinned, wanted: Pinned) -> list[str]:
     ]
     for split, digests in found["specs"].items():
         sentences += _differing(f"specs of {split}", digests, wanted["specs"].get(split, {}))
-    return sentences + _differing("pictures", found["pictures"], wanted["pictures"])
+    return sentences + _differing("images", found["images"], wanted["images"])
 
 
 def _differing(noun: str, found: Mapping[Any, str], wanted: Mapping[Any, str]) -> list[str]:

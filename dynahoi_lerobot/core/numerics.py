@@ -1,6 +1,14 @@
-"""Rotations of many worlds at once, and products and lengths that do not depend on the processor."""
+"""Rotations of many worlds at once; products, lengths and functions whose last bit does not depend on the processor.
+
+BLAS, NumPy (for AVX-512) and the C library (for FMA) have variants of their functions, which round differently from one
+processor to the next. What decides an episode is computed by NumPy's plain loops and by the functions here; those of
+angles take long doubles, of which there is one variant.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,7 +53,7 @@ def matrix_to_rotvec(matrix: np.ndarray) -> np.ndarray:
     """Return (..., 3) rotation vectors [rad], at most pi long, of (..., 3, 3) rotation matrices."""
     quat = matrix_to_quat(matrix)
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(sine, quat[..., :1])
+    angle = 2 * arctan2(sine, quat[..., :1])
     return quat[..., 1:] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
 
 
@@ -57,3 +65,16 @@ def product(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 def norm(vector: ArrayLike) -> float:
     """Return the length of a vector (k,), which ``np.linalg.norm`` leaves to BLAS unless it is told an axis."""
     return float(np.linalg.norm(vector, axis=-1))
+
+
+def _of_long_doubles(function: np.ufunc) -> Callable[..., Any]:
+    """Return ``function`` computed in long doubles and rounded to (...) float64."""
+
+    def rounded(*arguments: ArrayLike) -> Any:
+        return function(*arguments, dtype=np.longdouble).astype(np.float64)
+
+    return rounded
+
+
+sin, cos, tan = (_of_long_doubles(function) for function in (np.sin, np.cos, np.tan))
+arcsin, arctan2, cbrt = (_of_long_doubles(function) for function in (np.arcsin, np.arctan2, np.cbrt))

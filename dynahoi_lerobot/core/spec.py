@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.numerics import norm
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.motions import Motion
@@ -71,7 +72,7 @@ class EpisodeSpec:
     @property
     def travel_m(self) -> float:
         """Straight distance from home to the intercept [m]."""
-        return float(np.linalg.norm(self.intercept_pos_h))
+        return norm(self.intercept_pos_h)
 
     @property
     def intercept_pos_h(self) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import Meeting
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, GANTRY_SPEED_M_S, PALM_DOF
-from dynahoi_lerobot.core.numerics import norm, product
+from dynahoi_lerobot.core.numerics import norm, product, sin
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS, PlannedExpert
 
@@ -139,7 +139,7 @@ def _carry_away(path: np.ndarray) -> np.ndarray:
     rest = path[-1] + velocity * BRAKE_FRAMES * CONTROL_DT / 2 + [0.0, 0.0, LIFT_M]
     braking = _quintic((path[-1], velocity, still), (rest, still, still), BRAKE_FRAMES)
     phase = 2 * np.pi * np.arange(1, LONGEST_SHAKE_FRAMES)[:, None] / SHAKE_FRAMES
-    shaking = rest + SHAKE_M * np.sin(phase) * [0.0, 1.0, 1.0]
+    shaking = rest + SHAKE_M * sin(phase) * [0.0, 1.0, 1.0]
     return np.concatenate([path, braking[1:], shaking])
 
 
@@ -155,15 +155,14 @@ def _quintic(start: State, end: State, frames: int) -> np.ndarray:
     return product(np.vander(progress, 6, increasing=True), product(QUINTIC, boundary))
 
 
-def _quintic_basis() -> np.ndarray:
-    """(6, 6) from position, velocity and acceleration at both ends of [0, 1] to coefficients."""
-    powers = np.arange(6)
-    rows = []
-    for end in (0.0, 1.0):
-        rows.append(end**powers)
-        rows.append(powers * end ** np.maximum(powers - 1, 0))
-        rows.append(powers * (powers - 1) * end ** np.maximum(powers - 2, 0))
-    return np.linalg.inv(np.stack(rows))
-
-
-QUINTIC = _quintic_basis()
+QUINTIC = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.5, 0.0, 0.0, 0.0],
+        [-10.0, -6.0, -1.5, 10.0, -4.0, 0.5],
+        [15.0, 8.0, 1.5, -15.0, 7.0, -1.0],
+        [-6.0, -3.0, -0.5, 6.0, -3.0, 0.5],
+    ]
+)
+"""(6, 6) from position, velocity and acceleration at both ends of [0, 1] to the coefficients of the polynomial."""

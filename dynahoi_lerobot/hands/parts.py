@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import GANTRY_RANGE_M, PALM_AXES
+from dynahoi_lerobot.core.numerics import cos, sin
 from dynahoi_lerobot.hands.base import (
     EGO_CAMERA,
     PALM_BODY,
@@ -60,7 +61,7 @@ def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:
         palm.add_joint(name=name, type=slide, axis=np.eye(3)[axis], range=GANTRY_RANGE_M[axis], limited=True)
         add_servo(spec, name, PALM_MASS_KG + fingers_kg, PALM_BANDWIDTH_RAD_S, PALM_FORCE_N)
     palm.add_site(name=PALM_SITE, pos=(0.0, 0.0, 0.0))
-    forward = (np.cos(CAMERA_PITCH_RAD), 0.0, -np.sin(CAMERA_PITCH_RAD))
+    forward = (cos(CAMERA_PITCH_RAD), 0.0, -sin(CAMERA_PITCH_RAD))
     palm.add_camera(name=EGO_CAMERA, pos=CAMERA_POS, quat=camera_quat(forward), fovy=CAMERA_FOVY_DEG)
     return palm
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
+from dynahoi_lerobot.core.numerics import arcsin
 from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.motions.launch import Launch, Vector, as_vector, heading
 
@@ -72,7 +73,7 @@ class Draw:
 
     def level_heading(self, rise_m: float, path_m: float) -> Vector:
         """Draw a unit vector, world, along which height changes by at most ``rise_m`` over ``path_m`` of path [m]."""
-        steepest = float(np.arcsin(min(STEEPEST_SINE, rise_m / max(path_m, 1e-9))))
+        steepest = float(arcsin(min(STEEPEST_SINE, rise_m / max(path_m, 1e-9))))
         return heading(self.angle(), self.uniform(-steepest, steepest))
 
 

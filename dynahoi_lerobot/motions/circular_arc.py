@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.numerics import product
+from dynahoi_lerobot.core.numerics import cos, product, sin
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion
 from dynahoi_lerobot.motions.launch import Vector, as_vector
 
@@ -42,7 +42,7 @@ class CircularMotion(PrescribedMotion):
 
     def axes(self) -> np.ndarray:
         """Return (2, 3), the unit vectors e1 and e2 of the plane; horizontal unless a kind says otherwise."""
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return np.array([[c, s, 0.0], [-s, c, 0.0]])
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ class CircularMotion(PrescribedMotion):
     def _orbit(self, time_s: np.ndarray, ahead: float) -> np.ndarray:
         """(K, 3) unit vector from the centre, ``ahead`` [rad] of the target; a derivative is a quarter turn ahead."""
         angle = self.rate_rad_s * time_s + self.phase_rad + ahead
-        return product(np.column_stack([np.cos(angle), np.sin(angle)]), self.axes())
+        return product(np.column_stack([cos(angle), sin(angle)]), self.axes())
 
 
 @MOTIONS.register("horizontal_circle")
@@ -82,7 +82,7 @@ class VerticalCircle(CircularMotion):
 
     def axes(self) -> np.ndarray:
         """Return (2, 3): a horizontal unit vector and the vertical."""
-        return np.array([[np.cos(self.yaw_rad), np.sin(self.yaw_rad), 0.0], [0.0, 0.0, 1.0]])
+        return np.array([[cos(self.yaw_rad), sin(self.yaw_rad), 0.0], [0.0, 0.0, 1.0]])
 
 
 @MOTIONS.register("helix")
@@ -167,14 +167,14 @@ class SwingingArc(PrescribedMotion):
         return self.radius_m * (angular[:, None] * tangent - self._angle_rate(time_s)[:, None] ** 2 * radial)
 
     def _angle(self, time_s: np.ndarray) -> np.ndarray:
-        return self.swing_rad * np.sin(self.rate_rad_s * time_s + self.phase_rad)
+        return self.swing_rad * sin(self.rate_rad_s * time_s + self.phase_rad)
 
     def _angle_rate(self, time_s: np.ndarray) -> np.ndarray:
-        return self.swing_rad * self.rate_rad_s * np.cos(self.rate_rad_s * time_s + self.phase_rad)
+        return self.swing_rad * self.rate_rad_s * cos(self.rate_rad_s * time_s + self.phase_rad)
 
     def _frame(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K, 3) unit vectors from the pivot to the target, and along growing angle."""
         angle = self._angle(time_s)[:, None]
-        along = np.array([np.cos(self.yaw_rad), np.sin(self.yaw_rad), 0.0])
+        along = np.array([cos(self.yaw_rad), sin(self.yaw_rad), 0.0])
         up = np.array([0.0, 0.0, 1.0])
-        return along * np.sin(angle) - up * np.cos(angle), along * np.cos(angle) + up * np.sin(angle)
+        return along * sin(angle) - up * cos(angle), along * cos(angle) + up * sin(angle)

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.numerics import norm, product
+from dynahoi_lerobot.core.numerics import cos, norm, product, sin
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion
 from dynahoi_lerobot.motions.launch import Vector, as_vector
 
@@ -43,23 +43,23 @@ class FigureEight(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         q = self._angle(time_s)
-        return np.asarray(self.center) + self._plane(np.sin(q), np.sin(2 * q) / 2)
+        return np.asarray(self.center) + self._plane(sin(q), sin(2 * q) / 2)
 
     def velocity(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) velocity [m/s]."""
         q = self._angle(time_s)
-        return self.rate_rad_s * self._plane(np.cos(q), np.cos(2 * q))
+        return self.rate_rad_s * self._plane(cos(q), cos(2 * q))
 
     def acceleration(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) acceleration [m/s^2]."""
         q = self._angle(time_s)
-        return self.rate_rad_s**2 * self._plane(-np.sin(q), -2 * np.sin(2 * q))
+        return self.rate_rad_s**2 * self._plane(-sin(q), -2 * sin(2 * q))
 
     def _angle(self, time_s: np.ndarray) -> np.ndarray:
         return self.rate_rad_s * time_s + self.phase_rad
 
     def _plane(self, along: np.ndarray, up: np.ndarray) -> np.ndarray:
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return self.amplitude_m * np.column_stack([c * along, s * along, up])
 
 
@@ -104,15 +104,15 @@ class HarmonicDrift(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         drifted = (time_s - self.meeting_s)[:, None] * np.asarray(self.drift)
-        return np.asarray(self.meeting) + drifted + self._aside(np.sin(self._phase(time_s)))
+        return np.asarray(self.meeting) + drifted + self._aside(sin(self._phase(time_s)))
 
     def velocity(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) velocity [m/s]."""
-        return np.asarray(self.drift) + self._aside(self.rate_rad_s * np.cos(self._phase(time_s)))
+        return np.asarray(self.drift) + self._aside(self.rate_rad_s * cos(self._phase(time_s)))
 
     def acceleration(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) acceleration [m/s^2]."""
-        return self._aside(-(self.rate_rad_s**2) * np.sin(self._phase(time_s)))
+        return self._aside(-(self.rate_rad_s**2) * sin(self._phase(time_s)))
 
     def _phase(self, time_s: np.ndarray) -> np.ndarray:
         return self.rate_rad_s * time_s + self.phase_rad
@@ -153,20 +153,20 @@ class LineThenArc(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         line, turn = self._split(time_s)
-        along = self.speed_m_s * line + self.radius_m * np.sin(turn)
-        aside = self.radius_m * (1 - np.cos(turn))
+        along = self.speed_m_s * line + self.radius_m * sin(turn)
+        aside = self.radius_m * (1 - cos(turn))
         return np.asarray(self.bend) + self._plane(along, aside)
 
     def velocity(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) velocity [m/s]."""
         _, turn = self._split(time_s)
-        return self.speed_m_s * self._plane(np.cos(turn), np.sin(turn))
+        return self.speed_m_s * self._plane(cos(turn), sin(turn))
 
     def acceleration(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) acceleration [m/s^2]: none on the line, centripetal on the arc."""
         _, turn = self._split(time_s)
         centripetal = (time_s > self.bend_s) * self.speed_m_s**2 / self.radius_m
-        return self._plane(-centripetal * np.sin(turn), centripetal * np.cos(turn))
+        return self._plane(-centripetal * sin(turn), centripetal * cos(turn))
 
     def _split(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Time before the bend (negative) [s] and angle turned after it [rad], (K,) each."""
@@ -174,7 +174,7 @@ class LineThenArc(PrescribedMotion):
         return np.minimum(since, 0.0), self.speed_m_s * np.maximum(since, 0.0) / self.radius_m
 
     def _plane(self, along: np.ndarray, aside: np.ndarray) -> np.ndarray:
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return np.column_stack([along * c - aside * s, along * s + aside * c, np.zeros_like(along)])
 
 
@@ -230,7 +230,8 @@ class RandomSpline(PrescribedMotion):
         points = np.asarray(self.points)
         segment = np.clip(np.floor(time_s / self.knot_s).astype(int), 0, len(points) - 4)
         s = time_s / self.knot_s - segment
-        powers = [np.zeros_like(s)] * order + [_falling(k, order) * s ** (k - order) for k in range(order, 4)]
+        power = np.cumprod([np.ones_like(s), s, s, s], axis=0)  # (4, K) 1, s, s^2, s^3: `**` rounds by processor
+        powers = [np.zeros_like(s)] * order + [_falling(k, order) * power[k - order] for k in range(order, 4)]
         weights = product(np.column_stack(powers), BASIS)  # (K, 4)
         return np.einsum("kw,kwd->kd", weights, points[segment[:, None] + np.arange(4)])
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import ROLLING_FRICTION_M
+from dynahoi_lerobot.core.numerics import cos, sin
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import (
     GRAVITY_M_S2,
@@ -90,20 +91,20 @@ class RollingMotion(PhysicalMotion):
     def slope_axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (3,) unit vectors down the slope and out of it."""
         flat, up = np.asarray(heading(self.yaw_rad)), np.array([0.0, 0.0, 1.0])
-        c, s = np.cos(self.slope_rad), np.sin(self.slope_rad)
+        c, s = cos(self.slope_rad), sin(self.slope_rad)
         return c * flat - s * up, s * flat + c * up
 
     def _lying(self, target: TargetObject) -> Quaternion:
         """Lay the object's axis of symmetry horizontally across the slope."""
         half, root = self.yaw_rad / 2, float(np.sqrt(0.5))
-        c, s = float(np.cos(half)), float(np.sin(half))
+        c, s = float(cos(half)), float(sin(half))
         return (c * root, -c * root, -s * root, s * root)  # yaw about z after a quarter turn about -x
 
 
 def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
     """Return the acceleration of rolling without slipping [m/s^2], against rolling friction."""
     ratio = target.inertia[2] / (target.mass_kg * target.roll_radius_m**2)
-    drive = np.sin(slope_rad) - ROLLING_FRICTION_M / target.roll_radius_m * np.cos(slope_rad)
+    drive = sin(slope_rad) - ROLLING_FRICTION_M / target.roll_radius_m * cos(slope_rad)
     return float(GRAVITY_M_S2 * drive / (1 + ratio))
 
 

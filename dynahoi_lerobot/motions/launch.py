@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import PHYSICS_DT
+from dynahoi_lerobot.core.numerics import cos, sin
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -21,18 +22,18 @@ def as_vector(values: np.ndarray) -> Vector:
 
 def heading(yaw: float, pitch: float = 0.0) -> Vector:
     """Return the unit vector at ``yaw`` from +x towards +y and ``pitch`` above the horizontal [rad], world."""
-    flat = np.cos(pitch)
-    return (float(np.cos(yaw) * flat), float(np.sin(yaw) * flat), float(np.sin(pitch)))
+    flat = cos(pitch)
+    return (float(cos(yaw) * flat), float(sin(yaw) * flat), float(sin(pitch)))
 
 
 def yaw_quat(yaw: float) -> Quaternion:
     """Return the rotation by ``yaw`` [rad] about z, wxyz."""
-    return (float(np.cos(yaw / 2)), 0.0, 0.0, float(np.sin(yaw / 2)))
+    return (float(cos(yaw / 2)), 0.0, 0.0, float(sin(yaw / 2)))
 
 
 def yaw_pitch_quat(yaw: float, pitch: float) -> Quaternion:
     """Return the rotation that turns +x to ``yaw`` and to ``pitch`` below the horizontal [rad], wxyz."""
-    cy, sy, cp, sp = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+    cy, sy, cp, sp = cos(yaw / 2), sin(yaw / 2), cos(pitch / 2), sin(pitch / 2)
     return (float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp))
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.numerics import product
+from dynahoi_lerobot.core.numerics import cos, product, sin
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Tether, Vector, as_vector
 
@@ -43,11 +43,11 @@ class SuspendedMotion(PhysicalMotion):
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the deflected start, string and target tilted alike."""
-        deflection = np.array([np.cos(self.yaw_rad), np.sin(self.yaw_rad), 0.0])
-        down = deflection * np.sin(self.angle_rad) - np.array([0.0, 0.0, np.cos(self.angle_rad)])
+        deflection = np.array([cos(self.yaw_rad), sin(self.yaw_rad), 0.0])
+        down = deflection * sin(self.angle_rad) - np.array([0.0, 0.0, cos(self.angle_rad)])
         axis = np.cross(deflection, [0.0, 0.0, 1.0])
         half = self.angle_rad / 2
-        quat = (float(np.cos(half)), *as_vector(axis * np.sin(half)))
+        quat = (float(cos(half)), *as_vector(axis * sin(half)))
         rate_w = self.precession_rad_s(target) * np.array([0.0, 0.0, 1.0])
         return Launch(
             as_vector(np.asarray(self.anchor) + self.length_m * down),
@@ -70,7 +70,7 @@ class SuspendedMotion(PhysicalMotion):
 
 def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
     """Components of a world vector in a frame that was turned by ``angle`` about ``axis`` (Rodrigues, backwards)."""
-    c, s = np.cos(-angle), np.sin(-angle)
+    c, s = cos(-angle), sin(-angle)
     return vector * c + np.cross(axis, vector) * s + axis * product(axis, vector) * (1 - c)
 
 
@@ -105,7 +105,7 @@ class ConicalPendulum(SuspendedMotion):
         """Return W with W^2 cos(a) (I + m l^2 - I_z) = m g l: the rigid body's steady precession."""
         effective = max(target.inertia[:2]) + target.mass_kg * self.length_m**2 - target.inertia[2]
         torque = target.mass_kg * GRAVITY_M_S2 * self.length_m
-        return float(np.sqrt(torque / (effective * np.cos(self.angle_rad))))
+        return float(np.sqrt(torque / (effective * cos(self.angle_rad))))
 
 
 @MOTIONS.register("damped")

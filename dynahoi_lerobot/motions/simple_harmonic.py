@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from dynahoi_lerobot.core.numerics import cos, sin
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion
 from dynahoi_lerobot.motions.launch import Vector
 
@@ -46,15 +47,15 @@ class HarmonicMotion(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        return np.asarray(self.center) + self._along(np.sin(self._phase(time_s)))
+        return np.asarray(self.center) + self._along(sin(self._phase(time_s)))
 
     def velocity(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) velocity [m/s]."""
-        return self._along(self._rate * np.cos(self._phase(time_s)))
+        return self._along(self._rate * cos(self._phase(time_s)))
 
     def acceleration(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) acceleration [m/s^2]."""
-        return self._along(-(self._rate**2) * np.sin(self._phase(time_s)))
+        return self._along(-(self._rate**2) * sin(self._phase(time_s)))
 
     @property
     def _rate(self) -> float:

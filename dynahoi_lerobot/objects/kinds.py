@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from dynahoi_lerobot.core.numerics import cos, sin, tan
 from dynahoi_lerobot.objects.base import ObjectGeometry, object_type
 from dynahoi_lerobot.objects.primitives import Primitive
 
@@ -118,14 +119,14 @@ def jack(rng: np.random.Generator) -> ObjectGeometry:
 def ring(rng: np.random.Generator) -> ObjectGeometry:
     """A ring of eight segments, 2.8 to 3.6 cm from the centre to the middle of its 0.8 cm tube."""
     radius, tube = rng.uniform(0.028, 0.036), 0.008
-    half = radius * np.tan(np.pi / 8)
+    half = radius * tan(np.pi / 8)
     return ObjectGeometry(tuple(_segment(i, radius, tube, half) for i in range(8)), radius + tube, tube)
 
 
 def _segment(index: int, radius: float, tube: float, half: float) -> Primitive:
     """Return one capsule, lying along the tangent of the circle."""
     angle = index * np.pi / 4
-    pos = (float(radius * np.cos(angle)), float(radius * np.sin(angle)), 0.0)
+    pos = (float(radius * cos(angle)), float(radius * sin(angle)), 0.0)
     # the capsule's own z axis is laid into the plane, then turned to the tangent
-    quat = (0.5**0.5, float(-(0.5**0.5) * np.cos(angle)), float(-(0.5**0.5) * np.sin(angle)), 0.0)
+    quat = (0.5**0.5, float(-(0.5**0.5) * cos(angle)), float(-(0.5**0.5) * sin(angle)), 0.0)
     return Primitive("capsule", (tube, float(half)), pos, quat)

@@ -14,7 +14,7 @@ from dynahoi_lerobot.core.agent import Meeting, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.features import FEATURES, Feature, frame_features
-from dynahoi_lerobot.core.numerics import norm
+from dynahoi_lerobot.core.numerics import norm, tan
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import Motion
@@ -259,7 +259,7 @@ def intrinsics(model: mujoco.MjModel, camera: str, image_size: int) -> np.ndarra
     The centre of the first pixel is at (0.5, 0.5).
     """
     half = image_size / 2
-    focal = half / np.tan(np.radians(float(model.camera(camera).fovy[0])) / 2)
+    focal = half / tan(np.radians(float(model.camera(camera).fovy[0])) / 2)
     return np.array([focal, focal, half, half])
 
 

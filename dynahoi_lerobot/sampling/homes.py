@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_SPEED_M_S
-from dynahoi_lerobot.core.numerics import product, quat_to_matrix
+from dynahoi_lerobot.core.numerics import product, quat_to_matrix, tan
 from dynahoi_lerobot.hands.base import SKIN_GROUP
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.sampling.benchmark import HOLD_CLEARANCE_M
@@ -171,7 +171,7 @@ def _camera() -> tuple[np.ndarray, np.ndarray, float]:
     model, camera = scene.model, scene.camera
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.cam_quat[camera])
-    return model.cam_pos[camera], rotation.reshape(3, 3), float(np.tan(np.radians(model.cam_fovy[camera]) / 2))
+    return model.cam_pos[camera], rotation.reshape(3, 3), float(tan(np.radians(model.cam_fovy[camera]) / 2))
 
 
 @functools.cache
@@ -228,7 +228,7 @@ def keeps_clear(homes: np.ndarray, intercept_w: np.ndarray, fixtures: Sequence[B
 
 def box_distance(points: np.ndarray, box: Box) -> np.ndarray:
     """Return (...) signed distance [m] of points (..., 3) [m], world, to the surface of a box, negative inside."""
-    local = (points - box.pos) @ quat_to_matrix(np.asarray(box.quat))
+    local = product(points - box.pos, quat_to_matrix(np.asarray(box.quat)))
     return signed_distance("box", local, np.asarray(box.half_size))
 
 
@@ -241,5 +241,5 @@ def hand_points() -> np.ndarray:
         middle, half = np.split(scene.model.geom_aabb[geom], 2)
         lines = [np.linspace(-h, h, int(np.ceil(2 * h / GRID_M)) + 1) for h in half]
         local = middle + np.array(list(itertools.product(*lines)))
-        points.append(data.geom_xpos[geom] + local @ data.geom_xmat[geom].reshape(3, 3).T)
+        points.append(data.geom_xpos[geom] + product(local, data.geom_xmat[geom].reshape(3, 3).T))
     return np.concatenate(points) - data.site_xpos[scene.palm_site]

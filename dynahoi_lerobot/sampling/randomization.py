@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dynahoi_lerobot.core.numerics import cos, sin
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.scene.appearance import Appearance, Solid, hsv
 from dynahoi_lerobot.scene.model import DISTRACTORS
@@ -49,7 +50,7 @@ def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
         spec.appearance,
         light_level=rng.uniform(0.15, 1.1),
         light_rgb=hsv(rng.random(), rng.uniform(0.0, 0.35), 1.0),
-        light_dir=(float(slant * np.cos(angle)), float(slant * np.sin(angle)), -1.0),
+        light_dir=(float(slant * cos(angle)), float(slant * sin(angle)), -1.0),
     )
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.numerics import norm, quat_to_matrix
+from dynahoi_lerobot.core.numerics import arcsin, arctan2, norm, product, quat_to_matrix, tan
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.parts import CAMERA_POS
@@ -185,12 +185,12 @@ def silhouette(eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: fl
     """
     offset = centers_w - eyes_w
     ahead, aside = offset[..., :1], offset[..., 1:]
-    middle = np.arctan2(aside, ahead)
-    half = np.arcsin(np.clip(radius_m / np.maximum(np.hypot(ahead, aside), radius_m), 0.0, 1.0))
+    middle = arctan2(aside, ahead)
+    half = arcsin(np.clip(radius_m / np.maximum(np.sqrt(ahead**2 + aside**2), radius_m), 0.0, 1.0))
     gap = x - eyes_w[..., :1]
     between = (gap > 0) & (ahead - radius_m > gap) & (np.abs(middle) + half < STEEPEST_RAD)
-    low = np.where(between, eyes_w[..., 1:] + gap * np.tan(middle - half), -np.inf)
-    return low, np.where(between, eyes_w[..., 1:] + gap * np.tan(middle + half), np.inf)
+    low = np.where(between, eyes_w[..., 1:] + gap * tan(middle - half), -np.inf)
+    return low, np.where(between, eyes_w[..., 1:] + gap * tan(middle + half), np.inf)
 
 
 def enclosing_radius_m(target: TargetObject) -> float:
@@ -201,7 +201,7 @@ def enclosing_radius_m(target: TargetObject) -> float:
 _EXTENTS = {
     "sphere": lambda half: float(half[0]),
     "capsule": lambda half: float(half[0] + half[1]),
-    "cylinder": lambda half: float(np.hypot(half[0], half[1])),
+    "cylinder": lambda half: norm(half[:2]),
     "ellipsoid": lambda half: float(half.max()),
     "box": norm,
 }
@@ -264,5 +264,6 @@ def apart(panel: Box, other: Box, room_m: float) -> bool:
     edges = np.cross(np.eye(3)[:, None], turned.T[None]).reshape(-1, 3)
     axes = np.concatenate([np.eye(3), turned.T, edges])
     axes = axes[np.linalg.norm(axes, axis=1) > 1e-6]
-    reach = np.abs(axes) @ (np.asarray(panel.half_size) + room_m) + np.abs(axes @ turned) @ np.asarray(other.half_size)
-    return bool((np.abs(axes @ (np.asarray(panel.pos) - np.asarray(other.pos))) > reach).any())
+    reach = product(np.abs(axes), np.asarray(panel.half_size) + room_m)
+    reach += product(np.abs(product(axes, turned)), np.asarray(other.half_size))
+    return bool((np.abs(product(axes, np.asarray(panel.pos) - np.asarray(other.pos))) > reach).any())

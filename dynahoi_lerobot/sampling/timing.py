@@ -19,6 +19,7 @@ from dynahoi_lerobot.core.conventions import (
     MIN_WINDOW_FRAMES,
     WINDOW_FRACTION,
 )
+from dynahoi_lerobot.core.numerics import cbrt
 from dynahoi_lerobot.core.rules import protocol_of
 from dynahoi_lerobot.motions import MOTIONS, Motion
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -93,7 +94,7 @@ def _draw_travel(motion: type[Motion], travel_bin: int, rng: np.random.Generator
     """
     low, high = BENCHMARK.travels.edges[travel_bin : travel_bin + 2]
     high = min(high, motion.max_approach_frames * HAND_SPEED_M_S * CONTROL_DT)
-    return float(np.cbrt(rng.uniform(low**3, high**3)))
+    return float(cbrt(rng.uniform(low**3, high**3)))
 
 
 def _draw_length(motion: type[Motion], duration_bin: int, approach: int, rng: np.random.Generator) -> int:

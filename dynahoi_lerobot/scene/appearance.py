@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynahoi_lerobot.core.numerics import norm, sin
+
 TEXTURE_SIZE = 128
 Pattern = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -15,7 +17,7 @@ _GRAIN, _CLOUD, _TONES = _random.random((64, 64)), _random.random((6, 6)), _rand
 
 
 def _wave(phase: np.ndarray) -> np.ndarray:
-    return 0.5 + 0.5 * np.sin(2 * np.pi * phase)
+    return 0.5 + 0.5 * sin(2 * np.pi * phase)
 
 
 def _noise(values: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -161,7 +163,7 @@ def set_apart(
     """
     color = np.asarray(rgb)
     relatives = [color, 0.6 * color + 0.4, 0.5 * color, color[[1, 2, 0]], color[[2, 0, 1]]]
-    distance = [min(float(np.linalg.norm(one - np.asarray(surface))) for surface in surfaces) for one in relatives]
+    distance = [min(norm(one - np.asarray(surface)) for surface in surfaces) for one in relatives]
     fits = [one for one, far in zip(relatives, distance, strict=True) if far >= LEAST_CONTRAST]
     return _rgb(fits[0] if fits else relatives[int(np.argmax(distance))])
 

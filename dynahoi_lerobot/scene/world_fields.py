@@ -10,7 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.conventions import PHYSICS_DT, SUBSTEPS
-from dynahoi_lerobot.core.numerics import norm
+from dynahoi_lerobot.core.numerics import arctan2, norm
 from dynahoi_lerobot.motions import Motion, PrescribedMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Tether, yaw_quat
 from dynahoi_lerobot.objects import TargetObject
@@ -202,7 +202,7 @@ class WorldFields:
             self.fields["body_pos"][i, body] = HIDDEN_POS
             return
         velocity = np.asarray(striker.velocity)
-        yaw = float(np.arctan2(velocity[1], velocity[0]))
+        yaw = float(arctan2(velocity[1], velocity[0]))
         self.fields["body_pos"][i, body], self.fields["body_quat"][i, body] = striker.pos, yaw_quat(yaw)
         self.fields["geom_size"][i, geom, 0] = striker.radius_m
         self.fields["geom_solref"][i, geom] = impact_solref(striker.restitution)

@@ -1,12 +1,27 @@
-"""Conversions of rotations against MuJoCo's, at every size of angle."""
+"""Conversions of rotations against MuJoCo's at every size of angle; functions that round alike on all processors."""
 
 from __future__ import annotations
+
+import os
+import subprocess
+import sys
 
 import mujoco
 import numpy as np
 import pytest
+from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
-from dynahoi_lerobot.core.numerics import matrix_to_quat, matrix_to_rotvec, quat_to_matrix
+from dynahoi_lerobot.core.numerics import (
+    arcsin,
+    arctan2,
+    cbrt,
+    cos,
+    matrix_to_quat,
+    matrix_to_rotvec,
+    quat_to_matrix,
+    sin,
+    tan,
+)
 
 ANGLES_RAD = [0.0, 1e-12, 1e-8, 1e-4, 0.5, 2.0, np.pi - 1e-4, np.pi - 1e-8, np.pi]
 
@@ -61,3 +76,36 @@ def test_many_at_once_are_each_alone():
     assert vectors.shape == (len(ANGLES_RAD), 7, 3)
     alone = [[matrix_to_rotvec(matrix) for matrix in row] for row in matrices]
     np.testing.assert_array_equal(vectors, np.array(alone))
+
+
+HERE = [name for name in __cpu_dispatch__ if __cpu_features__[name]]
+PROCESSORS = {
+    "no AVX-512": {"NPY_DISABLE_CPU_FEATURES": " ".join(name for name in HERE if name.startswith("AVX512"))},
+    "the least of all": {"NPY_DISABLE_CPU_FEATURES": " ".join(HERE), "OPENBLAS_CORETYPE": "Prescott"},
+    "no FMA in the C library": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"},
+}
+DIGEST = """
+import hashlib
+import numpy as np
+from dynahoi_lerobot.core.numerics import *
+a, b = np.random.default_rng(0).uniform(-9, 9, (2, 30_000))
+results = [sin(a), cos(a), tan(a), arcsin(a / 9), arctan2(a, b), cbrt(a), product(a.reshape(-1, 30), b.reshape(30, -1))]
+print(hashlib.sha256(b"".join(result.tobytes() for result in results)).hexdigest())
+"""
+
+
+def test_functions_of_angles_are_numpys_to_the_last_bits() -> None:
+    a, b = np.random.default_rng(0).uniform(-9, 9, (2, 1000))
+    for ours, theirs in ((sin, np.sin), (cos, np.cos), (tan, np.tan), (cbrt, np.cbrt)):
+        np.testing.assert_array_max_ulp(ours(a), theirs(a), 4)
+        assert ours(0.5).dtype == np.float64
+    np.testing.assert_array_max_ulp(arcsin(a / 9), np.arcsin(a / 9), 4)
+    np.testing.assert_array_max_ulp(arctan2(a, b), np.arctan2(a, b), 4)
+
+
+def test_every_processor_gives_the_same_bytes() -> None:
+    def digest(changes: dict[str, str]) -> str:
+        words, environment = [sys.executable, "-c", DIGEST], os.environ | changes
+        return subprocess.run(words, env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert {digest(changes) for changes in PROCESSORS.values()} == {digest({})}

@@ -233,7 +233,7 @@ def test_lerobot_records_what_the_policy_saw(config_class: type[EnvConfig], tmp_
     sample = recorded[0]
     assert sample["observation.images.ego"].shape == (3, 32, 32)
     assert {"agent_pos", "fingertips", "phase", "action", "next.reward", "next.done"} <= set(sample)
-    assert 0.2 < sample["observation.images.ego"].mean() < 0.9, "a picture, not black"
+    assert 0.2 < sample["observation.images.ego"].mean() < 0.9, "an image, not black"
 
 
 def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(

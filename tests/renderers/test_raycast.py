@@ -112,7 +112,7 @@ def test_worlds_that_are_not_asked_for_are_black_and_the_others_unchanged(watchi
     assert not np.delete(some, [4, 17], axis=0).any()
 
 
-def test_pictures_follow_the_world(specs: list[EpisodeSpec]):
+def test_images_follow_the_world(specs: list[EpisodeSpec]):
     batch = world([specs[3]], image_size=SIZE)
     before = batch.cameras.render()
     batch.step(batch.executed)
@@ -149,17 +149,17 @@ VISIBLE = 2
 
 
 def play(specs: list[EpisodeSpec], renderer: str, threads: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Return pictures (F, N, H, W, 3) and labels (F, N, H, W) while the hand closes."""
+    """Return images (F, N, H, W, 3) and labels (F, N, H, W) while the hand closes."""
     batch = world(specs, image_size=ODD_SIZE, threads=threads, renderer=renderer)
-    pictures, labels = [], []
+    images, labels = [], []
     for frame in range(max(FRAMES) + 1):
         if frame in FRAMES:
-            pictures.append(batch.cameras.render())
+            images.append(batch.cameras.render())
             labels.append(batch.cameras.segmentation())
         commands = batch.executed.copy()
         commands[:, 3:] += 0.05
         batch.step(np.clip(commands, *batch.command_limits()))
-    return np.stack(pictures), np.stack(labels)
+    return np.stack(images), np.stack(labels)
 
 
 @pytest.fixture(scope="module")
@@ -172,9 +172,9 @@ def test_without_soft_light_it_draws_what_mujoco_warp_draws(
 ) -> None:
     """``flat`` is the same ray caster with shadows, soft light, filtering and smooth edges switched off."""
     flat, flat_labels = play(specs[:22], "flat")
-    pictures, labels = play(specs[:22], "warp")
-    difference = np.abs(pictures.astype(int) - flat).max(axis=-1)
-    assert pictures.std(axis=(2, 3, 4)).min() > 5.0
+    images, labels = play(specs[:22], "warp")
+    difference = np.abs(images.astype(int) - flat).max(axis=-1)
+    assert images.std(axis=(2, 3, 4)).min() > 5.0
     assert (difference > VISIBLE).mean() < MOST_DIFFERENT
     assert (labels != flat_labels).mean() < MOST_DIFFERENT
     assert len(np.unique(labels)) > 30, "many geoms were seen"

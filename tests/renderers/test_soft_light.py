@@ -112,7 +112,7 @@ def test_half_shadow_lies_evenly_about_the_edge(geom_type: mujoco.mjtGeom) -> No
 
 SIZE = 96
 MOST_WRONG = 1
-"""Pixels of a picture that rounding may put on the other side of a shadow's edge."""
+"""Pixels of an image that rounding may put on the other side of a shadow's edge."""
 IN_THE_OPEN_M = 4.5
 """Floor this far from the room's middle is not darkened by the corners."""
 
@@ -199,8 +199,8 @@ def test_a_target_without_opacity_casts_no_shadow(plain_worlds: WorldBatch, spec
     assert sum((brighter[i][floors[i]] > 30).any() for i in range(plain_worlds.size)) >= 8
 
 
-def test_pictures_are_near_what_many_samples_would_show(specs: list[EpisodeSpec]) -> None:
-    """Against pictures four times as large, averaged down, a third of the error goes."""
+def test_images_are_near_what_many_samples_would_show(specs: list[EpisodeSpec]) -> None:
+    """Against images four times as large, averaged down, a third of the error goes."""
     error = {}
     for renderer in ("tiles", "flat"):
         small, large = (

@@ -47,16 +47,16 @@ def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
     assert seen > 3
 
 
-def test_pictures_of_depth_and_segmentation(batch: WorldBatch) -> None:
-    pictures = batch.observe(images=True).images
+def test_images_of_depth_and_segmentation(batch: WorldBatch) -> None:
+    images = batch.observe(images=True).images
     metres = batch.cameras.depth()
-    grey = pictures["ego_depth"][..., 0]
+    grey = images["ego_depth"][..., 0]
     near = (metres > 0) & (metres < 2.5)
     assert near.any()
     np.testing.assert_allclose(grey[near] * DEPTH_LEVEL_M, metres[near], atol=DEPTH_LEVEL_M)
     assert (grey[metres == 0] == 255).all()
     is_target = np.isin(batch.cameras.segmentation(), batch.scene.target_geoms)
-    assert (pictures["ego_segmentation"][is_target] == COLORS["target"]).all()
-    assert not (pictures["ego_segmentation"][~is_target] == COLORS["target"]).all(axis=-1).any()
+    assert (images["ego_segmentation"][is_target] == COLORS["target"]).all()
+    assert not (images["ego_segmentation"][~is_target] == COLORS["target"]).all(axis=-1).any()
     for thing in ("hand", "target"):
-        assert (pictures["side_segmentation"] == COLORS[thing]).all(axis=-1).any(axis=(1, 2)).mean() > 0.7
+        assert (images["side_segmentation"] == COLORS[thing]).all(axis=-1).any(axis=(1, 2)).mean() > 0.7

@@ -59,9 +59,9 @@ def test_a_point_appears_where_pose_and_intrinsics_project_it(specs: list[Episod
     batch.reset(range(len(specs)), specs)
     fx, fy, cx, cy = intrinsics(batch.scene.model, camera, size)
     pose = camera_pose(batch.scene.model, camera)
-    pictures = np.isin(batch.cameras._renderer(camera).segmentation(np.arange(len(specs))), batch.scene.target_geoms)
+    images = np.isin(batch.cameras._renderer(camera).segmentation(np.arange(len(specs))), batch.scene.target_geoms)
     for i, spec in enumerate(specs):
-        rows, columns = np.nonzero(pictures[i])
+        rows, columns = np.nonzero(images[i])
         if len(rows) < 30 or len({*rows} & {0, size - 1}) or len({*columns} & {0, size - 1}):
             continue
         x, y, z = quat_to_matrix(pose[3:]).T @ (batch.target_pose[i, :3] - pose[:3])

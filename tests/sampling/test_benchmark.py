@@ -80,7 +80,7 @@ from benchmarks import pin
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 assert "a_drift" in MOTIONS and "caltrop" in OBJECTS, "the plugin is not loaded"
-print(json.dumps(pin.pin(seeds=3, pictured=2)))
+print(json.dumps(pin.pin(seeds=3, with_images=2)))
 """
 
 
@@ -135,16 +135,16 @@ def compare(split: str, found: Mapping[int, str]) -> None:
 
 
 @pytest.mark.parametrize("split", BENCHMARK.streams)
-def test_pictures_are_the_pinned_ones(split: str):
-    found = pin.picture_digests(split)
-    assert found == {name: digest for name, digest in PINNED["pictures"].items() if name.startswith(f"{split}/")}
-    assert len(found) == pin.PICTURED_EPISODES
+def test_images_are_the_pinned_ones(split: str):
+    found = pin.image_digests(split)
+    assert found == {name: digest for name, digest in PINNED["images"].items() if name.startswith(f"{split}/")}
+    assert len(found) == pin.IMAGE_EPISODES
 
 
 @pytest.mark.parametrize(("batch_size", "threads"), [(1, 1), (3, 2)])
 def test_batch_size_and_threads_change_no_digest(batch_size: int, threads: int):
-    found = pin.picture_digests("test", batch_size=batch_size, threads=threads)
-    assert found == {name: PINNED["pictures"][name] for name in found}
+    found = pin.image_digests("test", batch_size=batch_size, threads=threads)
+    assert found == {name: PINNED["images"][name] for name in found}
     seeds = [4, 900, 17]
     assert pin.spec_digests("test", seeds, threads=threads) == {seed: PINNED["specs"]["test"][seed] for seed in seeds}
 
@@ -164,5 +164,5 @@ def test_a_motion_and_an_object_of_a_plugin_change_no_digest(tmp_path: Path):
     found = json.loads(done.stdout.splitlines()[-1])
     found["specs"] = {split: {int(seed): digest for seed, digest in d.items()} for split, d in found["specs"].items()}
     assert sum(map(len, found["specs"].values())) == 18
-    assert len(found["pictures"]) == 12
+    assert len(found["images"]) == 12
     assert pin.differences(found, PINNED) == []

@@ -1,4 +1,4 @@
-"""Appearance changes pictures and nothing else; each randomization has random numbers of its own."""
+"""Appearance changes images and nothing else; each randomization has random numbers of its own."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LIGHT_DIR = (0.7, 0.2, -1.0)
 DARK = (0.1, 0.1, 0.1)
 
 
-def pictures(specs: list[EpisodeSpec], renderer: str = "tiles") -> np.ndarray:
+def images(specs: list[EpisodeSpec], renderer: str = "tiles") -> np.ndarray:
     return world(specs, image_size=SIZE, renderer=renderer).cameras.render().astype(int)
 
 
@@ -34,7 +34,7 @@ def few(specs: list[EpisodeSpec]) -> list[EpisodeSpec]:
 def test_a_randomization_changes_what_is_seen_in_every_episode(name: str, few: list[EpisodeSpec]) -> None:
     varied = [randomize_appearance(spec, [name]) for spec in few]
     assert all(new.appearance != old.appearance for new, old in zip(varied, few, strict=True))
-    assert (np.abs(pictures(varied) - pictures(few)).max(axis=(1, 2, 3)) > 8).mean() > 0.7
+    assert (np.abs(images(varied) - images(few)).max(axis=(1, 2, 3)) > 8).mean() > 0.7
 
 
 @pytest.mark.parametrize("name", RANDOMIZATIONS)
@@ -50,7 +50,7 @@ def test_randomizations_do_not_disturb_each_other(name: str, few: list[EpisodeSp
         assert all(getattr(alone, name) == getattr(together, name) for name in changed)
 
 
-def test_nothing_but_pictures_changes() -> None:
+def test_nothing_but_images_changes() -> None:
     plain = next(record(Recipe(image_size=32), [3]))
     varied = next(record(Recipe(image_size=32, appearance=tuple(RANDOMIZATIONS)), [3]))
     for name in ("state", "action", "target_pose", "target_contacts"):
@@ -71,7 +71,7 @@ def test_translucent_targets_are_blended_with_what_is_behind(few: list[EpisodeSp
 
     def seen(alpha: float) -> np.ndarray:
         varied = [replace(spec, appearance=replace(spec.appearance, target_alpha=alpha)) for spec in few]
-        return pictures(varied, "flat")
+        return images(varied, "flat")
 
     solid, behind = seen(1.0), seen(0.0)
     assert np.abs(seen(0.4) - (0.4 * solid + 0.6 * behind)).max() < 3
@@ -116,5 +116,5 @@ def reflection_pixel(batch: WorldBatch, i: int) -> np.ndarray:
         normal = (to_light + to_camera) / np.linalg.norm(to_light + to_camera)
         point = centre + spec.target.grasp_radius_m * normal
     right, up, back = (point - camera_pos) @ quat_to_matrix(np.asarray(camera.quat))
-    focal = SIZE / np.tan(np.radians(camera.fovy[0]) / 2)  # of pictures 2 * SIZE wide
+    focal = SIZE / np.tan(np.radians(camera.fovy[0]) / 2)  # of images 2 * SIZE wide
     return np.array([SIZE - focal * up / -back, SIZE + focal * right / -back]) - 0.5

@@ -77,7 +77,7 @@ of each (0.26 to 0.48 of 1,000 episodes)."""
 
 
 @pytest.mark.slow
-def test_a_regressor_without_pictures_is_no_better_than_a_fixed_path(tmp_path: Path):
+def test_a_regressor_without_images_is_no_better_than_a_fixed_path(tmp_path: Path):
     command = [sys.executable, str(SCRIPT), "--train", "440", "--episodes", "220", "--json", "numbers.json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

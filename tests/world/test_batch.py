@@ -50,7 +50,7 @@ def short(specs: list[EpisodeSpec]) -> list[EpisodeSpec]:
 
 
 @pytest.fixture(scope="module")
-def pictures(short: list[EpisodeSpec]) -> dict[int, str]:
+def images(short: list[EpisodeSpec]) -> dict[int, str]:
     return digests(short, 1, images=True)
 
 
@@ -69,18 +69,18 @@ def test_states_depend_on_no_neighbour_and_no_row(every_kind: list[EpisodeSpec],
 
 @pytest.mark.parametrize(("size", "threads"), [(3, 1), (8, 2)])
 def test_pixels_depend_on_no_batch_size_and_no_neighbour(
-    short: list[EpisodeSpec], pictures: dict[int, str], size: int, threads: int
+    short: list[EpisodeSpec], images: dict[int, str], size: int, threads: int
 ):
-    assert len(set(pictures.values())) == len(short)
-    assert digests(short[::-1], size, threads, images=True) == pictures
+    assert len(set(images.values())) == len(short)
+    assert digests(short[::-1], size, threads, images=True) == images
 
 
-def test_another_process_sees_the_same_bytes(short: list[EpisodeSpec], pictures: dict[int, str]):
+def test_another_process_sees_the_same_bytes(short: list[EpisodeSpec], images: dict[int, str]):
     seeds = [spec.seed for spec in short[:2]]
     command = [sys.executable, "-m", "tests.world.playing", *map(str, seeds)]
     root = Path(__file__).parents[2]
     told = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
-    assert ast.literal_eval(told.splitlines()[-1]) == {seed: pictures[seed] for seed in seeds}
+    assert ast.literal_eval(told.splitlines()[-1]) == {seed: images[seed] for seed in seeds}
 
 
 def test_resetting_one_world_leaves_the_others_untouched(every_kind: list[EpisodeSpec]):

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from dynahoi_lerobot.core.numerics import tan
 from dynahoi_lerobot.renderers.raycast.images import Look, render_color, render_ids_and_depth, smooth_edges, trace
 from dynahoi_lerobot.renderers.raycast.rows import LightFrame, Worlds
 from dynahoi_lerobot.renderers.raycast.shadows import place_casters, place_lights, sort_casters
@@ -182,7 +183,7 @@ def _launch(recorded: Any, *dim: int) -> None:
 def _intrinsics(model: mujoco.MjModel, camera: int, image_size: int) -> Any:
     intrinsics = CameraIntrinsics()
     intrinsics.camera, intrinsics.size = camera, image_size
-    intrinsics.focal = 0.5 * image_size / np.tan(0.5 * np.radians(model.cam_fovy[camera]))
+    intrinsics.focal = 0.5 * image_size / tan(0.5 * np.radians(model.cam_fovy[camera]))
     pixels = np.arange(-(-image_size // TILE) * TILE, dtype=np.float32)
     slopes = (pixels + np.float32(0.5) - np.float32(0.5 * image_size)) / np.float32(intrinsics.focal)
     intrinsics.slopes = wp.array(slopes.reshape(-1, TILE), dtype=Row)
