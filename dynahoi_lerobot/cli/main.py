@@ -65,16 +65,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         _check_outputs(args)
         return importlib.import_module(COMMANDS[args.command][0]).run(args)
     except (ValueError, OSError) as error:
-        print(f"{spoken}: {_shortened(str(error))}", file=sys.stderr)
+        print(f"{spoken}: {_sentence(error)}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print(f"{spoken}: interrupted", file=sys.stderr)
         return STOPPED
 
 
-def _shortened(text: str) -> str:
+def _sentence(error: ValueError | OSError) -> str:
     """Return the message in one printable line, without its middle if a value makes it very long."""
-    sentence = printable(" ".join(text.split()))
+    told = (error.filename, error.strerror) if isinstance(error, OSError) and error.strerror else (error,)
+    sentence = printable(" ".join(": ".join(str(part) for part in told if part).split()))
     return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
 
 

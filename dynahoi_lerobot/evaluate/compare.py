@@ -16,7 +16,7 @@ from dynahoi_lerobot.evaluate.summary import bootstrap_means
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
 
-CROSSABLE = ("protocol", "control_class", "inference", "render_noise")
+CROSSABLE = ("protocol", "control_class", "inference", "render_noise", "path_speed")
 """Conditions that may be what is compared: the same episodes, played under others."""
 
 CONDITIONS = ("capture", *CROSSABLE)

@@ -102,8 +102,18 @@ class Results:
     @property
     def render_noise(self) -> str:
         """By how many of 255 levels the images were changed at most, ``0`` if they were not."""
+        return self._rule("render_noise", 0)
+
+    @property
+    def path_speed(self) -> str:
+        """How many times as fast targets were on their paths, ``1`` unless they are twins."""
+        return self._rule("path_speed", 1)
+
+    def _rule(self, name: str, usual: float) -> str:
+        """A number of the recipe; the usual one if it does not tell."""
         recipe = self.info.extra.get("recipe")
-        return str(recipe.get("render_noise") or 0) if isinstance(recipe, dict) else "0"
+        value = recipe.get(name, usual) if isinstance(recipe, dict) else usual
+        return f"{value:g}" if isinstance(value, int | float) else f"{usual:g}"
 
     @property
     def inference(self) -> str:

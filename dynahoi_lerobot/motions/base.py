@@ -144,6 +144,58 @@ class PrescribedMotion(Motion):
         """Return (K, 3) acceleration [m/s^2], world, the exact derivative of ``velocity``."""
 
 
+@dataclass(frozen=True)
+class Retimed(PrescribedMotion):
+    """The path of another motion, traversed at another rate: r(t) = motion.r(path_s + rate (t - time_s)).
+
+    Attributes:
+        motion: whose path it is; name, category and phrase are its own.
+        rate: how many times as fast.
+        time_s: when it is [s] ...
+        path_s: ... where the motion is at that time [s].
+    """
+
+    motion: PrescribedMotion
+    rate: float
+    time_s: float
+    path_s: float
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """The registered name of the motion."""
+        return self.motion.name
+
+    @property
+    def category(self) -> str:  # type: ignore[override]
+        """The motion's category."""
+        return self.motion.category
+
+    @property
+    def phrase(self) -> str:  # type: ignore[override]
+        """How an instruction describes the motion."""
+        return self.motion.phrase
+
+    @classmethod
+    def sample(cls, draw: Draw) -> Self:
+        """Raise TypeError: only the motion itself can be drawn."""
+        raise TypeError("draw the motion that is retimed")
+
+    def position(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) position [m]."""
+        return self.motion.position(self._path(time_s))
+
+    def velocity(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) velocity [m/s]."""
+        return self.rate * self.motion.velocity(self._path(time_s))
+
+    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
+        """Return (K, 3) acceleration [m/s^2]."""
+        return self.rate**2 * self.motion.acceleration(self._path(time_s))
+
+    def _path(self, time_s: np.ndarray) -> np.ndarray:
+        return self.path_s + self.rate * (time_s - self.time_s)
+
+
 class PhysicalMotion(Motion):
     """An initial condition; MuJoCo simulates where the target goes from there."""
 

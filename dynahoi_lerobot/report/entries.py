@@ -17,7 +17,7 @@ from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
 
-LABEL_LENGTH = 32
+LABEL_LENGTH = 40
 
 GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
 """Folder names of training runs that do not identify the policy."""
@@ -60,7 +60,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
-    """Return a unique label per result: policy and inference, then folder and number if needed."""
+    """Return a unique label per result: policy and unusual rules, then folder and number if needed."""
     labels = [clip(_label(result)) for result in results]
     labels = [
         clip(f"{label} ({result.folder.name})") if labels.count(label) > 1 else label
@@ -73,8 +73,10 @@ def unique_labels(results: Sequence[Results]) -> list[str]:
 
 
 def _label(result: Results) -> str:
-    name, inference = result.marked(short_name(result.info.policy)), result.info.extra.get("inference")
-    return f"{name}, {inference}" if inference else name
+    rules = [result.info.extra.get("inference")]
+    rules += [f"noise {result.render_noise}"] * (result.render_noise != "0")
+    rules += [f"speed {result.path_speed}"] * (result.path_speed != "1")
+    return ", ".join(filter(None, (result.marked(short_name(result.info.policy)), *rules)))
 
 
 def short_name(policy: str) -> str:

@@ -150,6 +150,8 @@ def record(
 
     Each is a function of (recipe, seed): batch size and threads do not matter.
     """
+    if len(recipe.path_speeds) > 1:
+        raise ValueError(f"split {recipe.split!r} is for evaluations; record another one")
     batch = WorldBatch(recipe, min(batch_size, max(1, len(seeds))), threads)
     finished: dict[int, Episode] = {}
     next_index = 0

@@ -36,6 +36,12 @@ MOTIONS = (
 )  # fmt: skip
 """The 22 kinds of motion of the in-distribution splits. Seed s of a split has kind number s modulo 22."""
 
+PRESCRIBED = (
+    "accelerating", "constant", "decelerating", "depth", "harmonic_drift", "horizontal_circle", "lateral",
+    "line_then_arc", "random_spline", "swinging_arc", "vertical", "vertical_circle",
+)  # fmt: skip
+"""Those of them whose path is prescribed, so that it can be traversed at any speed."""
+
 OBJECTS = ("ball", "block", "bottle", "capsule", "cone", "cube", "cup", "cylinder", "disc", "egg", "ring")
 """The 11 objects of the in-distribution splits."""
 
@@ -52,6 +58,8 @@ class Split:
         objects: objects to draw from.
         speed_scale: 1 for the speeds of training; otherwise speeds are drawn from the end of training's range up to
             this many times that end.
+        path_speeds: how many times as fast the same episodes can be played, the greatest last: the target is on the
+            same path, and at the intercept in the same frame. Only of prescribed paths, as gravity cannot be scaled.
     """
 
     stream: str
@@ -59,6 +67,7 @@ class Split:
     motions: tuple[str, ...] = MOTIONS
     objects: tuple[str, ...] = OBJECTS
     speed_scale: float = 1.0
+    path_speeds: tuple[float, ...] = (1.0,)
 
 
 @dataclass(frozen=True)
@@ -143,6 +152,7 @@ BENCHMARK = Benchmark(
         "ood_speed": Split("ood_speed", 220, speed_scale=1.6),
         "ood_object": Split("ood_object", 220, objects=("dumbbell", "jack")),
         "ood_motion": Split("ood_motion", 220, motions=("figure_eight", "helix")),
+        "twins": Split("twins", 240, motions=PRESCRIBED, path_speeds=(1.0, 1.6)),
     },
     # Figure 3c. The last bin is open in the paper; here it ends at 160 frames.
     durations=Histogram(

@@ -57,7 +57,9 @@ the target itself is nearer to its table, that distance."""
 WAY_POINTS = 64
 
 
-def find_homes(path_w: np.ndarray, timing: Timing, fixtures: Sequence[Box], rng: np.random.Generator) -> np.ndarray:
+def find_homes(
+    paths_w: Sequence[np.ndarray], timing: Timing, fixtures: Sequence[Box], rng: np.random.Generator
+) -> np.ndarray:
     """Return those homes for the palm centre, of some that are tried, that fit the motion until the intercept.
 
     The home lies ``travel_m`` away from the intercept, so that a hand of fixed speed arrives there together with the
@@ -66,7 +68,8 @@ def find_homes(path_w: np.ndarray, timing: Timing, fixtures: Sequence[Box], rng:
     where the camera must see the target, most homes have it in front, and a hand that always went forwards would gain.
 
     Args:
-        path_w: (F, 3) path of the untouched target at every frame [m], world, at least to the intercept.
+        paths_w: (F, 3) path of the untouched target at every frame [m], world, at least to the intercept, which is the
+            same in all of them: of the episode and of its twins.
         timing: frames and travel of the episode.
         fixtures: the boxes around the motion, which the waiting hand must not touch, nor the palm on its way.
         rng: source of the directions tried.
@@ -75,24 +78,26 @@ def find_homes(path_w: np.ndarray, timing: Timing, fixtures: Sequence[Box], rng:
         (K, 3) positions [m], world, best first; none if none of those tried will do.
     """
     start, intercept = timing.window_frames, timing.intercept_frame
-    homes = path_w[intercept] - timing.travel_m * _draw_directions(rng)
+    meeting = paths_w[0][intercept]
+    homes = meeting - timing.travel_m * _draw_directions(rng)
     homes = homes.astype(np.float32).astype(np.float64)  # as datasets store it
     homes = homes[_in_workspace(homes)]
-    homes = homes[~_reachable_earlier(path_w[start:intercept], homes)]
-    homes = homes[_clear_of(path_w[start : intercept + 1], homes)]
-    homes = homes[_watches(path_w[: start + 1], homes)]
-    return homes[keeps_clear(homes, path_w[intercept], fixtures)]
+    for path_w in paths_w:
+        homes = homes[~_reachable_earlier(path_w[start:intercept], homes)]
+        homes = homes[_clear_of(path_w[start : intercept + 1], homes)]
+        homes = homes[_watches(path_w[: start + 1], homes)]
+    return homes[keeps_clear(homes, meeting, fixtures)]
 
 
-def choose_home(path_w: np.ndarray, timing: Timing, homes: np.ndarray) -> np.ndarray | None:
+def choose_home(paths_w: Sequence[np.ndarray], timing: Timing, homes: np.ndarray) -> np.ndarray | None:
     """Return the first of ``homes`` (K, 3) that the target never reaches by itself, or None.
 
     Args:
-        path_w: (F, 3) path of the untouched target over the whole episode [m], world.
+        paths_w: (F, 3) path of the untouched target over the whole episode [m], world, of it and of its twins.
         timing: frames and travel of the episode.
         homes: from ``find_homes``.
     """
-    clear = _clear_of(path_w[timing.window_frames :], homes)
+    clear = np.all([_clear_of(path_w[timing.window_frames :], homes) for path_w in paths_w], axis=0)
     return homes[clear.argmax()] if clear.any() else None
 
 

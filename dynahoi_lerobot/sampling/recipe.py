@@ -52,6 +52,7 @@ class Recipe:
         motions: comma-separated kinds of motion that take turns; those of the split by default. A registered motion
             that is not part of the benchmark is played only if it is named here.
         objects: comma-separated objects to draw from; those of the split by default.
+        path_speed: traverse the target's path so many times as fast, where the split has such twins: 1 or 1.6 in twins.
         protocol: what the hand may see and when: observe_before_act, direct_act, observe_then_blind or occluded.
         control_class: limits of the hand and latency of its commands: unlimited, standard or late.
         capture: capture rule: attach, attach_lenient or contact.
@@ -78,6 +79,7 @@ class Recipe:
     split: str = "train"
     motions: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
+    path_speed: float = 1.0
     protocol: str = DEFAULT_PROTOCOL
     control_class: str = DEFAULT_CONTROL_CLASS
     capture: str = "attach"
@@ -118,6 +120,11 @@ class Recipe:
             for name in chosen:
                 registry[name]  # raises if there is none
                 self._check_split_of(noun, name)
+        if self.path_speed not in self.path_speeds:
+            allowed = ", ".join(f"{speed:g}" for speed in self.path_speeds)
+            raise ValueError(f"path_speed must be {allowed} in split {self.split!r}, got {self.path_speed}")
+        if len(self.path_speeds) > 1 and PROTOCOLS[self.protocol].has_screen:
+            raise ValueError(f"split {self.split!r} has no protocol {self.protocol!r}: screens depend on the speed")
         check_salt(self.salt)
         check_appearance(self.appearance)
         check_views(self.views)
@@ -136,6 +143,11 @@ class Recipe:
     def stream(self) -> str:
         """Seed stream of the split; ``test_small`` shares that of ``test``."""
         return self._split.stream
+
+    @property
+    def path_speeds(self) -> tuple[float, ...]:
+        """How many times as fast the same episodes can be played, the greatest last."""
+        return self._split.path_speeds
 
     @property
     def motion_names(self) -> list[str]:

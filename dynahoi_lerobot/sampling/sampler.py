@@ -14,7 +14,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.rules import protocol_of
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
-from dynahoi_lerobot.motions import MOTIONS, Draw, Motion
+from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PrescribedMotion, Retimed
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.sampling.furniture import furnish
@@ -82,7 +82,8 @@ class Candidate:
         kind: its kind of motion; kinds take turns with the seed.
         rng: the episode's random numbers.
         timing: frames and travel last drawn.
-        motion, target: motion and object last drawn; unset before the first ``draw_motion``.
+        motions, target: motion and object last drawn; unset before the first ``draw_motion``. One motion for each of
+            the recipe's path speeds: what is accepted or refused is an episode with all its twins.
     """
 
     recipe: Recipe
@@ -90,7 +91,7 @@ class Candidate:
     kind: type[Motion]
     rng: np.random.Generator
     timing: Timing = field(init=False)
-    motion: Motion = field(init=False)
+    motions: list[Motion] = field(init=False)
     target: TargetObject = field(init=False)
 
     @classmethod
@@ -121,22 +122,27 @@ class Candidate:
             ValueError: if none of the recipe's objects can move this way.
         """
         self.target = self._draw_target()
-        window_s = self.timing.window_frames * CONTROL_DT
+        window_s, fastest = self.timing.window_frames * CONTROL_DT, self.recipe.path_speeds[-1]
+        intercept_s = window_s + self.timing.approach_frames * CONTROL_DT
         draw = Draw(
             rng=self.rng,
             target=self.target,
-            window_s=window_s,
-            intercept_s=window_s + self.timing.approach_frames * CONTROL_DT,
-            horizon_s=self.timing.path_frames * CONTROL_DT,
+            window_s=fastest * window_s,
+            intercept_s=fastest * intercept_s,
+            horizon_s=fastest * self.timing.path_frames * CONTROL_DT,
             speed_scale=self.recipe.speed_scale,
         )
-        self.motion = self.kind.sample(draw)
-        return self.motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
+        motion = self.kind.sample(draw)
+        self.motions = [motion]
+        if fastest != 1.0 and isinstance(motion, PrescribedMotion):
+            speeds = self.recipe.path_speeds
+            self.motions = [Retimed(motion, speed, intercept_s, draw.intercept_s) for speed in speeds]
+        return motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
 
     @property
     def fixtures(self) -> tuple[Box, ...]:
         """The static boxes around the motion last drawn."""
-        return self.motion.launch(self.target).boxes
+        return self.motions[0].launch(self.target).boxes
 
     def _draw_target(self) -> TargetObject:
         allowed = [name for name in self.recipe.object_names if self.kind.suits(OBJECTS[name])]
@@ -147,21 +153,21 @@ class Candidate:
         name = str(self.rng.choice(allowed))
         return OBJECTS[name].sample(self.rng)
 
-    def accept(self, path_w: np.ndarray, home_pos_w: np.ndarray) -> EpisodeSpec | None:
+    def accept(self, paths_w: Sequence[np.ndarray], home_pos_w: np.ndarray) -> EpisodeSpec | None:
         """Draw the rest and return the episode, or None if the protocol asks for a screen and none can be placed.
 
         Args:
-            path_w: (F, 3) path of the untouched target [m], world.
+            paths_w: (F, 3) path of the untouched target [m], world, of each of ``motions``.
             home_pos_w: (3,) palm centre at the start [m], world.
         """
         hand = HANDS[self.recipe.hand]()
         spec = EpisodeSpec(
             seed=self.seed,
             split=self.recipe.split_label,
-            motion=self.motion,
+            motion=self.motions[-1],
             target=self.target,
             appearance=Appearance.sample(self.rng),
-            task=draw_instruction(self.recipe.instructions, self.target.name, self.motion.phrase, self.rng),
+            task=draw_instruction(self.recipe.instructions, self.target.name, self.kind.phrase, self.rng),
             protocol=self.recipe.protocol,
             hand=self.recipe.hand,
             open_joints=hand.open_joints(),
@@ -170,13 +176,15 @@ class Candidate:
             length_frames=self.timing.length_frames,
             home_pos_w=home_pos_w,
             intercept_frame=self.timing.intercept_frame,
-            intercept_pos_w=path_w[self.timing.intercept_frame],
+            intercept_pos_w=paths_w[-1][self.timing.intercept_frame],
             yaw_rad=float(self.rng.uniform(0, 2 * np.pi)),
             spin_rad_s=float(self.rng.uniform(-MAX_SPIN_RAD_S, MAX_SPIN_RAD_S)),
-            oracle_path=path_w,
+            oracle_path=paths_w[-1],
             fingerprint=self.recipe.fingerprint(),
         )
-        spec = randomize_appearance(furnish(spec), self.recipe.appearance)
+        spec = randomize_appearance(furnish(spec), self.recipe.appearance)  # around the longest path
+        played = self.recipe.path_speeds.index(self.recipe.path_speed)
+        spec = replace(spec, motion=self.motions[played], oracle_path=paths_w[played])
         return with_screen(spec) if protocol_of(self.recipe.protocol).has_screen else spec
 
 
@@ -190,7 +198,7 @@ def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dic
     return {
         i: spec
         for i, candidate in reached.items()
-        if in_arena(paths[i])
+        if all(map(in_arena, paths[i]))
         and (home := choose_home(paths[i], candidate.timing, homes[i])) is not None
         and (spec := candidate.accept(paths[i], home)) is not None
     }
@@ -198,11 +206,16 @@ def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dic
 
 def _roll_ahead(
     recipe: Recipe, candidates: dict[int, Candidate], frames: dict[int, int], threads: int
-) -> dict[int, np.ndarray]:
-    """(F, 3) path [m], world, of each candidate's untouched target over its number of frames."""
-    motions, targets = [c.motion for c in candidates.values()], [c.target for c in candidates.values()]
-    paths = roll_ahead(motions, targets, list(frames.values()), hand=recipe.hand, threads=threads)
-    return dict(zip(candidates, paths, strict=True))
+) -> dict[int, list[np.ndarray]]:
+    """(F, 3) path [m], world, of each of a candidate's untouched targets over its number of frames."""
+    ids = [i for i, candidate in candidates.items() for _ in candidate.motions]
+    motions = [motion for candidate in candidates.values() for motion in candidate.motions]
+    targets = [candidates[i].target for i in ids]
+    rolled = roll_ahead(motions, targets, [frames[i] for i in ids], hand=recipe.hand, threads=threads)
+    paths: dict[int, list[np.ndarray]] = {i: [] for i in candidates}
+    for i, path in zip(ids, rolled, strict=True):
+        paths[i].append(path)
+    return paths
 
 
 def draw_instruction(style: str, object_name: str, phrase: str, rng: np.random.Generator) -> str:

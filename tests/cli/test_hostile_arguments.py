@@ -35,7 +35,7 @@ PATHS = ("file/below", "dangling", "dangling/below", "~nobody-of-that-name/x", "
 def options(command: str) -> Iterator[argparse.Action]:
     parser = argparse.ArgumentParser()
     importlib.import_module(cli.COMMANDS[command][0]).add_arguments(parser)
-    yield from (action for action in parser._actions if action.option_strings and action.type is not None)
+    yield from (action for action in parser._actions if action.option_strings and action.type not in (None, str))
 
 
 def is_path(action: argparse.Action) -> bool:
@@ -92,6 +92,12 @@ HARMLESS = {
     "generate --seed": ("0",),
     "generate --teacher-share": ("0",),
     "generate --crf": ("0",),
+    "generate --disturbance-m": ("0",),
+    "generate --hold-frames": (str(10**30),),
+    "generate --render-noise": ("0",),
+    "evaluate --image-size": ("0",),
+    "view --render-noise": ("0",),
+    "evaluate --render-noise": ("0",),
     "generate --video-seconds": ("1e3",),
     "generate --gpus-per-task": ("0",),
     "verify --replay": ("0",),

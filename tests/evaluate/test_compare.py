@@ -18,8 +18,8 @@ RULES = {"protocol": "observe_before_act", "control_class": "standard"}
 
 def results(values: list, metric: str = "S_loc", first_seed: int = 0, folder: str = "a", **changes) -> Results:
     """Results with one row a value; ``changes`` go into the rows, or where the condition of that name is."""
-    noise, inference = changes.pop("render_noise", 0), changes.pop("inference", "")
-    extra = {"inference": inference, "recipe": {"render_noise": noise}}
+    recipe = {"render_noise": changes.pop("render_noise", 0), "path_speed": changes.pop("path_speed", 1.0)}
+    extra = {"inference": changes.pop("inference", ""), "recipe": recipe}
     benchmark, capture = changes.pop("benchmark", "v1"), changes.pop("capture", "attach")
     info = RunInfo("p", changes.pop("stream", "test"), capture, "cmd", "f", extra, benchmark)
     base = {**IDENTITY, **RULES, "window_frames": 8, **changes}
@@ -96,6 +96,7 @@ def test_an_unknown_metric_is_named():
         {"control_class": "late"},
         {"inference": "async 150 ms"},
         {"render_noise": 2},
+        {"path_speed": 1.6},
         {"capture": "contact"},
         {"benchmark": "v0"},
         {"stream": "test+0a0a0a0a"},

@@ -16,7 +16,7 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.report.example_runs import example_run
 
 
-def named(policy: str, folder: str = "run", **extra: str) -> Results:
+def named(policy: str, folder: str = "run", **extra: object) -> Results:
     return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f", extra), (), ())
 
 
@@ -43,9 +43,10 @@ def test_long_names_keep_both_ends():
     assert (label[0], label[-1]) == ("a", "z")
 
 
-def test_equal_names_are_told_apart_by_inference_then_folder_then_number():
+def test_equal_names_are_told_apart_by_conditions_then_folder_then_number():
     late = named("tracker", inference="async 150 ms")
-    assert unique_labels([late, named("tracker")]) == ["tracker, async 150 ms", "tracker"]
+    noisy = named("tracker", recipe={"render_noise": 2})
+    assert unique_labels([late, noisy, named("tracker")]) == ["tracker, async 150 ms", "tracker, noise 2", "tracker"]
     assert unique_labels([named("a", "s1"), named("a", "s5"), named("b")]) == ["a (s1)", "a (s5)", "b"]
     assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
 
@@ -92,6 +93,6 @@ def test_the_report_pairs_across_what_it_is_asked_to(
     assert main([*words, "--across", "render_noise"]) == 0
     said = capsys.readouterr().out
     assert "--across" not in said
-    assert "a (a) minus a (b), 8 episodes: S_loc +" in said
+    assert "a minus a, noise 2, 8 episodes: S_loc +" in said
     assert "cm apart" in said
     assert "Paired comparison" in (tmp_path / "report.html").read_text()
