@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from lerobot_policy_obact.encoders import CAMERAS
+from lerobot_policy_tracker.eye import CAMERAS
 from lerobot_policy_tracker.backbones.eye import EyeBackbone
 from support.options import benchmark_parser, write_numbers
 

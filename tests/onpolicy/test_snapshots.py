@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lerobot_policy_obact.encoders import CAMERAS
+from lerobot_policy_tracker.eye import CAMERAS
 from lerobot_policy_tracker.backbones.eye import EyeBackbone
 
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe

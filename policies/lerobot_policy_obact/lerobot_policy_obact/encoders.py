@@ -1,257 +1,325 @@
-"""Image encoders: the eye, which says where the target is by attention over image cells.
+"""Image encoders: an image to a sighting, which says where the target is and how sure that is.
 
-    glance   4 x 4 patches -> convolutions -> attention over the cells of the image, whose values are viewing directions
-    fovea    the pixels around that direction, uncompressed -> how far off it is, and how far away the target is
-    sighting (u, v, log depth) in the camera frame, each with the scale of its error; the offset from the palm follows
+    cells      a grid of features, by whatever network
+    attention  over the cells, whose values are viewing rays (`SpatialAttention`)
+    sighting   (u, v, log depth) in the camera's frame and the log scales of the errors across and along the line of
+    sight
 
-The change since the previous image shows what moves; an image without one counts as unchanged. Errors are taken to be
-Laplace distributed; their log scales tell the policy how far to trust each sighting.
+The default, the eye, looks twice: its attention says where, and a fovea, the pixels around that, says how far off and
+how far away. The change since the image before shows what moves. Errors are taken to be Laplace distributed.
 """
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any, ClassVar, cast
 
 import torch
 import torch.nn.functional as F
+from einops import rearrange, reduce
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-N_SCALES = 2
-"""Log scales of the errors of a sighting: across the line of sight [tangent], and of the log depth."""
-N_SIGHTING = 3 + 3 + N_SCALES
-"""Numbers of a sighting: offset from the camera's origin [m], (u, v, log depth) in the camera frame, scales."""
-LEAST_DEPTH_M = 0.01
+from .attention import SpatialAttention
 
-
-class Pinhole(nn.Module):
-    """A camera that looks along +x, turned left by ``yaw_rad`` and then down by ``pitch_rad``.
-
-    Args:
-        pos_m: its position relative to the palm, or to the palm at home [m].
-        pitch_rad: how far it looks down.
-        yaw_rad: how far it looks to the left.
-        fovy_deg: its field of view.
-        carried: whether the palm carries it; if not, it stands still.
-        typical_depth_m: depth whose logarithm counts as 0.
-    """
-
-    pos: Tensor
-    axes: Tensor
-
-    def __init__(
-        self,
-        pos_m: tuple[float, float, float],
-        *,
-        pitch_rad: float,
-        yaw_rad: float = 0.0,
-        fovy_deg: float,
-        carried: bool = True,
-        typical_depth_m: float = 0.4,
-    ) -> None:
-        super().__init__()
-        self.carried, self.typical_depth_m = carried, typical_depth_m
-        self.half_view = math.tan(math.radians(fovy_deg) / 2)
-        self.register_buffer("pos", torch.tensor(pos_m), persistent=False)
-        self.register_buffer("axes", _axes(pitch_rad, yaw_rad), persistent=False)
-
-    def origin(self, palm: Tensor) -> Tensor:
-        """Return what positions count from when the palm is at ``(..., 3)`` [m], in the frame of the state."""
-        return palm if self.carried else torch.zeros_like(palm)
-
-    def place(self, seen: Tensor) -> Tensor:
-        """Map ``(u, v, log depth)`` to positions relative to the origin [m], world axes, ``(..., 3)``."""
-        depth = self.typical_depth_m * seen[..., 2:].clamp(-4.0, 3.0).exp()
-        ray = torch.cat([self.half_view * seen[..., :2], torch.ones_like(depth)], dim=-1)
-        return self.pos + depth * ray @ self.axes
-
-    def seen(self, place: Tensor) -> Tensor:
-        """Invert `place`; what is behind the camera counts as 1 cm in front of it."""
-        local = (place - self.pos) @ self.axes.T
-        depth = local[..., 2:].clamp_min(LEAST_DEPTH_M)
-        return torch.cat([local[..., :2] / (depth * self.half_view), (depth / self.typical_depth_m).log()], dim=-1)
-
-
-def ego_camera() -> Pinhole:
-    """Return the camera that the palm carries."""
-    return Pinhole((-0.15, 0.03, 0.21), pitch_rad=0.45, fovy_deg=84.0)
-
-
-def side_camera() -> Pinhole:
-    """Return the camera that stands behind the waiting hand, to its right."""
-    return Pinhole(
-        (-0.65, -0.6, 0.4), pitch_rad=0.3237, yaw_rad=0.5764, fovy_deg=54.0, carried=False, typical_depth_m=1.2
-    )
-
-
-CAMERAS = {"ego": ego_camera, "side": side_camera}
-
-
-def _axes(pitch: float, yaw: float) -> Tensor:
-    """Return (3, 3) right, up and forward."""
-    level = torch.tensor([math.cos(yaw), math.sin(yaw), 0.0])
-    forward = math.cos(pitch) * level - torch.tensor([0.0, 0.0, math.sin(pitch)])
-    right = torch.tensor([math.sin(yaw), -math.cos(yaw), 0.0])
-    return torch.stack([right, torch.linalg.cross(right, forward), forward])
-
-
-N_CHANNELS = 7
-"""RGB, saturation, and the change of RGB since the previous image."""
-PIXEL_MEAN, PIXEL_STD = (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1)
-PEAK_CELLS = 2
-"""The soft-argmax takes in this many cells of the heat map on each side of its peak."""
-HEAT_WEIGHT = 0.3
+N_SIGHTING = 5
 UNSEEN_SCALE = 5.0
-"""Both scales of a sighting in a black image, which shows nothing."""
-SHIPPED = {f"shipped_{name}": Path(__file__).with_name(f"eye_{name}.safetensors") for name in ("64", "96", "side_96")}
-"""The weights that come with the package, by the side of the images they have learned from [px]."""
+"""Both log scales of a sighting in a black image, which shows nothing."""
 
 
-class Eye(nn.Module):
-    """Glance and fovea over square images of one camera.
+class Encoder(nn.Module):
+    """Cells of a grid, and what is seen at the place that the attention finds.
+
+    A subclass says what the ``cells`` are. Registered in `ENCODERS`.
 
     Args:
-        channels: channels of the glance at 1/4 resolution, a multiple of 8; twice as many at 1/8.
-        fovea: side of the fovea [px].
-        embedding: numbers that describe the fovea beside the sighting.
-        camera: whose images it sees, one of `CAMERAS`.
-        weights: safetensors file to start from, as `dynahoi pretrain` writes it, or the name of one that ships, see
-            `SHIPPED`; empty for random weights.
-        frozen: whether training leaves its weights alone.
-
-    Raises:
-        ValueError: if there is no such camera.
+        dim: features of a cell.
+        embedding: numbers beside the sighting that describe what is there.
+        mean, std: by channel, of the images that the weights expect.
     """
 
+    sees_motion: ClassVar[bool] = False
+    """Whether it takes each image together with the one before, ``(F, 6, H, W)``."""
+    reads_text: ClassVar[bool] = False
     pixel_mean: Tensor
     pixel_std: Tensor
 
-    def __init__(
-        self,
-        *,
-        channels: int = 32,
-        fovea: int = 20,
-        embedding: int = 64,
-        camera: str = "ego",
-        weights: str = "",
-        frozen: bool = True,
-    ) -> None:
+    def __init__(self, dim: int, embedding: int, mean: Any = (0.5, 0.5, 0.5), std: Any = (0.25, 0.25, 0.25)) -> None:
         super().__init__()
-        if camera not in CAMERAS:
-            raise ValueError(f"camera must be one of {', '.join(CAMERAS)}, got {camera!r}.")
-        self.weights, self.fovea, self.embedding, self.camera = weights, fovea, embedding, CAMERAS[camera]()
-        for name, value in (("pixel_mean", PIXEL_MEAN), ("pixel_std", PIXEL_STD)):
-            self.register_buffer(name, torch.tensor(value).view(-1, 1, 1), persistent=False)
-        self.patches, self.refine = StandardisedPatches(N_CHANNELS, channels), conv(channels, channels)
+        self.embedding, self.attention = embedding, SpatialAttention(dim)
+        self.read = nn.Sequential(nn.Linear(2 * dim + 2, 128), nn.SiLU(), nn.Linear(128, N_SIGHTING + embedding))
+        self.register_buffer("pixel_mean", torch.tensor(mean).view(-1, 1, 1), persistent=False)
+        self.register_buffer("pixel_std", torch.tensor(std).view(-1, 1, 1), persistent=False)
+
+    def standardise(self, images: Tensor) -> Tensor:
+        """Map images in [0, 1], shape ``(F, C, H, W)``, to the range that the weights expect."""
+        return (images - self.pixel_mean) / self.pixel_std
+
+    def load_pretrained(self) -> None:
+        """Load the weights that the options name; called when training starts, not when a checkpoint is opened."""
+
+    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
+        """Return features ``(F, h, w, D)`` of images ``(F, 3, H, W)`` in [0, 1]."""
+        raise NotImplementedError
+
+    def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
+        """Return sightings, then what describes them, ``(F, 5 + embedding)``.
+
+        Args:
+            images: RGB in [0, 1], ``(F, 3, H, W)``; ``(F, 6, H, W)`` with the image before if it ``sees_motion``.
+            texts: F instructions, for encoders that read them.
+        """
+        return self.look(images, texts)[0]
+
+    def look(self, images: Tensor, texts: list[str] | None = None) -> tuple[Tensor, Tensor]:
+        """Return what `forward` does, and the logarithm of the attention, ``(F, h, w)``."""
+        cells = self.cells(images, texts)
+        ray, there, heat = self.attention(cells)
+        read = self.read(torch.cat([there, reduce(cells, "f h w d -> f d", "mean"), ray], dim=-1))
+        return self._sighting(images, ray, read, 2 / cells.shape[2]), heat
+
+    def _sighting(self, images: Tensor, ray: Tensor, read: Tensor, shift_unit: float) -> Tensor:
+        shift, log_depth, scales, embedding = read.split([2, 1, 2, self.embedding], dim=-1)
+        scales = torch.where(images[:, :3].amax((1, 2, 3))[:, None] > 0, scales, UNSEEN_SCALE)
+        return torch.cat([ray + shift_unit * shift, log_depth, scales, embedding], dim=-1)
+
+
+SHIPPED = {name: Path(__file__).with_name(f"eye_{name}.safetensors") for name in ("ego_96", "side_96")}
+"""The eyes that come with the package, by view and side of the images that they have learned from [px]."""
+PIXEL_MEAN, PIXEL_STD = (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1)
+"""Of RGB, saturation, and the change of RGB since the image before."""
+
+
+class Eye(Encoder):
+    """Glance and fovea.
+
+    Args:
+        embedding: see `Encoder`.
+        channels: channels of the glance at 1/4 resolution, a multiple of 8; twice as many at 1/8.
+        fovea: side of the fovea [px].
+        weights: safetensors file to start from, as `dynahoi pretrain` writes it, or the name of one that ships, see
+            `SHIPPED`; empty for random weights.
+    """
+
+    sees_motion = True
+
+    def __init__(self, embedding: int = 0, *, channels: int = 32, fovea: int = 20, weights: str = "") -> None:
+        super().__init__(channels, embedding, PIXEL_MEAN, PIXEL_STD)
+        self.weights, self.fovea = weights, fovea
+        self.patches, self.refine = StandardisedPatches(len(PIXEL_MEAN), channels), conv(channels, channels)
         self.deep = nn.Sequential(conv(channels, 2 * channels, stride=2), conv(2 * channels, 2 * channels))
         self.lateral = nn.Conv2d(2 * channels, channels, kernel_size=1)
         self.merge = conv(channels, channels)
-        self.heat = nn.Conv2d(channels, 1, kernel_size=1)
         self.foveal = nn.Sequential(
-            conv(N_CHANNELS, 16), conv(16, 32, stride=2), conv(32, 64, stride=2), nn.Flatten(),
+            conv(len(PIXEL_MEAN), 16), conv(16, 32, stride=2), conv(32, 64, stride=2), nn.Flatten(),
             nn.Linear(64 * math.ceil(fovea / 4) ** 2, 128), nn.SiLU(),
         )  # fmt: skip
         self.read = nn.Sequential(
-            nn.Linear(128 + 3 * channels + 2, 128), nn.SiLU(), nn.Linear(128, embedding + 3 + N_SCALES)
+            nn.Linear(128 + 3 * channels + 2, 128), nn.SiLU(), nn.Linear(128, N_SIGHTING + embedding)
         )
-        self.requires_grad_(not frozen)
 
     def load_pretrained(self) -> None:
-        """Load ``weights``, if it names a file.
+        """Load ``weights``.
 
         Raises:
             FileNotFoundError: if there is no such file.
         """
         if self.weights:
-            self.load_state_dict(load_file(SHIPPED.get(self.weights, self.weights)), strict=False)
+            self.load_state_dict(load_file(SHIPPED.get(self.weights, self.weights)))
 
-    def look(self, images: Tensor) -> Tensor:
-        """Return sightings and embeddings, ``(F, 3, H, W) -> (F, L)``, the sighting first.
-
-        Its offset is from the origin of the camera, which the palm carries or which stands still.
-        """
-        return self.look_with_heat(images)[0]
-
-    def look_with_heat(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what `look` does, and the logarithmic probabilities of the heat map, ``(F, h, w)``.
-
-        Args:
-            images: RGB in [0, 1], shape ``(F, 3, H, W)``, or ``(F, 6, H, W)`` with the previous images.
-        """
+    def look(self, images: Tensor, texts: list[str] | None = None) -> tuple[Tensor, Tensor]:
+        """See `Encoder.look`."""
         now, before = images[:, :3], images[:, -3:]
         pixels = torch.cat([now, saturation(now), now - before], dim=1).contiguous(memory_format=torch.channels_last)
-        heat, fine, room = self._glance(pixels)
-        centre, glance = self._peak(heat, fine)
-        seen = self.foveal(self._crop(pixels, centre.detach()))
-        read = self.read(torch.cat([seen, glance, room, centre], dim=-1))
-        shift, log_depth, scales, embedding = read.split([2, 1, N_SCALES, self.embedding], dim=-1)
-        scales = torch.where(now.amax((1, 2, 3))[:, None] > 0, scales, UNSEEN_SCALE)
-        sighted = torch.cat([centre + self.fovea / images.shape[-1] * shift, log_depth], dim=-1)
-        return torch.cat([self.camera.place(sighted), sighted, scales, embedding], dim=-1), heat
-
-    def _glance(self, pixels: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the logarithmic heat map ``(F, h, w)``, features under it ``(F, C, h, w)`` and of all ``(F, 2C)``."""
         fine = self.refine(self.patches(pixels, self.pixel_mean, self.pixel_std))  # (F, C, H/4, W/4)
         deep = self.deep(fine)
         fine = self.merge(fine + F.interpolate(self.lateral(deep), size=fine.shape[-2:]))
-        heat = self.heat(fine)[:, 0]
-        return heat.flatten(1).log_softmax(-1).view_as(heat), fine, deep.mean((-2, -1))
+        ray, there, heat = self.attention(rearrange(fine, "f c h w -> f h w c"))
+        seen = self.foveal(self._crop(pixels, ray.detach()))
+        read = self.read(torch.cat([seen, there, reduce(deep, "f c h w -> f c", "mean"), ray], dim=-1))
+        return self._sighting(images, ray, read, self.fovea / images.shape[-1]), heat
 
-    def _peak(self, heat: Tensor, fine: Tensor) -> tuple[Tensor, Tensor]:
-        """Return where the peak is, ``(F, 2)``, and the features there, ``(F, C)``.
-
-        A mean over the whole map would look between two things that may be the target; the peak is one of them.
-        """
-        grid = pixel_grid(heat.shape[-2], heat.shape[-1], heat.device)  # (h * w, 2), rows downwards
-        flat = heat.flatten(1)
-        reach = 2.0 * (PEAK_CELLS + 0.5) / heat.new_tensor([heat.shape[-1], heat.shape[-2]])
-        far = ((grid - grid[flat.argmax(-1)][:, None]).abs() > reach).any(-1)  # (F, h * w)
-        weights = flat.masked_fill(far, float("-inf")).softmax(-1)
-        centre = weights @ grid.to(weights.dtype)
-        return centre * centre.new_tensor([1.0, -1.0]), (fine.flatten(2) @ weights[..., None])[..., 0]
-
-    def _crop(self, pixels: Tensor, centre: Tensor) -> Tensor:
-        """Cut squares of ``fovea`` pixels around ``centre``, ``(F, N_CHANNELS, h, w)``, standardised."""
+    def _crop(self, pixels: Tensor, ray: Tensor) -> Tensor:
+        """Cut squares of ``fovea`` pixels around rays ``(F, 2)``, standardised."""
         steps = torch.linspace(-1, 1, self.fovea, device=pixels.device) * (self.fovea - 1)
         height, width = pixels.shape[-2:]
-        x, y = centre[:, :1] + steps / width, -centre[:, 1:] + steps / height  # (F, fovea) each, in image coordinates
+        x, y = ray[:, :1] + steps / width, -ray[:, 1:] + steps / height  # (F, fovea) each, in image coordinates
         grid = torch.stack(torch.broadcast_tensors(x[:, None, :], y[:, :, None]), dim=-1)
-        crop = F.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
-        return (crop - self.pixel_mean) / self.pixel_std
+        return self.standardise(F.grid_sample(pixels, grid, padding_mode="border", align_corners=False))
 
 
-def sighting_loss(eye: Eye, images: Tensor, place: Tensor) -> Tensor:
-    """Return the loss of each image: heat map, Laplace likelihood of direction and depth, and error in metres.
+class Conv(Encoder):
+    """A small convolutional network, trained from scratch.
 
     Args:
-        eye: whose loss it is.
-        images: see `Eye.look_with_heat`.
-        place: where the target truly is, relative to the camera's origin [m], world axes, shape ``(F, 3)``.
+        embedding: see `Encoder`.
+        channels: at 1/4 resolution, a multiple of 8.
     """
-    looks, heat = eye.look_with_heat(images)
-    seen, scales = looks[:, 3:6], looks[:, 6:8]
-    true = eye.camera.seen(place)
-    across = (seen[:, :2] - true[:, :2]).square().sum(-1).add(1e-8).sqrt()
-    along = (seen[:, 2] - true[:, 2]).abs()
-    error = torch.stack([across, along], dim=-1)  # (F, 2)
-    likelihood = (error * (-scales).exp() + scales * scales.new_tensor([2.0, 1.0])).sum(-1)
-    metric = (looks[:, :3] - place).norm(dim=-1) / (0.05 + 0.3 * place.norm(dim=-1))
-    return HEAT_WEIGHT * _heat_loss(heat, true) + 0.1 * likelihood + across + along + metric.clamp_max(4.0)
+
+    def __init__(self, embedding: int = 64, *, channels: int = 32) -> None:
+        super().__init__(2 * channels, embedding)
+        self.net = nn.Sequential(
+            nn.Conv2d(3, channels, kernel_size=4, stride=4),
+            conv(channels, channels),
+            conv(channels, 2 * channels, stride=2),
+        )
+
+    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
+        """See `Encoder.cells`; 1/8 resolution."""
+        return rearrange(self.net(self.standardise(images)), "f c h w -> f h w c")
 
 
-def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
-    """Return the cross-entropy of the cell that the target is in, 0 where it is out of view, shape ``(F,)``."""
-    size = true.new_tensor([heat.shape[-1], heat.shape[-2]])
-    place = ((true[:, :2] * true.new_tensor([1.0, -1.0]) + 1) / 2 * size).floor().long()
-    cell = torch.minimum(place.clamp_min(0), size.long() - 1)
-    return -heat[torch.arange(len(heat)), cell[:, 1], cell[:, 0]] * (place == cell).all(-1)
+class ResNet18(Encoder):
+    """ResNet-18 (He et al., 2016) from torchvision, at 1/16 resolution.
+
+    Args:
+        embedding: see `Encoder`.
+        weights: name of torchvision's weights to start from; empty for random ones.
+    """
+
+    def __init__(self, embedding: int = 64, *, weights: str = "IMAGENET1K_V1") -> None:
+        from torchvision.models import ResNet, get_model
+        from torchvision.ops import FrozenBatchNorm2d
+
+        super().__init__(256, embedding, mean=(0.485, 0.456, 0.406), std=(0.229, 0.224, 0.225))
+        self.weights = weights
+        # the statistics of few, correlated frames are unreliable: ImageNet's frozen ones, or normalisation by groups
+        norm = FrozenBatchNorm2d if weights else lambda channels: nn.GroupNorm(channels // 16, channels)
+        self.net = cast(ResNet, get_model("resnet18", weights=None, norm_layer=norm))
+        del self.net.layer4, self.net.fc
+
+    def load_pretrained(self) -> None:
+        """Load torchvision's weights."""
+        from torchvision.models import get_model_weights
+
+        if self.weights:
+            state = get_model_weights("resnet18")[self.weights].get_state_dict(progress=False)
+            self.net.load_state_dict(state, strict=False)
+
+    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
+        """See `Encoder.cells`."""
+        net = self.net
+        x = net.maxpool(net.relu(net.bn1(net.conv1(self.standardise(images)))))
+        return rearrange(net.layer3(net.layer2(net.layer1(x))), "f c h w -> f h w c")
+
+
+class TransformersVision(Encoder):
+    """Any vision tower of ``transformers`` (SigLIP, DINOv2, CLIP, ViT, ConvNeXt, ...).
+
+    Args:
+        embedding: see `Encoder`.
+        name: Hub name or folder; its ``config.json`` is needed whenever the policy is opened, its weights only when
+            training starts.
+        pretrained: whether training starts from its weights.
+    """
+
+    def __init__(self, embedding: int = 64, *, name: str = "facebook/dinov2-small", pretrained: bool = True) -> None:
+        from transformers import AutoConfig, AutoModel, ImageProcessingMixin
+
+        settings, _ = ImageProcessingMixin.get_image_processor_dict(name)
+        config = AutoConfig.from_pretrained(name)
+        vision = getattr(config, "vision_config", config)
+        super().__init__(
+            getattr(vision, "hidden_sizes", [vision.hidden_size])[-1],
+            embedding,
+            settings["image_mean"],
+            settings["image_std"],
+        )
+        self.name, self.pretrained, self.input_px = name, pretrained, getattr(vision, "image_size", None)
+        self.tower = _vision_part(AutoModel.from_config(config))
+
+    def load_pretrained(self) -> None:
+        """Load the tower's published weights."""
+        from transformers import AutoModel
+
+        if self.pretrained:
+            self.tower.load_state_dict(_vision_part(AutoModel.from_pretrained(self.name)).state_dict())
+
+    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
+        """See `Encoder.cells`; class tokens are left out."""
+        if self.input_px:
+            images = F.interpolate(images, (self.input_px,) * 2, mode="bilinear", align_corners=False)
+        features = self.tower(pixel_values=self.standardise(images)).last_hidden_state
+        if features.dim() == 4:
+            return rearrange(features, "f d h w -> f h w d")
+        return as_grid(features)
+
+
+class SmolVLM2(Encoder):
+    """SmolVLM2 (Marafioti et al., 2025): image and instruction are encoded jointly, as in the paper's backbone.
+
+    The cells are the image tokens of the language model's last layer; the last word's token is added to each, so that
+    the instruction decides where to look.
+
+    Args:
+        embedding: see `Encoder`.
+        name: Hub name or folder; its config and tokenizer are needed whenever the policy is opened, its weights only
+            when training starts.
+        pretrained: whether training starts from its weights.
+        n_layers: layers of the language model that are kept; early layers serve control best (SmolVLA).
+        max_text_tokens: length at which instructions are truncated.
+    """
+
+    reads_text = True
+
+    def __init__(
+        self,
+        embedding: int = 64,
+        *,
+        name: str = "HuggingFaceTB/SmolVLM2-500M-Video-Instruct",
+        pretrained: bool = True,
+        n_layers: int = 16,
+        max_text_tokens: int = 48,
+    ) -> None:
+        from transformers import AutoConfig, AutoTokenizer, SmolVLMModel
+
+        config: Any = AutoConfig.from_pretrained(name)
+        config.text_config.num_hidden_layers = min(n_layers, config.text_config.num_hidden_layers)
+        super().__init__(config.text_config.hidden_size, embedding, mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
+        self.name, self.pretrained, self.max_text_tokens = name, pretrained, max_text_tokens
+        self.input_px = config.vision_config.image_size
+        self.vlm, self.tokenizer = SmolVLMModel(config), AutoTokenizer.from_pretrained(name)
+
+    def load_pretrained(self) -> None:
+        """Load the published weights of the layers that are kept."""
+        from transformers import SmolVLMModel
+
+        if self.pretrained:
+            full = SmolVLMModel.from_pretrained(self.name, dtype=torch.float32).state_dict()
+            own = self.vlm.state_dict().keys()
+            self.vlm.load_state_dict({key: value for key, value in full.items() if key in own})
+
+    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
+        """See `Encoder.cells`."""
+        images = F.interpolate(images, (self.input_px,) * 2, mode="bilinear", align_corners=False)
+        features = self.vlm.vision_model(pixel_values=self.standardise(images)).last_hidden_state
+        image_tokens = self.vlm.connector(features)  # (F, P, C)
+        ids, lengths = self._tokenize(texts or [""] * len(images))
+        words = self.vlm.text_model.embed_tokens(ids.to(images.device))
+        hidden = self.vlm.text_model(
+            inputs_embeds=torch.cat([image_tokens, words], dim=1), use_cache=False
+        ).last_hidden_state  # (F, P + L, C)
+        # attention is causal: the last word sees the image and all words, and nothing attends to the padding after it
+        n_patches = image_tokens.shape[1]
+        text = hidden[torch.arange(len(ids)), n_patches + lengths - 1]
+        return as_grid(hidden[:, :n_patches] + text[:, None])
+
+    def _tokenize(self, texts: list[str]) -> tuple[Tensor, Tensor]:
+        """Return token ids, padded at the end, ``(F, L)``, and how many of them are words, ``(F,)``."""
+        limits = {"truncation": True, "max_length": self.max_text_tokens}
+        known = {text: torch.tensor(self.tokenizer(text or " ", **limits).input_ids) for text in set(texts)}
+        rows = [known[text] for text in texts]
+        return nn.utils.rnn.pad_sequence(rows, batch_first=True), torch.tensor([len(row) for row in rows])
+
+
+ENCODERS: dict[str, type[Encoder]] = {
+    "eye": Eye, "conv": Conv, "resnet18": ResNet18, "transformers": TransformersVision, "smolvlm2": SmolVLM2,
+}  # fmt: skip
 
 
 class StandardisedPatches(nn.Conv2d):
-    """Patch embedding: a 4 x 4 convolution of stride 4, cheaper than two strided convolutions at full resolution.
-
-    The standardisation of the pixels is folded into its weights, which are far fewer.
+    """Patch embedding: a 4 x 4 convolution of stride 4, with the standardisation of the pixels folded into its weights.
 
     Args:
         n_in: input channels.
@@ -264,7 +332,7 @@ class StandardisedPatches(nn.Conv2d):
     def forward(self, images: Tensor, mean: Tensor, std: Tensor) -> Tensor:
         """Convolve ``(images - mean) / std``, of shapes ``(F, C, H, W)`` and ``(C, 1, 1)``."""
         weight = self.weight / std  # (C', C, 4, 4)
-        shift = (weight * mean).sum((1, 2, 3))  # (C',)
+        shift = reduce(weight * mean, "o i y x -> o", "sum")
         return F.conv2d(images, weight, -shift if self.bias is None else self.bias - shift, self.stride)
 
 
@@ -282,9 +350,12 @@ def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
     )
 
 
-def pixel_grid(height: int, width: int, device: torch.device) -> Tensor:
-    """Return cell centres as (x, y) in [-1, 1], shape ``(height * width, 2)``."""
-    y = (torch.arange(height, device=device) + 0.5) / height * 2 - 1
-    x = (torch.arange(width, device=device) + 0.5) / width * 2 - 1
-    rows, columns = torch.meshgrid(y, x, indexing="ij")
-    return torch.stack([columns, rows], dim=-1).flatten(0, 1)
+def as_grid(tokens: Tensor) -> Tensor:
+    """Return patch tokens as a square grid, ``(F, P + n * n, D) -> (F, n, n, D)``, without the P tokens before them."""
+    side = math.isqrt(tokens.shape[1])
+    return rearrange(tokens[:, tokens.shape[1] - side**2 :], "f (h w) d -> f h w d", h=side)
+
+
+def _vision_part(model: nn.Module) -> nn.Module:
+    """Return the image side of a model that also reads text, or the model."""
+    return getattr(model, "vision_model", model)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import draccus
 import torch
 from lerobot.configs import PreTrainedConfig
-from lerobot_policy_obact.encoders import sighting_loss
+from .eye import sighting_loss
 from safetensors.torch import save_file
 
 from dynahoi_lerobot.core.files import write_atomically

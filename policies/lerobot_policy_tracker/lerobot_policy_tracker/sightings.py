@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import torch
-from lerobot_policy_obact.encoders import N_SCALES
+from .eye import N_SCALES
 from torch import Tensor
 
 from .frames import EncodedFrames

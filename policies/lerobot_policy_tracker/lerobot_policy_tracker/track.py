@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import torch
-from lerobot_policy_obact.encoders import N_SIGHTING
+from .eye import N_SIGHTING
 from torch import Tensor, nn
 
 from .decisions import Decisions

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from lerobot_policy_obact.encoders import pixel_grid
+from lerobot_policy_tracker.eye import pixel_grid
 from lerobot_policy_tracker import TrackerPolicy
 from lerobot_policy_tracker.backbones import backbones
 from lerobot_policy_tracker.backbones.keypoints import KeypointTokens

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from lerobot_policy_obact.encoders import CAMERAS, sighting_loss
+from lerobot_policy_tracker.eye import CAMERAS, sighting_loss
 from lerobot_policy_tracker.backbones.eye import EyeBackbone
 from safetensors.torch import save_file
 

@@ -10,7 +10,7 @@ import torch
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.processor import NormalizerProcessorStep, TransitionKey, create_transition
-from lerobot_policy_obact.encoders import StandardisedPatches, saturation
+from lerobot_policy_tracker.eye import StandardisedPatches, saturation
 from lerobot_policy_tracker.observation import Observation
 from lerobot_policy_tracker.privileged import FrameColumn
 from tracker_helpers import FPS, fit, make_batch, make_policy, mean_loss, phase_of, randomise, stats_of

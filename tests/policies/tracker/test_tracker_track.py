@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from lerobot_policy_obact.encoders import N_SIGHTING, UNSEEN_SCALE
+from lerobot_policy_tracker.eye import N_SIGHTING, UNSEEN_SCALE
 from lerobot_policy_tracker.backbones.eye import EyeBackbone
 from lerobot_policy_tracker.decisions import Decisions
 from lerobot_policy_tracker.fitting import fit_lines_of_sight

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from lerobot_policy_obact.encoders import N_SIGHTING
+from lerobot_policy_tracker.eye import N_SIGHTING
 from lerobot_policy_tracker.backbones.two_eyes import TwoEyes
 from lerobot_policy_tracker.decisions import Decisions
 from lerobot_policy_tracker.frames import EncodedFrames

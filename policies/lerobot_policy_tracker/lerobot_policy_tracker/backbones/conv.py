@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from lerobot_policy_obact.encoders import StandardisedPatches, conv, saturation
+from ..eye import StandardisedPatches, conv, saturation
 from torch import Tensor, nn
 
 from .base import Backbone, backbones

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import torch
-from lerobot_policy_obact.encoders import N_SIGHTING, Eye
+from ..eye import N_SIGHTING, Eye
 from torch import Tensor, nn
 
 from .base import backbones

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from lerobot_policy_obact.encoders import pixel_grid
+from ..eye import pixel_grid
 from torch import Tensor, nn
 
 from ..attention import sinusoidal_features

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import torch
-from lerobot_policy_obact.encoders import UNSEEN_SCALE
+from ..eye import UNSEEN_SCALE
 from torch import Tensor, nn
 
 from .base import Backbone, backbones

@@ -1,0 +1,132 @@
+"""The two attentions of ObAct: in space over the cells of an image, in time over the frames observed so far.
+
+Both carry positions among their values, so what they return is a place and not only a feature: `SpatialAttention`
+averages viewing rays, `PositionReadout` averages the positions sighted in earlier frames. `TemporalBlock` is an
+ordinary transformer block, causal, with a bias that depends on the age of a frame in seconds.
+"""
+
+from __future__ import annotations
+
+import torch
+from einops import einsum, rearrange, repeat
+from torch import Tensor, nn
+
+AGE_STEP_S, N_AGES = 0.05, 128
+"""A bias by age is learned at this many ages, this far apart, and interpolated between them."""
+KEY_DIM = 16
+
+
+class SpatialAttention(nn.Module):
+    """Where in the image: a learned query attends to the cells, and the values are their viewing rays.
+
+    A mean over the whole map would look between two things that may be the target, so only cells around the peak count.
+
+    Args:
+        dim: size of a cell's features.
+        reach: cells on each side of the peak that count.
+    """
+
+    def __init__(self, dim: int, reach: int = 2) -> None:
+        super().__init__()
+        self.query, self.reach = nn.Linear(dim, 1), reach
+
+    def forward(self, cells: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Attend to the cells of F images.
+
+        Args:
+            cells: features, shape ``(F, h, w, D)``, rows downwards.
+
+        Returns:
+            The ray (u to the right, v upwards, the image spans -1 to 1), ``(F, 2)``; the features there, ``(F, D)``;
+            and the logarithm of the attention before it is cut to the peak, ``(F, h, w)``.
+        """
+        h, w = cells.shape[1:3]
+        rays, flat = cell_rays(h, w, cells.device), rearrange(cells, "f h w d -> f (h w) d")
+        heat = rearrange(self.query(flat), "f n 1 -> f n").log_softmax(-1)
+        size = heat.new_tensor([2 / w, 2 / h])
+        far = ((rays - rays[heat.argmax(-1)][:, None]).abs() > (self.reach + 0.5) * size).any(-1)
+        weights = heat.masked_fill(far, float("-inf")).softmax(-1)
+        ray = einsum(weights, rays.to(weights.dtype), "f n, n i -> f i")
+        return ray, einsum(weights, flat, "f n, f n d -> f d"), rearrange(heat, "f (h w) -> f h w", h=h)
+
+
+def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
+    """Return the (u, v) of the cells' centres, row by row from the top, shape ``(height * width, 2)``."""
+    u = (torch.arange(width, device=device) + 0.5) / width * 2 - 1
+    v = 1 - (torch.arange(height, device=device) + 0.5) / height * 2
+    return rearrange(torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1), "h w i -> (h w) i")
+
+
+class AgeBias(nn.Module):
+    """A bias on attention logits by the age of a frame; minus infinity for frames that lie ahead or are masked.
+
+    Args:
+        n_heads: one bias each.
+    """
+
+    def __init__(self, n_heads: int) -> None:
+        super().__init__()
+        self.table = nn.Parameter(torch.zeros(n_heads, N_AGES))
+
+    def forward(self, age_s: Tensor) -> Tensor:
+        """Map ages ``(..., Q, K)`` [s], negative where a frame lies ahead, to ``(..., heads, Q, K)``."""
+        place = (age_s / AGE_STEP_S).clamp(0, N_AGES - 1)
+        between = 1 - (place[..., None] - torch.arange(N_AGES, device=age_s.device)).abs()  # linear interpolation
+        bias = rearrange(between.clamp_min(0) @ self.table.T, "... q k heads -> ... heads q k")
+        return bias.masked_fill((age_s < -AGE_STEP_S / 2)[..., None, :, :], float("-inf"))
+
+
+class TemporalBlock(nn.Module):
+    """Causal self-attention over frames and a perceptron, each after a normalisation.
+
+    Args:
+        dim: size of a token.
+        n_heads: attention heads.
+    """
+
+    def __init__(self, dim: int, n_heads: int) -> None:
+        super().__init__()
+        self.n_heads = n_heads
+        self.norm_1, self.norm_2 = nn.LayerNorm(dim), nn.LayerNorm(dim)
+        self.qkv, self.out, self.bias = nn.Linear(dim, 3 * dim), nn.Linear(dim, dim), AgeBias(n_heads)
+        self.mlp = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
+
+    def forward(self, tokens: Tensor, age_s: Tensor) -> Tensor:
+        """Map tokens ``(B, T, D)`` to tokens; ``age_s`` is ``(T, T)``, see `AgeBias`."""
+        q, k, v = rearrange(self.qkv(self.norm_1(tokens)), "b t (n h d) -> n b h t d", n=3, h=self.n_heads)
+        mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=self.bias(age_s).to(q.dtype))
+        tokens = tokens + self.out(rearrange(mixed, "b h t d -> b t (h d)"))
+        return tokens + self.mlp(self.norm_2(tokens))
+
+
+class PositionReadout(nn.Module):
+    """Attentions of a decision over the frames before it, whose values are the positions sighted in them.
+
+    Args:
+        dim: size of a token.
+        n_points: how many; the first is the anchor from which the others count.
+    """
+
+    def __init__(self, dim: int, n_points: int) -> None:
+        super().__init__()
+        self.n_points = n_points
+        self.query, self.key, self.bias = nn.Linear(dim, n_points * KEY_DIM), nn.Linear(dim, KEY_DIM), AgeBias(n_points)
+        with torch.no_grad():  # each begins by looking at an age of its own
+            ages = torch.linspace(0, 24, n_points)
+            self.bias.table.copy_(-0.3 * (torch.arange(N_AGES) - ages[:, None]).abs())
+
+    def forward(self, tokens: Tensor, positions: Tensor, age_s: Tensor, rows: Tensor) -> Tensor:
+        """Return positions ``(B, Q, J, 3)`` [m].
+
+        Args:
+            tokens: of all frames, ``(B, T, D)``.
+            positions: sighted in them [m], ``(B, T, 3)``.
+            age_s: ``(T, T)`` [s], see `AgeBias`.
+            rows: frames of the decisions, ``(B, Q)``.
+        """
+        chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
+        queries = rearrange(self.query(tokens.gather(1, chosen)), "b q (j d) -> b j q d", j=self.n_points)
+        bias = self.bias(age_s).index_select(1, rows.flatten())  # (J, B * Q, T)
+        bias = rearrange(bias, "j (b q) t -> b j q t", q=rows.shape[1])
+        logits = einsum(queries, self.key(tokens), "b j q d, b t d -> b j q t") / KEY_DIM**0.5
+        return einsum((logits + bias).softmax(-1), positions, "b j q t, b t i -> b q j i")

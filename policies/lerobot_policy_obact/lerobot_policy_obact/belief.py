@@ -1,0 +1,129 @@
+"""Belief: what the frames observed so far say about where the target is and where it will be."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from einops import einsum, rearrange, repeat
+from torch import Tensor, nn
+
+from .attention import PositionReadout, TemporalBlock
+from .camera import Pinhole
+from .heads import perceptron
+
+FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
+"""Frames ahead at which the target's position is forecast."""
+PLACE_M, RAY_M, POINT_M = 0.3, 0.4, 0.1
+"""Units in which places, their offsets from the camera and differences between points enter the network."""
+FAR = 8.0
+"""Inputs are cut to this many units."""
+N_SIGHTING = 5
+"""Numbers of a sighting: u, v, log depth, and the log scales of the errors across and along the line of sight."""
+
+
+class Belief(nn.Module):
+    """Tokens of frames, causal attention over them, and a forecast that combines positions sighted earlier.
+
+    Args:
+        cameras: calibrated.
+        n_extra: numbers of a token beside those of the sightings.
+        dim: size of a token.
+        n_layers: temporal attention blocks.
+        n_heads: heads of each.
+        n_points: readouts whose values are positions; 0 forecasts from features alone.
+        fps: frame rate [Hz].
+    """
+
+    ahead_s: Tensor
+
+    def __init__(
+        self, cameras: list[Pinhole], n_extra: int, *, dim: int, n_layers: int, n_heads: int, n_points: int, fps: float
+    ) -> None:
+        super().__init__()
+        self.n_points = n_points
+        self._cameras = nn.ModuleList(cameras)
+        self.register_buffer("ahead_s", torch.tensor(FORECAST_FRAMES) / fps, persistent=False)
+        self.token = perceptron(3 + 6 * len(cameras) + n_extra, dim, dim)
+        self.blocks = nn.ModuleList(TemporalBlock(dim, n_heads) for _ in range(n_layers))
+        self.norm = nn.LayerNorm(dim)
+        k = len(FORECAST_FRAMES)
+        if n_points:
+            self.readout = PositionReadout(dim, n_points)
+            self.linear = nn.Linear(3 * n_points, 3 * k, bias=False)
+            nn.init.zeros_(self.linear.weight)
+        else:
+            self.now = nn.Linear(dim, 3)
+        last = nn.Linear(256, 3 * k)
+        nn.init.zeros_(last.weight)
+        self.bend = nn.Sequential(perceptron(dim + 3 * n_points, 256, 256), nn.SiLU(), last)
+
+    @property
+    def cameras(self) -> list[Pinhole]:
+        """The cameras."""
+        return cast("list[Pinhole]", list(self._cameras))
+
+    def forward(
+        self, sightings: Tensor, palm: Tensor, extra: Tensor, time_s: Tensor, rows: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return features ``(B, Q, D)`` and forecasts ``(B, Q, K, 3)`` [m] of decisions at frames ``rows`` ``(B, Q)``.
+
+        Args:
+            sightings: by camera, ``(B, T, C, 5)``.
+            palm: where the palm is [m], ``(B, T, 3)``.
+            extra: what else a token holds, ``(B, T, E)``.
+            time_s: when the frames were seen [s], ``(T,)``, rising.
+            rows: frames of the decisions.
+        """
+        places = torch.stack(
+            [cam.origin(palm) + cam.place(sightings[:, :, i, :3]) for i, cam in enumerate(self.cameras)], 2
+        )
+        position = fused(self.cameras, sightings, places, palm)
+        origin = position[:, :1]
+        tokens = self.token(self._numbers(sightings, places, position - origin, palm, extra))
+        age_s = time_s[:, None] - time_s  # (T, T), negative ahead
+        for block in self.blocks:
+            tokens = block(tokens, age_s)
+        tokens = self.norm(tokens)
+        chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
+        decisions = tokens.gather(1, chosen)
+        points = self.readout(tokens, position - origin, age_s, rows) if self.n_points else None
+        return decisions, self._forecast(decisions, points) + origin[:, :, None]
+
+    def _numbers(self, sightings: Tensor, places: Tensor, position: Tensor, palm: Tensor, extra: Tensor) -> Tensor:
+        scales = sightings[..., 3:5]
+        rays = torch.stack([places[:, :, i] - cam.origin(palm) - cam.pos for i, cam in enumerate(self.cameras)], 2)
+        seen = [scales.clamp(-6, 3) / 3, scales[..., :1].clamp_max(2).exp(), (rays / RAY_M).clamp(-FAR, FAR)]
+        return torch.cat([(position / PLACE_M).clamp(-FAR, FAR), torch.cat(seen, -1).flatten(2), extra], dim=-1)
+
+    def _forecast(self, decisions: Tensor, points: Tensor | None) -> Tensor:
+        """Combine the positions read out, ``(B, Q, J, 3)``, linearly, and bend the result by what the tokens say."""
+        if points is None:
+            base, features = PLACE_M * self.now(decisions)[:, :, None], decisions
+        else:
+            anchor = points[:, :, :1]
+            differences = rearrange((points - anchor) / POINT_M, "b q j i -> b q (j i)")
+            base = anchor + POINT_M * rearrange(self.linear(differences), "b q (k i) -> b q k i", i=3)
+            features = torch.cat([decisions, differences.clamp(-FAR, FAR)], dim=-1)
+        bend = rearrange(self.bend(features), "b q (k i) -> b q k i", i=3)
+        return base + bend * (0.03 + 0.5 * self.ahead_s)[:, None]
+
+
+def fused(cameras: list[Pinhole], sightings: Tensor, places: Tensor, palm: Tensor) -> Tensor:
+    """Return where the cameras together place the target [m], ``(B, T, 3)``: each counts by what it is sure of.
+
+    A camera's error is taken to be Gaussian with the scales it reports, across and along its line of sight, so the
+    lines of sight of two cameras cross where both are precise.
+    """
+    if len(cameras) == 1:
+        return places[:, :, 0]
+    information, weighted = torch.zeros(()), torch.zeros(())
+    for i, cam in enumerate(cameras):
+        offset = places[:, :, i] - cam.origin(palm) - cam.pos
+        distance = offset.norm(dim=-1, keepdim=True).clamp_min(1e-3)
+        sight = offset / distance
+        across, along = ((sightings[:, :, i, 3:5].clamp(-6, 2).exp() * distance).clamp_min(1e-3) ** -2).unbind(-1)
+        line = einsum(sight, sight, "... i, ... j -> ... i j")
+        precise = across[..., None, None] * (torch.eye(3, device=line.device) - line) + along[..., None, None] * line
+        information, weighted = information + precise, weighted + (precise @ places[:, :, i, :, None])
+    return torch.linalg.solve(information, weighted)[..., 0]

@@ -1,0 +1,201 @@
+"""Configuration of ObAct, ``--policy.type=obact``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
+from lerobot.optim import AdamWConfig, CosineDecayWithWarmupSchedulerConfig
+from lerobot.policies.rtc import RTCConfig
+
+from .encoders import ENCODERS
+from .gr00t_head import Gr00tHead
+from .heads import DiffusionHead, FlowHead, RegressionHead
+
+HEADS: dict[str, Callable[..., Any]] = {
+    "diffusion": DiffusionHead,
+    "flow": FlowHead,
+    "regression": RegressionHead,
+    "gr00t": Gr00tHead,
+}
+
+
+@PreTrainedConfig.register_subclass("obact")
+@dataclass
+class ObActConfig(PreTrainedConfig):
+    """Observe before act (DynaHOI, Section 4): what was observed conditions a generative action head.
+
+    Attributes:
+        n_obs_frames: observed frames before the current one, the paper's ``s``; 0 is the single-frame control.
+        obs_stride: distance between observed frames [frames].
+        horizon: actions in a predicted chunk, ``H``.
+        n_action_steps: actions of a chunk that are executed before the policy replans.
+        relative_dims: leading entries of an action that say where to go in the frame of the same entries of
+            ``observation.state`` [m]; they are predicted as displacements. 0 for actions of another kind.
+        encoder: one of `ENCODERS`.
+        encoder_options: keyword options of that encoder.
+        freeze_encoder: whether training leaves its weights alone.
+        encode_once: encode all frames of the dataset before training begins, which then reads no images. It takes a
+            frozen encoder. With a dataset that holds the target's path, each decision is also taken from virtual palms.
+        head: one of `HEADS`.
+        head_options: keyword options of that head.
+        dim: size of a frame's token, ``D``.
+        n_layers: temporal attention blocks.
+        n_heads: heads of each.
+        n_points: readouts whose values are the positions sighted, ``J``; 0 for none.
+        width: size of the context that the head reads, ``C``.
+        virtual_share: share of the batches that show virtual hands, see `virtual_episodes`, where the target's path is
+            known.
+        n_decisions: decisions in an episode at which the loss is computed, with ``encode_once``.
+        forecast_weight: weight of the loss of the forecast.
+        action_weight: weight of the loss of the head.
+        ema_decay: of the average of the weights, which acts.
+        fps: frame rate of the data [Hz]; taken from the dataset, like all below.
+        calibration: of each camera: pose from the palm (position [m], quaternion wxyz), tangent of half the field of
+            view, and 1 if the palm carries it, else 0. A camera without one sees rays of unit depth.
+        latency_frames: control steps from a command to its effect.
+        palm_speed_m_s: the palm's speed limit; only the labels of virtual palms need it.
+        forecasts: whether it learned to forecast the target; the head then reads the forecast instead of the state.
+        rtc_config: real-time chunking, set by LeRobot's rollout.
+    """
+
+    n_obs_frames: int = 5
+    obs_stride: int = 2
+    horizon: int = 16
+    n_action_steps: int = 8
+    relative_dims: int = 0
+
+    encoder: str = "conv"
+    encoder_options: dict[str, Any] = field(default_factory=dict)
+    freeze_encoder: bool = False
+    encode_once: bool = False
+    head: str = "diffusion"
+    head_options: dict[str, Any] = field(default_factory=dict)
+    dim: int = 128
+    n_layers: int = 2
+    n_heads: int = 4
+    n_points: int = 12
+    width: int = 256
+
+    virtual_share: float = 0.7
+    n_decisions: int = 10
+    forecast_weight: float = 1.0
+    action_weight: float = 1.0
+    ema_decay: float = 0.995
+
+    fps: float = 20.0
+    calibration: dict[str, list[float]] = field(default_factory=dict)
+    latency_frames: int = 0
+    palm_speed_m_s: float = 0.0
+    forecasts: bool = False
+    rtc_config: RTCConfig | None = None
+
+    # images in [0, 1], metres and radians: encoders and heads standardise by themselves
+    normalization_mapping: dict[str, NormalizationMode] = field(
+        default_factory=lambda: dict.fromkeys(("VISUAL", "STATE", "ENV", "ACTION"), NormalizationMode.IDENTITY)
+    )
+
+    optimizer_lr: float = 1.5e-3
+    optimizer_weight_decay: float = 1e-4
+    optimizer_grad_clip_norm: float = 1.0
+    scheduler_warmup_steps: int = 100
+    scheduler_decay_steps: int = 2_000
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("obs_stride", "horizon", "n_decisions", "dim", "n_heads", "width"):
+            self._require(getattr(self, name) >= 1, name, "1 or more")
+        for name in ("n_obs_frames", "relative_dims", "n_points", "n_layers", "forecast_weight"):
+            self._require(getattr(self, name) >= 0, name, "0 or more")
+        self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
+        self._require(self.dim % self.n_heads == 0, "dim", "a multiple of n_heads")
+        self._require(self.encoder in ENCODERS, "encoder", f"one of {', '.join(ENCODERS)}")
+        self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
+        self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
+        self._require(self.freeze_encoder or not self.encode_once, "freeze_encoder", "true with encode_once")
+
+    def _require(self, valid: bool, name: str, allowed: str) -> None:
+        if not valid:
+            raise ValueError(f"{name} is {getattr(self, name)!r}, but must be {allowed}.")
+
+    @property
+    def lookback(self) -> list[int]:
+        """Offsets of the frames that a decision sees, oldest first [frames]."""
+        return [-i * self.obs_stride for i in range(self.n_obs_frames, -1, -1)]
+
+    @property
+    def observation_delta_indices(self) -> list[int] | None:
+        """Frames that LeRobot loads for every ``observation.*`` key; with ``encode_once`` the current one alone."""
+        if self.encode_once:
+            return None
+        pairs = (0, 1) if ENCODERS[self.encoder].sees_motion else (0,)
+        return sorted({offset - pair for offset in self.lookback for pair in pairs})
+
+    @property
+    def action_delta_indices(self) -> list[int]:
+        """Actions that LeRobot loads."""
+        return list(range(self.horizon))
+
+    @property
+    def reward_delta_indices(self) -> None:
+        """None: imitation learning uses no rewards."""
+        return
+
+    @property
+    def n_state(self) -> int:
+        """Numbers of the vector observations."""
+        features = self.input_features or {}
+        return sum(features[key].shape[0] for key in self.state_keys)
+
+    @property
+    def n_actions(self) -> int:
+        """Numbers of an action."""
+        return self.action_feature.shape[0] if self.action_feature else 0
+
+    @property
+    def cameras(self) -> list[str]:
+        """Keys of the images."""
+        return list(self.image_features)
+
+    @property
+    def state_keys(self) -> list[str]:
+        """Keys of the vector observations, in the order in which they are concatenated, the robot's state first."""
+        vectors = (FeatureType.STATE, FeatureType.ENV)
+        keys = [key for key, feature in (self.input_features or {}).items() if feature.type in vectors]
+        return sorted(keys, key=lambda key: key != "observation.state")
+
+    def validate_features(self) -> None:
+        """Check that the dataset has what the policy needs.
+
+        Raises:
+            ValueError: if there is no RGB image or no flat action, or no state that actions could be relative to.
+        """
+        if not self.image_features:
+            raise ValueError(f"ObAct needs at least one image, but the inputs are {sorted(self.input_features or {})}.")
+        for key, feature in self.image_features.items():
+            if len(feature.shape) != 3 or feature.shape[0] != 3:
+                raise ValueError(f"{key} has shape {feature.shape}, but must be RGB, (3, height, width).")
+        if self.action_feature is None or len(self.action_feature.shape) != 1:
+            raise ValueError(f"'action' must be a flat vector, but the outputs are {self.output_features}.")
+        state = self.robot_state_feature
+        sizes = min(state.shape[0] if state else 0, self.action_feature.shape[0])
+        self._require(self.relative_dims <= sizes, "relative_dims", f"0 to {sizes}, which state and action both have")
+
+    def get_optimizer_preset(self) -> AdamWConfig:
+        """Return AdamW as LeRobot builds it when no optimiser is given."""
+        return AdamWConfig(
+            lr=self.optimizer_lr,
+            weight_decay=self.optimizer_weight_decay,
+            grad_clip_norm=self.optimizer_grad_clip_norm,
+        )
+
+    def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
+        """Return a warm-up and cosine decay, which LeRobot shortens to the steps of the run."""
+        return CosineDecayWithWarmupSchedulerConfig(
+            num_warmup_steps=self.scheduler_warmup_steps,
+            num_decay_steps=self.scheduler_decay_steps,
+            peak_lr=self.optimizer_lr,
+            decay_lr=0.02 * self.optimizer_lr,
+        )

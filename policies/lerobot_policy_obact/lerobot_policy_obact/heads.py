@@ -1,0 +1,238 @@
+"""Action heads: what a context says about the next actions.
+
+    base        mean of the chunk and the scale of its error, by regression (Laplace likelihood)
+    diffusion   the chunk's deviation from that mean in units of that scale, denoised from standard normal noise;
+    default flow        the same deviation, by flow matching
+    regression  the mean itself: no noise
+
+Time runs from t = 0, noise, to t = 1, data. Diffusion mixes signal and noise as sin and cos of t pi / 2 (variance
+preserving) and predicts the signal; flow mixes them linearly and predicts the velocity. Dividing the former by the sum
+of its two coefficients gives the latter's path, so one Euler loop samples both (DDIM is exact there), and LeRobot's
+real-time chunking guides both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import torch
+from einops import rearrange, repeat
+from lerobot.policies.common.flow_matching import euler_integrate
+from torch import Tensor, nn
+
+DRAWS = 2
+"""Noise levels at which each action of a batch is denoised."""
+PURE_NOISE_SHARE = 0.5
+"""Share of those at pure noise, where sampling begins."""
+LARGEST_DEVIATION = 6.0
+"""Deviations are clipped to this many scales: an outlier would teach nothing but its own size."""
+MIN_LOG_SCALE, MAX_LOG_SCALE = -4.0, 2.0
+BETA = 0.5
+"""The likelihood is weighted by the scale to this power, or what is easily predicted would count for nearly everything
+(beta-NLL; Seitzer et al., 2022)."""
+
+
+def perceptron(*widths: int) -> nn.Sequential:
+    """Return linear layers of these widths with SiLU between them."""
+    layers: list[nn.Module] = []
+    for n_in, n_out in pairwise(widths):
+        layers += [nn.Linear(n_in, n_out), nn.SiLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+@dataclass(frozen=True)
+class Guidance:
+    """LeRobot's real-time chunking: towards the actions of the previous chunk that will be executed meanwhile.
+
+    Attributes:
+        processor: LeRobot's ``RTCProcessor``.
+        leftover: those actions as the head predicts them, ``(B, n, A)``.
+        inference_delay: how many of them are executed before this chunk is ready.
+        execution_horizon: over how many actions the guidance fades out; None for the processor's own.
+    """
+
+    processor: Any
+    leftover: Tensor
+    inference_delay: int
+    execution_horizon: int | None
+
+    def options(self, leftover: Tensor) -> dict[str, Any]:
+        """Return the options of LeRobot's Euler loop; ``leftover`` is in the unit that is integrated."""
+        return {
+            "rtc_processor": self.processor,
+            "rtc_enabled": True,
+            "inference_delay": self.inference_delay,
+            "prev_chunk_left_over": leftover,
+            "execution_horizon": self.execution_horizon,
+        }
+
+
+class Denoiser(nn.Module):
+    """A residual perceptron over the whole chunk.
+
+    Args:
+        size: numbers of a chunk.
+        context: numbers of the context.
+        width: of its layers.
+        n_blocks: residual blocks.
+    """
+
+    def __init__(self, size: int, context: int, width: int = 128, n_blocks: int = 2) -> None:
+        super().__init__()
+        self.time, self.chunk, self.context = nn.Linear(16, width), nn.Linear(size, width), nn.Linear(context, width)
+        self.blocks = nn.ModuleList(
+            nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+            for _ in range(n_blocks)
+        )
+        self.out = nn.Linear(width, size)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(self, chunk: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """Map noisy chunks ``(R, size)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions ``(R, size)``."""
+        phase = t[:, None] * torch.pi * 2.0 ** torch.arange(-1, 7, device=t.device)
+        x = self.chunk(chunk) + self.time(torch.cat([phase.sin(), phase.cos()], dim=-1)) + self.context(context)
+        for block in self.blocks:
+            x = x + block(x)
+        return self.out(x)
+
+
+class ActionHead(nn.Module):
+    """Regression of a chunk with the scale of its error; subclasses denoise what is left.
+
+    Args:
+        context: numbers of a context.
+        horizon: actions of a chunk, H.
+        groups: sizes of the groups of an action's entries that are scaled together (palm, fingers), of sum A.
+        width: of the denoiser.
+        n_steps: sampling steps.
+    """
+
+    generative = False
+
+    def __init__(self, context: int, horizon: int, groups: list[int], *, width: int = 128, n_steps: int = 4) -> None:
+        super().__init__()
+        self.horizon, self.groups, self.n_steps, self.action_dim = horizon, groups, n_steps, sum(groups)
+        self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
+        self.denoiser = Denoiser(horizon * self.action_dim, context, width) if self.generative else None
+
+    def load_pretrained(self) -> None:
+        """Load published weights, if there are any: there are none."""
+
+    def regress(self, context: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the mean ``(R, H, A)`` and the log scale of its error by group, ``(R, H, G)``."""
+        out = rearrange(self.base(context), "r (h a) -> r h a", h=self.horizon)
+        mean, log_scale = out.split([self.action_dim, len(self.groups)], dim=-1)
+        return mean, log_scale.clamp(MIN_LOG_SCALE, MAX_LOG_SCALE)
+
+    def unit(self, log_scale: Tensor) -> Tensor:
+        """Return the scale of every entry, ``(R, H, G) -> (R, H, A)``."""
+        return log_scale.exp().repeat_interleave(torch.tensor(self.groups, device=log_scale.device), dim=-1)
+
+    def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
+        """Return the loss of each row, ``(R,)``.
+
+        Args:
+            context: ``(R, C)``.
+            actions: chunks in units of the dataset, ``(R, H, A)``.
+            weight: of each action, 0 for padding, ``(R, H)``.
+        """
+        mean, log_scale = self.regress(context)
+        errors = torch.stack([e.square().sum(-1).add(1e-8).sqrt() for e in (actions - mean).split(self.groups, -1)], -1)
+        sizes = errors.new_tensor(self.groups).clamp_max(3.0)
+        likelihood = errors * (-log_scale).exp() + sizes * log_scale
+        likelihood = (likelihood * (BETA * log_scale).exp().detach()).mean(-1)  # (R, H)
+        loss = (likelihood * weight).mean(-1)
+        if self.denoiser is not None:
+            unit = self.unit(log_scale).detach()
+            deviation = ((actions - mean.detach()) / unit).clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION)
+            loss = loss + self.denoising_loss(self.denoiser, context, deviation, weight)
+        return loss
+
+    def denoising_loss(self, denoiser: Denoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
+        """Return the loss of each row, ``(R,)``, of denoising deviations ``(R, H, A)``."""
+        target = repeat(deviation, "r h a -> (r n) h a", n=DRAWS)
+        t = torch.rand(len(target), device=target.device)
+        t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
+        error = self.denoising_error(
+            denoiser, target, torch.randn_like(target), t, repeat(context, "r c -> (r n) c", n=DRAWS)
+        )
+        return (rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS) * weight[:, None]).mean((1, 2))
+
+    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """Return what the denoiser's prediction is off by, ``(R, H, A)``."""
+        raise NotImplementedError
+
+    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards the data."""
+        raise NotImplementedError
+
+    def noise(self, context: Tensor) -> Tensor:
+        """Draw the noise that `sample` starts from."""
+        return torch.randn(len(context), self.horizon, self.action_dim, device=context.device)
+
+    def sample(self, context: Tensor, noise: Tensor | None = None, guidance: Guidance | None = None) -> Tensor:
+        """Sample a chunk for every context, ``(R, C) -> (R, H, A)``, from fresh noise if none is given."""
+        mean, log_scale = self.regress(context)
+        if self.denoiser is None:
+            return mean
+        denoiser, unit = self.denoiser, self.unit(log_scale)
+
+        def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
+            return -self.velocity(denoiser, x, 1 - time, context)
+
+        start = self.noise(context) if noise is None else noise
+        options = {}
+        if guidance is not None:
+            n = min(guidance.leftover.shape[1], self.horizon)
+            options = guidance.options((guidance.leftover[:, :n] - mean[:, :n]) / unit[:, :n])
+        return mean + unit * euler_integrate(towards_noise, start, self.n_steps, **options)
+
+
+class RegressionHead(ActionHead):
+    """The mean: the same actions for the same context."""
+
+
+class DiffusionHead(ActionHead):
+    """Variance-preserving diffusion that predicts the signal, sampled by DDIM."""
+
+    generative = True
+
+    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `ActionHead.denoising_error`."""
+        signal, spread = _mixing(t)
+        return _predict(denoiser, signal * target + spread * noise, t, context) - target
+
+    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `ActionHead.velocity`; ``t`` is the share of the signal, from which the diffusion's own time follows."""
+        own = 2 / torch.pi * torch.atan2(t, 1 - t)
+        signal, spread = _mixing(own)
+        data = _predict(denoiser, x * (signal + spread), own, context)
+        return (data - x) / (1 - t)[:, None, None]
+
+
+class FlowHead(ActionHead):
+    """Flow matching along straight paths."""
+
+    generative = True
+
+    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `ActionHead.denoising_error`."""
+        x = torch.lerp(noise, target, t[:, None, None])
+        return _predict(denoiser, x, t, context) - (target - noise)
+
+    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `ActionHead.velocity`."""
+        return _predict(denoiser, x, t, context)
+
+
+def _mixing(t: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how much of signal and noise is mixed at times ``(R,)``, ``(R, 1, 1)`` each."""
+    angle = (t * torch.pi / 2)[:, None, None]
+    return angle.sin(), angle.cos()
+
+
+def _predict(denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    return denoiser(rearrange(x, "r h a -> r (h a)"), t, context).view_as(x)

@@ -1,0 +1,414 @@
+"""What ObAct learns from: windows of a LeRobot batch, or a whole dataset whose images were encoded once.
+
+LeRobot hands out frames with the images of a window, which takes longer to read than to learn from. A frozen encoder
+says the same of an image whenever it is asked, so with ``encode_once`` all frames are encoded before training begins
+and kept in memory; a batch then only says which episodes to learn from. What a dataset of DynaHOI knows of its target
+(the ``stats/`` columns of the episode table) is read at the same time and never becomes an observation.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import torch
+from einops import rearrange, repeat
+from lerobot.datasets.video_utils import decode_video_frames
+from lerobot.utils.constants import ACTION, HF_LEROBOT_HOME
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+from torchvision.io import ImageReadMode, decode_image
+from tqdm import tqdm
+
+from .belief import FORECAST_FRAMES
+from .encoders import ENCODERS
+from .teacher import answers, virtual_palms
+
+if TYPE_CHECKING:
+    from .configuration_obact import ObActConfig
+
+CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = "stats/{}_camera", "stats/{}_intrinsics", "stats/hand_limits"
+TARGET_PATH, LOCALIZED = "stats/target_path", "stats/localized"
+OPEN_JOINTS, CLOSED_JOINTS = "stats/open_joints", "stats/reference_joints"
+"""Columns of the episode table of a DynaHOI dataset, see its feature table."""
+EARLY_SHARE, EARLIEST_FRAME = 0.15, 3
+"""Share of the decisions that are taken anywhere in the observation window, and the first frame at which."""
+CARRIED_VIEW = "ego"
+"""The view of the camera that the palm carries."""
+Sight = Callable[[dict[str, Tensor]], Tensor]
+"""Encodes images of each camera, ``(T, 3 or 6, H, W)`` in [0, 1], to ``(T, C, 5 + E)``."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """T frames of B episodes, in the order of time.
+
+    Attributes:
+        sightings: by camera (u, v, log depth) and two log scales, then what else the encoder says, ``(B, T, C, 5 +
+            E)``.
+        state: of the robot, ``(B, T, S)``.
+        time_s: when they were seen [s], ``(T,)``.
+    """
+
+    sightings: Tensor
+    state: Tensor
+    time_s: Tensor
+
+    def to(self, device: str | torch.device) -> Frames:
+        """Return them on a device."""
+        return _moved(self, device)
+
+    @property
+    def palm(self) -> Tensor:
+        """Where the palm is [m], ``(B, T, 3)``: the first entries of the state, as many as there are."""
+        return torch.nn.functional.pad(self.state[..., :3], (0, max(0, 3 - self.state.shape[-1])))
+
+    def until(self, last: int) -> Frames:
+        """Return the frames up to number ``last``."""
+        return Frames(self.sightings[:, : last + 1], self.state[:, : last + 1], self.time_s[: last + 1])
+
+    def windows(self, index: Tensor, time_s: Tensor) -> Frames:
+        """Return windows ``(B * Q, W)`` of frames ``(B, Q, W)``, seen at ``time_s`` ``(W,)``; frame 0 repeats."""
+        rows, held = torch.arange(len(index), device=index.device)[:, None, None], index.clamp_min(0)
+        return Frames(self.sightings[rows, held].flatten(0, 1), self.state[rows, held].flatten(0, 1), time_s)
+
+
+@dataclass(frozen=True)
+class Future:
+    """Where the target will be at the K times of a forecast.
+
+    Attributes:
+        place: there [m], ``(B, Q, K, 3)``.
+        known: which of those are known, ``(B, Q, K)``.
+        near: weight of each time by how near it is to the meeting, ``(B, Q, K)``.
+    """
+
+    place: Tensor
+    known: Tensor
+    near: Tensor
+
+    def to(self, device: str | torch.device) -> Future:
+        """Return it on a device."""
+        return _moved(self, device)
+
+    def loss(self, forecast: Tensor, ahead_s: Tensor) -> Tensor:
+        """Return the loss of forecasts ``(B, Q, K, 3)`` [m] by episode, ``(B,)``; it is largest near the meeting."""
+        error = ((forecast - self.place).square().sum(-1) + 1e-8).sqrt() * self.known
+        return (error / (0.05 + 0.3 * ahead_s)).mean((1, 2)) + 10 * (error * self.near).sum(-1).mean(1)
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """Decisions and what they should have been: Q in each of B episodes, each from M palms.
+
+    Attributes:
+        frames: what was observed, ``(B, T)``.
+        rows: frames of the decisions, ``(B, Q)``.
+        palm: where the palm is when the command takes effect [m], ``(B, Q, M, 3)``.
+        state: of the robot, ``(B, Q, M, S)``.
+        actions: the right ones, ``(B, Q, M, H, A)``.
+        weight: of each, 0 for padding, ``(B, Q, M, H)``.
+        future: where the target will be; None if nobody knows.
+    """
+
+    frames: Frames
+    rows: Tensor
+    palm: Tensor
+    state: Tensor
+    actions: Tensor
+    weight: Tensor
+    future: Future | None = None
+
+    def to(self, device: str | torch.device) -> Lesson:
+        """Return it on a device."""
+        return _moved(self, device)
+
+
+def observed(batch: dict[str, Any], sightings: Tensor, state: Tensor, config: ObActConfig) -> Lesson:
+    """Return the lesson of a batch of windows, one decision a sample.
+
+    Args:
+        batch: LeRobot batch with ``action`` ``(B, H, A)``.
+        sightings: of the window's images, ``(B, T, C, 5 + E)``.
+        state: of the robot in it, ``(B, T, S)``.
+        config: of the policy.
+    """
+    n = len(state)
+    time_s = torch.tensor(config.lookback, device=state.device) / config.fps
+    frames = Frames(sightings, state, time_s)
+    padding = batch.get(f"{ACTION}_is_pad")
+    weight = torch.ones(batch[ACTION].shape[:2], device=state.device) if padding is None else (~padding).float()
+    rows = torch.full((n, 1), state.shape[1] - 1, device=state.device)
+    now = slice(-1, None)
+    return Lesson(
+        frames,
+        rows,
+        frames.palm[:, now, None],
+        state[:, now, None],
+        batch[ACTION][:, None, None],
+        weight[:, None, None],
+    )
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What a dataset knows of its targets.
+
+    Attributes:
+        path: of the untouched target [m], ``(E, F, 3)``.
+        length: known frames of that, ``(E,)``.
+        free: frames until the hand touched the target, ``(E,)``.
+        open_joints, closed_joints: of the hand [rad], ``(J,)``.
+    """
+
+    path: Tensor
+    length: Tensor
+    free: Tensor
+    open_joints: Tensor
+    closed_joints: Tensor
+
+    def of(self, chosen: Tensor) -> Targets:
+        """Return those of episodes ``(B,)``."""
+        return replace(self, path=self.path[chosen], length=self.length[chosen], free=self.free[chosen])
+
+
+@dataclass
+class Recordings:
+    """A dataset as tables: N frames of E episodes.
+
+    Attributes:
+        sightings: of all frames, ``(N, C, 5 + E')``.
+        state: ``(N, S)``.
+        actions: ``(N, A)``.
+        first, frames: first frame and number of frames of each episode, ``(E,)``.
+        window: frames of its observation window, ``(E,)``; 0 if there is none.
+        targets: what is known of the targets; None if the dataset does not say.
+    """
+
+    sightings: Tensor
+    state: Tensor
+    actions: Tensor
+    first: Tensor
+    frames: Tensor
+    window: Tensor
+    targets: Targets | None = None
+
+    def lesson(self, chosen: Tensor, config: ObActConfig) -> Lesson:
+        """Draw ``n_decisions`` decisions in each of episodes ``(B,)``."""
+        late = config.latency_frames
+        rows = self._decisions(chosen, config.n_decisions, late)  # (B, Q)
+        frames = self._episodes(chosen, int(rows.max()) + 1 + late, config.fps)
+        palm = frames.palm.gather(1, repeat(rows + late, "b q -> b q i", i=3))
+        seen = frames.until(int(rows.max()))
+        state = frames.state.gather(1, repeat(rows, "b q -> b q s", s=frames.state.shape[-1]))[:, :, None]
+        if self.targets is None:
+            ahead = rows[..., None] + torch.arange(config.horizon)  # (B, Q, H)
+            last = self.frames[chosen, None, None] - 1
+            actions = self.actions[self.first[chosen, None, None] + torch.minimum(ahead, last)]
+            return Lesson(seen, rows, palm[:, :, None], state, actions[:, :, None], (ahead <= last).float()[:, :, None])
+        targets = self.targets.of(chosen)
+        path, length = targets.path, targets.length
+        due, step_m = torch.minimum(rows + late, length[:, None] - 2), config.palm_speed_m_s / config.fps
+        palms = virtual_palms(path, length, self.window[chosen], due, palm=palm, step_m=step_m)
+        told = answers(path, length, due, palms, step_m)
+        joints = torch.lerp(targets.open_joints, targets.closed_joints, told.closing(config.horizon)[..., None])
+        goal = repeat(told.meeting, "b q m i -> b q m h i", h=config.horizon)
+        ahead = torch.tensor(FORECAST_FRAMES)
+        index = rows[..., None] + ahead
+        held = repeat(torch.minimum(index, length[:, None, None] - 1), "b q k -> b (q k) i", i=3)
+        return Lesson(
+            frames=seen,
+            rows=rows,
+            palm=palms,
+            state=state.expand(-1, -1, palms.shape[2], -1),
+            actions=torch.cat([goal, joints], dim=-1),
+            weight=repeat(told.weight, "b q m -> b q m h", h=config.horizon),
+            future=Future(
+                place=rearrange(path.gather(1, held), "b (q k) i -> b q k i", q=rows.shape[1]),
+                known=index < length[:, None, None],
+                near=_nearness(told.frames + late, told.reachable),
+            ),
+        )
+
+    def seen_otherwise(self, chosen: Tensor, targets: Targets, palm: Tensor, sightings: Tensor) -> Recordings:
+        """Return episodes ``(B,)`` as other hands would have recorded them.
+
+        Args:
+            chosen: the episodes.
+            targets: of those.
+            palm: where the hands were [m], ``(B, T, 3)``.
+            sightings: what they saw, ``(B, T, C, 5)``.
+        """
+        n, t = palm.shape[:2]
+        state = torch.nn.functional.pad(palm, (0, self.state.shape[-1] - palm.shape[-1]))
+        return replace(
+            self,
+            sightings=rearrange(sightings, "b t c i -> (b t) c i"),
+            state=rearrange(state, "b t s -> (b t) s"),
+            first=torch.arange(n) * t,
+            frames=torch.full((n,), t),
+            window=self.window[chosen],
+            targets=replace(targets, free=targets.length.clamp_max(t)),
+        )
+
+    @classmethod
+    def encoded(cls, meta: Any, config: ObActConfig, sight: Sight) -> Recordings:
+        """Return a dataset with all its images encoded, or as an earlier run with the same images and weights found
+        them.
+
+        Args:
+            meta: LeRobot's metadata of a dataset on this disk.
+            config: of the policy.
+            sight: encodes images, as `ObActModel.sight` does.
+        """
+        table = episode_columns(meta)
+        columns = _frame_columns(meta, [*config.state_keys, ACTION])
+        count = torch.tensor(table["length"])
+        recordings = cls(
+            sightings=_encoded_images(meta, config, sight, table["length"]),
+            state=torch.cat([columns[key] for key in config.state_keys], dim=-1),
+            actions=columns[ACTION],
+            first=count.cumsum(0) - count,
+            frames=count,
+            window=torch.tensor(table.get("window_frames", [0] * len(count))),
+        )
+        if config.forecasts:
+            paths = [torch.tensor(np.stack(path), dtype=torch.float32) for path in table[TARGET_PATH]]
+            joints = (torch.tensor(np.stack(table[name]), dtype=torch.float32) for name in (OPEN_JOINTS, CLOSED_JOINTS))
+            recordings.targets = Targets(
+                torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
+                torch.tensor([len(path) for path in paths]),
+                torch.tensor([_free_frames(flags) for flags in table[LOCALIZED]]),
+                *(angles.mean(0) for angles in joints),
+            )
+        return recordings
+
+    def _episodes(self, chosen: Tensor, n_frames: int, fps: float) -> Frames:
+        """Return the first ``n_frames`` frames of episodes ``(B,)``; one that is over repeats its last frame."""
+        ahead = torch.arange(n_frames)
+        index = self.first[chosen, None] + torch.minimum(ahead, self.frames[chosen, None] - 1)
+        return Frames(self.sightings[index], self.state[index], ahead / fps)
+
+    def _decisions(self, chosen: Tensor, n: int, late: int) -> Tensor:
+        """Draw frames at which decisions are taken in episodes ``(B,)``, ``(B, n)``: mostly where the hand may move."""
+        last = self.frames[chosen] - 1 - late
+        if self.targets is not None:
+            last = torch.minimum(self.targets.length[chosen] - 3 - late, self.targets.free[chosen] - 1)
+        last = last.clamp_min(EARLIEST_FRAME + 1)[:, None]
+        start = torch.where(torch.rand(len(chosen), n) < EARLY_SHARE, EARLIEST_FRAME, self.window[chosen, None])
+        start = torch.minimum(start, last - 1)
+        return torch.minimum(start + (torch.rand(start.shape) * (last - start + 0.999)).long(), last)
+
+
+def _moved[R: (Frames, Future, Lesson)](record: R, device: str | torch.device) -> R:
+    """Return a record with all that it holds on a device."""
+    held = {field.name: getattr(record, field.name) for field in fields(record)}
+    return replace(record, **{name: part.to(device) for name, part in held.items() if part is not None})
+
+
+def _nearness(frames: Tensor, reachable: Tensor) -> Tensor:
+    """Return the weight of each time of the forecast for meetings in ``frames`` ``(B, Q, M)``, ``(B, Q, K)``."""
+    left = frames.clamp_max(FORECAST_FRAMES[-1]).float()[..., None]
+    weight = (1 - (torch.tensor(FORECAST_FRAMES) - left).abs() / (1 + 0.25 * left)).clamp_min(0)
+    return (weight / weight.sum(-1, keepdim=True).clamp_min(1e-6) * reachable[..., None]).mean(2)
+
+
+def episode_columns(meta: Any) -> dict[str, list[Any]]:
+    """Return the columns of the episode table that training needs and the dataset has, in the order of episodes."""
+    wanted = {
+        "episode_index",
+        "length",
+        "window_frames",
+        TARGET_PATH,
+        LOCALIZED,
+        OPEN_JOINTS,
+        CLOSED_JOINTS,
+        HAND_LIMITS,
+    }
+    wanted |= {name.format(key.split(".")[-1]) for key in meta.camera_keys for name in (CAMERA_POSE, CAMERA_INTRINSICS)}
+    files = sorted(Path(meta.root).glob("meta/episodes/*/*.parquet"))
+    held = [name for name in pq.read_schema(files[0]).names if name in wanted]
+    table = pa.concat_tables([pq.read_table(file, columns=held) for file in files]).sort_by("episode_index")
+    return {name: table[name].to_pylist() for name in held}
+
+
+def describe(meta: Any, config: ObActConfig) -> None:
+    """Write what a dataset says of its cameras, its clock, its hand and its target into the config."""
+    config.fps = float(meta.fps)
+    table = episode_columns(meta)
+    for key in config.cameras:
+        view = key.split(".")[-1]
+        if pose := table.get(CAMERA_POSE.format(view)):
+            focal_px, _, centre_px, _ = table[CAMERA_INTRINSICS.format(view)][0]
+            config.calibration[key] = [*pose[0], centre_px / focal_px, float(view == CARRIED_VIEW)]
+    if limits := table.get(HAND_LIMITS):
+        config.palm_speed_m_s = float(limits[0][0])
+        config.latency_frames = math.ceil(limits[0][2] / 1000 * config.fps - 1e-6)
+    config.forecasts = config.encode_once and TARGET_PATH in table
+
+
+def _free_frames(localized: list[bool]) -> int:
+    """Return for how many frames the target kept to its path."""
+    return localized.index(True) if True in localized else len(localized)
+
+
+def _frame_columns(meta: Any, keys: list[str]) -> dict[str, Tensor]:
+    """Return columns of the frame table in the order of frames, ``(N, D)`` each."""
+    files = sorted(Path(meta.root).glob("data/*/*.parquet"))
+    table = pa.concat_tables([pq.read_table(file, columns=["index", *keys]) for file in files]).sort_by("index")
+    return {key: torch.from_numpy(np.array(table[key].to_pylist(), np.float32)).reshape(len(table), -1) for key in keys}
+
+
+def _encoded_images(meta: Any, config: ObActConfig, sight: Sight, lengths: list[int]) -> Tensor:
+    """Return the sightings of all frames, ``(N, C, 5 + E)``, kept beside LeRobot's datasets for the next run."""
+    place = HF_LEROBOT_HOME / "obact_sightings" / f"{_fingerprint(meta, config, sight)}.safetensors"
+    if place.is_file():
+        return load_file(place)["sightings"]
+    logging.info("encoding %d frames once; the sightings are kept in %s", sum(lengths), place)
+    found = []
+    for episode, length in enumerate(tqdm(lengths, desc="encoding", unit="episode", disable=None)):
+        images = {key: _images(meta, key, episode, length) for key in config.cameras}
+        if ENCODERS[config.encoder].sees_motion:
+            images = {key: torch.cat([x, torch.cat([x[:1], x[:-1]])], dim=1) for key, x in images.items()}
+        found.append(sight(images))
+    sightings = torch.cat(found)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    part = place.with_suffix(f".{os.getpid()}.part")
+    save_file({"sightings": sightings}, part)
+    part.replace(place)
+    return sightings
+
+
+def _fingerprint(meta: Any, config: ObActConfig, sight: Sight) -> str:
+    """Return what the sightings follow from: the dataset's files and the encoder's weights."""
+    digest = hashlib.sha256(json.dumps([config.encoder, config.encoder_options, config.cameras]).encode())
+    for file in sorted(Path(meta.root).glob("**/*")):
+        if file.suffix in (".mp4", ".parquet"):
+            digest.update(f"{file.relative_to(meta.root)} {file.stat().st_size}".encode())
+            digest.update(file.read_bytes()[-65536:])  # a video's index, a table's footer
+    for parameter in sight.__self__.encoders.state_dict().values():
+        digest.update(parameter.cpu().numpy().tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _images(meta: Any, key: str, episode: int, length: int) -> Tensor:
+    """Return an episode's images of a camera, ``(T, 3, H, W)`` in [0, 1]."""
+    if key in meta.video_keys:
+        start = meta.episodes[episode][f"videos/{key}/from_timestamp"]
+        times = [start + i / meta.fps for i in range(length)]
+        path = Path(meta.root) / meta.get_video_file_path(episode, key)
+        return decode_video_frames(path, times, tolerance_s=0.5 / meta.fps, backend="pyav")
+    path = Path(meta.root) / meta.get_data_file_path(episode)
+    cells = pq.read_table(path, columns=[key], filters=[("episode_index", "=", episode)])[key].to_pylist()
+    encoded = (torch.frombuffer(bytearray(cell["bytes"]), dtype=torch.uint8) for cell in cells)
+    return torch.stack([decode_image(image, ImageReadMode.RGB) for image in encoded]) / 255
