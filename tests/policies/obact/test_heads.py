@@ -8,7 +8,7 @@ from lerobot.policies.rtc import RTCConfig, RTCProcessor
 from lerobot_policy_obact.configuration_obact import HEADS
 from lerobot_policy_obact.heads import ActionHead, Guidance
 
-GENERATIVE = [name for name, kind in HEADS.items() if kind.generative]
+GENERATIVE = ["diffusion", "flow"]
 
 
 def trained(name: str, target, *, steps: int = 600, horizon: int = 1, groups: tuple[int, ...] = (2,)) -> ActionHead:
