@@ -42,8 +42,9 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     progress = np.clip((np.arange(frames) - window) / (arrival - window), 0, 1)[:, None]
     palm = progress * meeting
     velocity = rng.uniform(-0.2, 0.2, 3)
-    moving = np.minimum(np.arange(frames), arrival)[:, None] - arrival
-    target = meeting + [0, 0, miss_m] + moving * CONTROL_DT * velocity
+    free = np.arange(window + frames + 1)[:, None] - arrival
+    path = meeting + [0, 0, miss_m] + free * CONTROL_DT * velocity
+    target = path[np.minimum(np.arange(frames), arrival)]
     joints = progress * REFERENCE
     distance = np.linalg.norm(palm - target, axis=1)
     tips = np.maximum(distance - 0.02, 0)
@@ -71,6 +72,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
         phase=one_hot_phase(np.arange(frames) >= window), action=command,
         target_pose=pose.astype(np.float32),
         target_velocity=np.tile(np.r_[velocity, 0, 0, 0], (frames, 1)).astype(np.float32),
+        target_path=path.astype(np.float32),
         target_contacts=np.tile(tips[:, None] <= TOUCH_M, (1, 5)).astype(np.float32),
         palm_distance=distance.astype(np.float32),
         fingertip_distance=tips.astype(np.float32), localized=localized,

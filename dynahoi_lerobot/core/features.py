@@ -53,8 +53,8 @@ class Feature:
         on_policy: whether only on-policy recordings have it, see `rollout.teacher_labels`.
         on_request: whether policies and datasets get it only if that is asked for: it is the simulator's truth.
         constant: whether it has one value per episode; a frame table repeats that value in every row.
-        per: what its rows are if it is not constant: ``frame``, or ``attempt`` or ``primitive``, whose number differs
-            between episodes; only the episode table can hold those.
+        per: what its rows are if it is not constant: ``frame``, or something whose number differs between episodes, as
+            ``attempt``, ``primitive`` or ``path frame``; only the episode table can hold those.
         derived: whether it follows from other attributes: a property of ``Episode``, which is stored but not read.
     """
 
@@ -178,6 +178,11 @@ _TABLE = (
     Feature(
         "target_velocity", "stats/target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
         "target linear and angular velocity, along the world's axes",
+    ),
+    Feature(
+        "target_path", "stats/target_path", (3,), POSITION_NAMES, "m",
+        "position of the target had nothing touched it, home frame, in every frame from the first to the last one of a "
+        "full-length evaluation", per="path frame",
     ),
     Feature("target_contacts", "stats/target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
     Feature(

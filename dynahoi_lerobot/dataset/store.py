@@ -58,6 +58,33 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     return rows
 
 
+def episode_column(root: Path, key: str) -> list[np.ndarray]:
+    """Return an array of the episode table, one item an episode: item i belongs to ``episode_index`` i.
+
+    Unlike ``frame_column``, it also reads arrays whose number of rows is not the number of frames, such as
+    ``target_path``: the target's untouched path, beyond the end of the recording.
+
+    Args:
+        root: the dataset's folder, ``meta.root`` of LeRobot's metadata.
+        key: name of the column, with or without its prefix ``stats/``.
+
+    Returns:
+        Per episode (D,) what is constant, else (rows, D), in the column's unit, of its element type.
+
+    Raises:
+        FileNotFoundError: if ``root`` holds no dataset.
+        ValueError: if the episode table has no such array.
+    """
+    store = Store(root)
+    name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
+    feature = next((f for f in store.array_features if f.key == name), None)
+    if feature is None:
+        raise ValueError(f"{root} has no array {key!r} in its episode table")
+    shape = feature.column_shape if feature.constant else (-1, *feature.column_shape)
+    cells = [cell for path in store.row_files() for cell in store.table(path, [name])[name].to_numpy()]
+    return [np.asarray(cell, feature.dtype).reshape(shape) for cell in cells]
+
+
 class Store:
     """Lazy access to a dataset's tables and frames."""
 

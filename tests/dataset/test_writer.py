@@ -16,7 +16,7 @@ import pytest
 from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES
-from dynahoi_lerobot.dataset import frame_column, read_episodes, write_episodes
+from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import copy_subset, merge
 from dynahoi_lerobot.dataset.paths import FileLimits
@@ -240,6 +240,15 @@ def test_a_frame_column_has_a_row_per_frame_wherever_it_is_stored(dataset):
     for key in ("target.colour", "object_primitives", "attempt_success", CAMERA_KEY, "task"):
         with pytest.raises(ValueError, match=re.escape(key)):
             frame_column(dataset, key)
+
+
+def test_an_episode_column_has_an_item_per_episode(dataset):
+    episodes = list(read_episodes(dataset))
+    for key, name in (("target_path", "target_path"), ("target.pose", "target_pose"), ("open_joints", "open_joints")):
+        for found, episode in zip(episode_column(dataset, key), episodes, strict=True):
+            np.testing.assert_array_equal(found, getattr(episode, name))
+    with pytest.raises(ValueError, match="colour"):
+        episode_column(dataset, "target.colour")
 
 
 def test_a_frame_column_of_many_frames_is_read_quickly(tmp_path, dataset):
