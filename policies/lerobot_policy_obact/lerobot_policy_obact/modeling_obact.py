@@ -18,6 +18,7 @@ import torch
 from einops import rearrange, repeat
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.policies.rtc import RTCProcessor
+from lerobot.utils.constants import ACTION
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -209,7 +210,8 @@ class ObActPolicy(PreTrainedPolicy):
         """
         model = self.model if self.training else self.acting
         lesson = self._recorded(batch) if self.config.encode_once else self._observed(model, batch)
-        losses = lesson_losses(model, lesson)
+        n = len(batch["episode_index"] if self.config.encode_once else batch[ACTION])
+        losses = {k: rearrange(v, "(b e) -> b e", b=n).mean(1) for k, v in lesson_losses(model, lesson).items()}
         config = self.config
         total = config.action_weight * losses["action"] + config.forecast_weight * losses.get("forecast", 0.0)
         logged = {name: value.mean().item() for name, value in losses.items()}
@@ -223,7 +225,9 @@ class ObActPolicy(PreTrainedPolicy):
                 cameras = [camera_of(self.config, key) for key in self.config.cameras]
                 step_m = self.config.palm_speed_m_s / self.config.fps
                 self.virtual = VirtualEpisodes(self.recordings, self.recordings.targets, cameras, step_m)
-        chosen = batch["episode_index"].flatten().cpu()
+        named = batch["episode_index"].flatten().cpu()
+        others = torch.randint(len(self.recordings.frames), (len(named), self.config.episodes_per_sample - 1))
+        chosen = torch.cat([named[:, None], others], dim=1).flatten()
         if self.virtual is not None and self.training and torch.rand(()) < self.config.virtual_share:
             return self.virtual.lesson(len(chosen), self.config).to(self.model.action_mean.device)
         return self.recordings.lesson(chosen, self.config).to(self.model.action_mean.device)

@@ -283,7 +283,7 @@ class Recordings:
             window=torch.tensor(table.get("window_frames", [0] * len(count))),
         )
         if config.forecasts:
-            paths = [torch.tensor(np.stack(path), dtype=torch.float32) for path in table[TARGET_PATH]]
+            paths = [torch.tensor(np.array(path, np.float32)).reshape(-1, 3) for path in table[TARGET_PATH]]
             joints = (torch.tensor(np.stack(table[name]), dtype=torch.float32) for name in (OPEN_JOINTS, CLOSED_JOINTS))
             recordings.targets = Targets(
                 torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
