@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.features import CAMERA_KEY, ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
 from dynahoi_lerobot.evaluate.checkpoint import (
     PolicyError,
@@ -68,6 +69,7 @@ class PolicyAgent(ChunkAgent):
         self._policy, self._before, self._after = load_policy(folder, device, settings, trust=trust)
         self.weights, self.trained_for = folder_weights(folder), trained_for(folder)
         self._chunk: Any = None
+        self._frame = 0
         inputs = self._policy.config.input_features
         self.sees_environment_state = self.privileged = ENVIRONMENT_STATE in inputs
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
@@ -78,7 +80,7 @@ class PolicyAgent(ChunkAgent):
     def reset(self, count: int) -> None:
         """Forget queued actions and history."""
         self._policy.reset()
-        self._chunk = None
+        self._chunk, self._frame = None, 0
 
     @_in_a_sentence
     def act(self, observation: Observation) -> np.ndarray:
@@ -165,6 +167,7 @@ class PolicyAgent(ChunkAgent):
 
     def _batch(self, observation: Observation) -> dict[str, Any]:
         """What the policy takes, as ``lerobot-eval`` prepares it."""
+        import torch
         from lerobot.envs.utils import preprocess_observation
 
         if self.sees_environment_state and observation.environment_state is None:
@@ -174,7 +177,10 @@ class PolicyAgent(ChunkAgent):
             )
         batch: dict[str, Any] = preprocess_observation(as_gym(observation))
         batch["task"] = list(observation.tasks)
-        return self._before(batch)
+        batch = self._before(batch)
+        batch["timestamp"] = torch.full((len(observation.tasks),), self._frame * CONTROL_DT)  # a policy's history
+        self._frame += 1
+        return batch
 
 
 def _register_plugins() -> None:

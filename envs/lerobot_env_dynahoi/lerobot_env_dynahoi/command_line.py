@@ -89,7 +89,7 @@ def queued_policy(n_action_steps: int) -> QueuedPolicy:
         raise ValueError(
             f"{config.type!r} infers anew when {key} rises, in the middle of its queue; pass --policy.replan_key=''"
         )
-    oldest = min(config.observation_delta_indices or [0])
+    oldest = min(getattr(config, "lookback", None) or config.observation_delta_indices or [0])
     skipped = getattr(config, "latency_frames", 0)
     return QueuedPolicy(config.type, _known_steps(config.type, steps), skipped, lookback_frames=-oldest)
 

@@ -57,7 +57,7 @@ class ObActConfig(PreTrainedConfig):
         fps: frame rate of the data [Hz]; taken from the dataset, like all below.
         calibration: of each camera: pose from the palm (position [m], quaternion wxyz), tangent of half the field of
             view, and 1 if the palm carries it, else 0. A camera without one sees rays of unit depth.
-        latency_frames: control steps from a command to its effect.
+        delay_frames: control steps from a command to its effect.
         palm_speed_m_s: the palm's speed limit; only the labels of virtual palms need it.
         forecasts: whether it learned to forecast the target; the head then reads the forecast instead of the state.
         rtc_config: real-time chunking, set by LeRobot's rollout.
@@ -90,7 +90,7 @@ class ObActConfig(PreTrainedConfig):
 
     fps: float = 20.0
     calibration: dict[str, list[float]] = field(default_factory=dict)
-    latency_frames: int = 0
+    delay_frames: int = 0
     palm_speed_m_s: float = 0.0
     forecasts: bool = False
     rtc_config: RTCConfig | None = None

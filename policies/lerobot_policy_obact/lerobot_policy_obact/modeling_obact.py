@@ -354,9 +354,9 @@ class ObActPolicy(PreTrainedPolicy):
         features, forecast = model.believe(frames, rows)
         palm = frames.palm[:, -1]
         due = palm
-        if config.latency_frames and newest:  # a palm in motion goes on until the command takes effect
+        if config.delay_frames and newest:  # a palm in motion goes on until the command takes effect
             step_s = frames.time_s[-1] - frames.time_s[-2]
-            due = palm + (palm - frames.palm[:, -2]) / step_s * config.latency_frames / config.fps
+            due = palm + (palm - frames.palm[:, -2]) / step_s * config.delay_frames / config.fps
         context = model.context(features[:, 0], forecast[:, 0], due, frames.state[:, -1])
         if guidance is not None:
             guidance = replace(guidance, leftover=model.normalise(guidance.leftover, due))

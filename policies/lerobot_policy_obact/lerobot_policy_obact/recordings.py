@@ -205,7 +205,7 @@ class Recordings:
 
     def lesson(self, chosen: Tensor, config: ObActConfig) -> Lesson:
         """Draw ``n_decisions`` decisions in each of episodes ``(B,)``."""
-        late = config.latency_frames
+        late = config.delay_frames
         rows = self._decisions(chosen, config.n_decisions, late)  # (B, Q)
         frames = self._episodes(chosen, int(rows.max()) + 1 + late, config.fps)
         palm = frames.palm.gather(1, repeat(rows + late, "b q -> b q i", i=3))
@@ -353,7 +353,7 @@ def describe(meta: Any, config: ObActConfig) -> None:
             config.calibration[key] = [*pose[0], centre_px / focal_px, float(view == CARRIED_VIEW)]
     if limits := table.get(HAND_LIMITS):
         config.palm_speed_m_s = float(limits[0][0])
-        config.latency_frames = math.ceil(limits[0][2] / 1000 * config.fps - 1e-6)
+        config.delay_frames = math.ceil(limits[0][2] / 1000 * config.fps - 1e-6)
     config.forecasts = config.encode_once and TARGET_PATH in table
 
 

@@ -1,0 +1,168 @@
+"""Training the eye on images of random configurations, for `dynahoi pretrain`: each image is seen once."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import draccus
+import torch
+from einops import rearrange
+from safetensors.torch import save_file
+from torch import Tensor
+
+from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
+from dynahoi_lerobot.onpolicy.run_folder import RunFolder
+from dynahoi_lerobot.onpolicy.snapshots import Snapshots, camera_pose
+
+from .camera import Pinhole
+from .encoders import Eye
+
+WEIGHTS = "eye.safetensors"
+WARMUP_UPDATES, GRADIENT_CLIP = 200, 5.0
+HEAT_WEIGHT = 0.3
+
+Images = Callable[[int], Iterator[Snapshots]]
+"""The images from an update on, a batch for each; a run that resumes there sees the same ones."""
+
+
+def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> Tensor:
+    """Return the loss of each image: attention, Laplace likelihood of direction and depth, and error in metres.
+
+    Args:
+        eye: whose loss it is.
+        camera: whose images these are.
+        images: RGB in [0, 1] with the images before, ``(F, 6, H, W)``.
+        place: where the target is, relative to the camera's origin [m], world axes, ``(F, 3)``.
+    """
+    sighting, heat = eye.look(images)
+    seen, scales = sighting[:, :3], sighting[:, 3:5]
+    true = camera.seen(place)
+    across = (seen[:, :2] - true[:, :2]).square().sum(-1).add(1e-8).sqrt()
+    along = (seen[:, 2] - true[:, 2]).abs()
+    error = torch.stack([across, along], dim=-1)  # (F, 2)
+    likelihood = (error * (-scales).exp() + scales * scales.new_tensor([2.0, 1.0])).sum(-1)
+    metric = (camera.place(seen) - place).norm(dim=-1) / (0.05 + 0.3 * place.norm(dim=-1))
+    return HEAT_WEIGHT * _heat_loss(heat, true) + 0.1 * likelihood + across + along + metric.clamp_max(4.0)
+
+
+def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
+    """Return the cross-entropy of the cell that the target is in, 0 where it is out of view, ``(F,)``."""
+    size = true.new_tensor([heat.shape[-1], heat.shape[-2]])
+    place = ((true[:, :2] * true.new_tensor([1.0, -1.0]) + 1) / 2 * size).floor().long()
+    cell = torch.minimum(place.clamp_min(0), size.long() - 1)
+    return -heat[torch.arange(len(heat)), cell[:, 1], cell[:, 0]] * (place == cell).all(-1)
+
+
+class EyeTraining:
+    """A run of a recipe, which can be killed at any time and resumed from its last save.
+
+    However often it is killed, it ends with the same weights to the bit on the same machine: every save begins a new
+    stream of images, and after the first weights nothing else is drawn.
+
+    Args:
+        recipe: what to do.
+
+    Attributes:
+        eye: who learns.
+        n_updates: done so far.
+
+    Raises:
+        BlockingIOError: if another process works in the folder.
+        FileExistsError: if the folder holds a run of another recipe, or no run made it.
+    """
+
+    def __init__(self, recipe: EyeRecipe) -> None:
+        torch.manual_seed(recipe.seed)
+        self.recipe = recipe
+        self.eye = Eye(**recipe.eye)
+        self.eye.load_pretrained()
+        self.eye.to(recipe.device)
+        pose, half_view = camera_pose(recipe.camera, recipe.episodes)
+        self.camera = Pinhole.from_pose(pose, half_view, carried=recipe.is_carried).to(recipe.device)
+        self.optimizer = torch.optim.AdamW(self.eye.parameters(), lr=0.0, weight_decay=1e-4)
+        self.n_updates, self._spent_s = 0, 0.0
+        self._folder = RunFolder(recipe.out, draccus.encode(replace(recipe, out=Path())))
+        if state := self._folder.restore():
+            self.n_updates, self._spent_s = state["updates"], state["processor_s"]
+            self.eye.load_state_dict(state["eye"])
+            self.optimizer.load_state_dict(state["optimizer"])
+
+    @property
+    def finished(self) -> bool:
+        """Whether all images have been seen."""
+        return self.n_updates >= self._all_updates
+
+    @property
+    def _all_updates(self) -> int:
+        return self.recipe.images // self.recipe.batch_size
+
+    def run(self, images: Images) -> Iterator[dict[str, Any]]:
+        """Learn until all images have been seen, then write the weights; yield a line of the log after each save.
+
+        Raises:
+            FloatingPointError: if the loss is not finite.
+        """
+        while not self.finished:
+            ahead = min(self.recipe.save_every, self._all_updates - self.n_updates)
+            losses = [self.update(shown) for shown in _prefetched(islice(images(self.n_updates), ahead))]
+            minutes = round(self._processor_s() / 60, 3)
+            line = {"images": self.n_updates * self.recipe.batch_size, "processor_minutes": minutes}
+            line["loss"] = round(sum(losses) / len(losses), 4)
+            self._folder.log(line)
+            self._save()
+            yield line
+        write_atomically({self.recipe.out / WEIGHTS: lambda path: save_file(self.eye.state_dict(), path)})
+        self._folder.release()
+
+    def update(self, shown: Snapshots) -> float:
+        """Take one step on a batch of images, and return its loss.
+
+        Raises:
+            FloatingPointError: if the loss is not finite; no weight has changed then.
+        """
+        device = self.recipe.device
+        images = rearrange(torch.from_numpy(shown.images).to(device), "f h w c -> f c h w") / 255.0
+        loss = sighting_loss(self.eye, self.camera, images, torch.from_numpy(shown.place).to(device)).mean()
+        if not math.isfinite(value := loss.item()):
+            raise FloatingPointError(f"the loss of update {self.n_updates} is {value}; lower learning_rate")
+        progress = self.n_updates / self._all_updates
+        rate = min(1.0, (self.n_updates + 1) / WARMUP_UPDATES) * (0.02 + 0.49 * (1 + math.cos(math.pi * progress)))
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.recipe.learning_rate * rate
+        self.optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self.eye.parameters(), GRADIENT_CLIP)
+        self.optimizer.step()
+        self.n_updates += 1
+        return value
+
+    def _processor_s(self) -> float:
+        """Processor time of this process, and of those before it until their last save [s]."""
+        return self._spent_s + time.process_time()
+
+    def _save(self) -> None:
+        self._folder.save(
+            {
+                "updates": self.n_updates,
+                "processor_s": self._processor_s(),
+                "eye": self.eye.state_dict(),
+                "optimizer": self.optimizer.state_dict(),
+            }
+        )
+
+
+def _prefetched(images: Iterator[Snapshots]) -> Iterator[Snapshots]:
+    """Yield the same images, rendering the next batch on another core while one is learned from."""
+    with ThreadPoolExecutor(max_workers=1) as renderer:
+        coming = renderer.submit(next, images, None)
+        while (shown := coming.result()) is not None:
+            coming = renderer.submit(next, images, None)
+            yield shown
