@@ -1,6 +1,6 @@
 """How well an eye sees where the target is: errors along and across the line of sight, by distance from the origin.
 
-python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--pictures 4096] [--camera side] [--json FILE]
+python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--images 4096] [--camera side] [--json FILE]
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/tracker_standard --episodes 110
 
 Random poses of episodes of a split that the eye was not trained on, or what the hand sees while a policy acts, until it
@@ -15,51 +15,56 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from lerobot_policy_tracker.eye import CAMERAS
-from lerobot_policy_tracker.backbones.eye import EyeBackbone
+from einops import rearrange
+from lerobot_policy_obact.camera import Pinhole
+from lerobot_policy_obact.encoders import Eye
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
-from dynahoi_lerobot.onpolicy.snapshots import Snapshots, snapshots
+from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
+from dynahoi_lerobot.onpolicy.snapshots import ImageStream, Snapshots, snapshots
 from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
-TINY = {"pictures": 32, "episodes": 2, "batch_size": 16}
+TINY = {"images": 32, "episodes": 2, "batch_size": 16}
 EDGES_M = (0.0, 0.06, 0.10, 0.15, 0.25, 0.40, 0.60, np.inf)
 
 
 def main() -> None:
     parser = benchmark_parser(__doc__, **TINY)
-    parser.add_argument("--eye", type=Path, help="weights; random ones if left out")
+    parser.add_argument("--eye", default="ego_96", help="safetensors file, or an eye that ships")
     parser.add_argument("--split", default="val")
-    parser.add_argument("--camera", choices=CAMERAS, default=EGO_VIEW)
+    parser.add_argument("--camera", choices=(EGO_VIEW, "side"), default=EGO_VIEW)
     parser.add_argument("--episodes", type=int, default=220)
-    parser.add_argument("--pictures", type=int, default=8192)
+    parser.add_argument("--images", type=int, default=8192)
     parser.add_argument("--batch-size", type=int, default=128)
-    parser.add_argument("--image-size", type=int, default=64)
-    parser.add_argument("--visited-by", type=Path, help="checkpoint whose pictures are looked at, not random ones")
+    parser.add_argument("--image-size", type=int, default=96)
+    parser.add_argument("--visited-by", type=Path, help="checkpoint whose images are looked at, not random ones")
     args = parser.parse_args()
     torch.set_num_threads(1)
     views = () if args.camera == EGO_VIEW else (args.camera,)
     recipe = Recipe(split=args.split, image_size=args.image_size, views=views)
     specs = sample_specs(recipe, range(args.episodes))
-    eye = EyeBackbone(128, camera=args.camera, weights="" if args.eye is None else str(args.eye)).eval()
+    eye = Eye(weights=args.eye).eval()
     eye.load_pretrained()
+    eye_recipe = EyeRecipe(Path(), args.camera, episodes=recipe, n_episodes=1, batch_size=1, images=1)
+    pose, (focal_px, _, centre_px, _) = ImageStream(eye_recipe).camera
+    camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=args.camera == EGO_VIEW)
     random = snapshots(recipe, specs, args.batch_size, np.random.default_rng(1), args.camera)
-    stream = islice(random, args.pictures // args.batch_size)
+    stream = islice(random, args.images // args.batch_size)
     if args.visited_by is not None:
         stream = _visited(PolicyAgent(str(args.visited_by)), recipe, specs, args.camera)
-    rows = _table(np.concatenate([_errors(eye, shown) for shown in stream]))
-    print("distance [cm]   pictures   median (90 %) error along / across the line of sight [cm]")
+    rows = _table(np.concatenate([_errors(eye, camera, shown) for shown in stream]))
+    print("distance [cm]   images   median (90 %) error along / across the line of sight [cm]")
     for row in rows:
         along, across = row["along_cm"], row["across_cm"]
         told = f"{along[0]:5.1f} ({along[1]:5.1f}) / {across[0]:5.2f} ({across[1]:5.2f})"
-        print(f"{row['from_cm']:5.0f} to {row['to_cm'] or np.inf:4.0f} {row['pictures']:9d}      {told}")
+        print(f"{row['from_cm']:5.0f} to {row['to_cm'] or np.inf:4.0f} {row['images']:9d}      {told}")
     write_numbers(args, rows=rows)
 
 
@@ -85,15 +90,15 @@ def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], came
 
 
 @torch.no_grad()
-def _errors(eye: EyeBackbone, shown: Snapshots) -> np.ndarray:
+def _errors(eye: Eye, camera: Pinhole, shown: Snapshots) -> np.ndarray:
     """Return (n, 3): distance from the origin, error along and across the line of sight [m] of targets in the image."""
     place = torch.from_numpy(shown.place)
-    looks = eye.look(torch.from_numpy(shown.images).permute(0, 3, 1, 2) / 255.0)
-    sight = torch.nn.functional.normalize(place - eye.camera.pos, dim=-1)
-    missed = looks[:, :3] - place
+    sighting = eye(rearrange(torch.from_numpy(shown.images), "f h w c -> f c h w") / 255.0)
+    sight = torch.nn.functional.normalize(place - camera.pos, dim=-1)
+    missed = camera.place(sighting[:, :3]) - place
     along = (missed * sight).sum(-1, keepdim=True)
     across = (missed - along * sight).norm(dim=-1, keepdim=True)
-    inside = (eye.camera.seen(place)[:, :2].abs() < 1).all(-1)
+    inside = (camera.seen(place)[:, :2].abs() < 1).all(-1)
     return torch.cat([place.norm(dim=-1, keepdim=True), along.abs(), across], dim=-1)[inside].numpy()
 
 
@@ -104,7 +109,7 @@ def _table(errors: np.ndarray) -> list[dict[str, object]]:
         if len(some):
             along, across = (np.quantile(some[:, column], (0.5, 0.9)).tolist() for column in (1, 2))
             bounds = {"from_cm": 100 * low, "to_cm": 100 * high if np.isfinite(high) else None}
-            rows.append({**bounds, "pictures": len(some), "along_cm": along, "across_cm": across})
+            rows.append({**bounds, "images": len(some), "along_cm": along, "across_cm": across})
     return rows
 
 

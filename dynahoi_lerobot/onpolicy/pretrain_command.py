@@ -1,4 +1,4 @@
-"""``dynahoi pretrain``: train a policy's eye on pictures of random configurations, as a recipe says."""
+"""``dynahoi pretrain``: train an eye on images of random configurations, as a recipe says."""
 
 from __future__ import annotations
 
@@ -7,25 +7,27 @@ import json
 import sys
 
 from dynahoi_lerobot.core.arguments import path
-from dynahoi_lerobot.onpolicy.command import FAILED, learner_module
+from dynahoi_lerobot.onpolicy.command import FAILED
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe, read_recipe
-from dynahoi_lerobot.onpolicy.snapshots import PictureStream
+from dynahoi_lerobot.onpolicy.snapshots import ImageStream
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi pretrain``."""
     parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/eye/eye.yaml")
-    parser.add_argument("--out", type=path, help="folder of the run instead of the recipe's; goes on where it stopped")
+    parser.add_argument("--out", type=path, help="folder of the run instead of the recipe's; resumed if it was stopped")
 
 
 def run(args: argparse.Namespace) -> int:
     """Train, print a line at each save, and return the exit code: 0 done, 1 the loss was not finite."""
+    from lerobot_policy_obact.eye_training import EyeTraining
+
     recipe = read_recipe(EyeRecipe, args.recipe, **({} if args.out is None else {"out": args.out}))
-    training = learner_module(recipe.policy).EyeTraining(recipe)
+    training = EyeTraining(recipe, ImageStream(recipe))
     if training.finished:
-        print(f"{recipe.out}: already trained on all {recipe.pictures} pictures")
+        print(f"{recipe.out}: already trained on all {recipe.images} images")
     try:
-        for line in training.run(PictureStream(recipe)):
+        for line in training.run():
             print(json.dumps(line), flush=True)
     except FloatingPointError as error:
         print(f"dynahoi pretrain: {error}; the last save is in {recipe.out}", file=sys.stderr)

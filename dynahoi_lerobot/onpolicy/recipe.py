@@ -19,34 +19,33 @@ class EyeRecipe:
     """How an eye is trained on random configurations.
 
     Attributes:
-        out: folder that receives ``eye.safetensors``, ``log.jsonl`` and what a killed run goes on from.
-        policy: whose eye it is: fields of the policy's config, ``type`` among them.
-        episodes: what the pictures show.
+        out: folder that receives ``eye.safetensors``, ``log.jsonl`` and what a killed run resumes from.
+        camera: whose images it sees, ``ego`` or ``side``.
+        eye: options of ObAct's ``Eye``, such as ``weights`` to start from.
+        device: of the training.
+        episodes: what the images show.
         n_episodes: how many different episodes they show.
         randomized_share: share of those whose appearance is randomised in every way, see ``randomization``.
-        pictures: pictures in all, each seen once.
-        batch_size: pictures in an update.
+        images: images in all, each seen once.
+        batch_size: images in an update.
         learning_rate: of AdamW, with a warm-up and cosine decay.
-        save_every: updates between saves. After each the pictures come from a new stream of random numbers, so that a
-            run that goes on sees the same ones as a run that was never killed.
+        save_every: updates between saves. After each the images come from a new stream of random numbers, so that a
+            resumed run sees the same ones as a run that was never killed.
         seed: of every draw.
     """
 
     out: Path
-    policy: dict[str, Any]
+    camera: str = EGO_VIEW
+    eye: dict[str, Any] = field(default_factory=dict)
+    device: str = "cpu"
     episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
     n_episodes: int = 1024
     randomized_share: float = 0.0
-    pictures: int = 400_000
+    images: int = 400_000
     batch_size: int = 128
     learning_rate: float = 2e-3
     save_every: int = 100
     seed: int = 0
-
-    @property
-    def camera(self) -> str:
-        """Whose pictures the eye sees."""
-        return self.policy.get("backbone_options", {}).get("camera", EGO_VIEW)
 
     def __post_init__(self) -> None:
         """Check what could only fail after minutes.
@@ -56,8 +55,8 @@ class EyeRecipe:
         """
         _check_counts(self, "n_episodes", "batch_size", "save_every")
         _check_share(self, "randomized_share")
-        if self.pictures < self.batch_size:
-            raise ValueError(f"pictures must be at least batch_size, {self.batch_size}, got {self.pictures}")
+        if self.images < self.batch_size:
+            raise ValueError(f"images must be at least batch_size, {self.batch_size}, got {self.images}")
 
 
 @dataclass(frozen=True)

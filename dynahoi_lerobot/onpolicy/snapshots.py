@@ -1,4 +1,4 @@
-"""Pictures of random configurations, posed without physics, with where the target is: what an eye learns from."""
+"""Images of random configurations, posed without physics, with where the target is: what an eye learns from."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
+from dynahoi_lerobot.rollout.recorder import camera_pose, intrinsics
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 POSES = 8
-"""Configurations of a world before it shows another episode: to begin one costs as much as several pictures."""
+"""Configurations of a world before it shows another episode: to begin one costs as much as several images."""
 HOME_SHARE = 0.25
-"""Share of the pictures from home, while the hand watches; that is where most of what stands about is in view."""
+"""Share of the images from home, while the hand watches; that is where most of what stands about is in view."""
 NEAR_SHARE, APPROACH_SHARE = 0.35, 0.45
-"""Shares of the other pictures with the palm at the target, where an error of centimetres decides, and on its way
+"""Shares of the other images with the palm at the target, where an error of centimetres decides, and on its way
 there; in the rest it is anywhere behind it."""
 NEAR_M = 0.06
 """Standard deviation of the palm from the target when it is near, along each axis [m]."""
@@ -31,14 +32,14 @@ STRAY_M = 0.04
 LEAD_FRAMES = 24
 """The way leads to where the target is at most this many frames later."""
 NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
-"""Range of the target's position relative to the palm in the other pictures [m], world axes."""
+"""Range of the target's position relative to the palm in the other images [m], world axes."""
 OPEN_SHARE = 0.5
 FINGERS_MOVE_SHARE = 0.4
-"""Share of the other pictures in which the fingers move: else whatever moves in the hand would pass for a target."""
+"""Share of the other images in which the fingers move: else whatever moves in the hand would pass for a target."""
 MOST_OPENED, MOST_CLOSED = 0.3, 0.7
-"""How far fingers may move between the two pictures, of the way from open to closed."""
+"""How far fingers may move between the two images, of the way from open to closed."""
 REPEATED_SHARE = 0.03
-"""Share of all pictures that come twice, as the first of an episode does."""
+"""Share of all images that come twice, as the first of an episode does."""
 STILL_SHARE, FAST_SHARE = 0.15, 0.2
 """Shares of the other hands that stand still, and of the moving ones that may be fast."""
 PALM_SPEEDS_M_S = [control.palm_speed_m_s for control in CONTROL_CLASSES.values()]
@@ -48,12 +49,12 @@ WANDER_M = 0.1
 """Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
 LOWEST_PALM_M = 0.05
 SLOWER, FASTER = 0.6, 1.6
-"""Least and greatest speed of a target between the two pictures, relative to its own."""
+"""Least and greatest speed of a target between the two images, relative to its own."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshots:
-    """N pictures of as many worlds.
+    """N images of as many worlds.
 
     Attributes:
         images: (N, H, W, 6) uint8 RGB of a camera, and RGB one frame before.
@@ -65,8 +66,8 @@ class Snapshots:
     place: np.ndarray
 
 
-class PictureStream:
-    """The pictures of an eye's recipe, a batch for each update, from any update on.
+class ImageStream:
+    """The images of an eye's recipe, a batch for each update, from any update on.
 
     Each call seeds a stream anew from the recipe's seed and the update. Episodes are sampled at the first one.
     """
@@ -74,8 +75,14 @@ class PictureStream:
     def __init__(self, recipe: EyeRecipe) -> None:
         self._recipe = recipe
 
+    @property
+    def camera(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as ``stats/ego_intrinsics``, of the camera."""
+        model, name = self._batch.scene.model, self._recipe.camera
+        return camera_pose(model, name), intrinsics(model, name, self._recipe.episodes.image_size)
+
     def __call__(self, update: int) -> Iterator[Snapshots]:
-        """Yield pictures for ever, as a run shows them that goes on from ``update``."""
+        """Yield images for ever, as a run shows them that goes on from ``update``."""
         return _shown(self._batch, self.specs, self._recipe.camera, np.random.default_rng([self._recipe.seed, update]))
 
     @cached_property
@@ -94,14 +101,14 @@ class PictureStream:
 def snapshots(
     recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator, camera: str = EGO_VIEW
 ) -> Iterator[Snapshots]:
-    """Yield pictures for ever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
+    """Yield images for ever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
 
     Args:
         recipe: of the episodes, for hand, renderer and image size.
-        specs: episodes whose objects, paths and surroundings are shown; each serves many pictures.
+        specs: episodes whose objects, paths and surroundings are shown; each serves many images.
         size: worlds that are rendered together.
         rng: source of every draw.
-        camera: whose pictures these are, ``ego`` or ``side``.
+        camera: whose images these are, ``ego`` or ``side``.
     """
     yield from _shown(WorldBatch(recipe, size, threads=1), specs, camera, rng)
 
@@ -109,7 +116,7 @@ def snapshots(
 def _shown(
     batch: WorldBatch, specs: Sequence[EpisodeSpec], camera: str, rng: np.random.Generator
 ) -> Iterator[Snapshots]:
-    """Yield pictures for ever, of all worlds of a batch together; see `snapshots`."""
+    """Yield images for ever, of all worlds of a batch together; see `snapshots`."""
     size, everyone = batch.size, np.arange(batch.size)
     while True:
         chosen = [specs[i] for i in rng.choice(len(specs), size)]

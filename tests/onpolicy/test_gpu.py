@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from lerobot_policy_tracker.eye_training import EyeTraining
+from lerobot_policy_obact.eye_training import EyeTraining
 from lerobot_policy_tracker.learner import make_learner
 from torch.utils._pytree import tree_map_only
 
 from dynahoi_lerobot.onpolicy.dagger import Dagger
 from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
 from dynahoi_lerobot.onpolicy.run_folder import RunFolder
-from dynahoi_lerobot.onpolicy.snapshots import PictureStream
+from dynahoi_lerobot.onpolicy.snapshots import ImageStream
 from tests.onpolicy.stand_in_gpu import OnGpu, stand_in_gpu
 from tests.onpolicy.test_dagger import tiny_recipe
 from tests.onpolicy.test_pretrain import tiny_recipe as tiny_eye_recipe
@@ -29,9 +29,9 @@ def gpu(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def on_gpu(recipe: Path) -> Path:
-    """Let a recipe's policy learn on the GPU."""
+    """Let what a recipe trains learn on the GPU."""
     values = yaml.safe_load(recipe.read_text())
-    values["policy"]["device"] = "cuda"
+    values.get("policy", values)["device"] = "cuda"
     recipe.write_text(yaml.safe_dump(values))
     return recipe
 
@@ -62,8 +62,8 @@ def test_a_policy_on_a_gpu_plays_learns_and_goes_on(tmp_path: Path, gpu: None, i
 
 def test_an_eye_on_a_gpu_learns(tmp_path: Path, gpu: None):
     recipe = read_recipe(EyeRecipe, on_gpu(tiny_eye_recipe(tmp_path)))
-    training = EyeTraining(recipe)
-    assert all(training._update(shown) > 0 for shown in islice(PictureStream(recipe)(0), 2))
+    training = EyeTraining(recipe, ImageStream(recipe))
+    assert all(training.update(shown) > 0 for shown in islice(ImageStream(recipe)(0), 2))
     assert all(isinstance(weight, OnGpu) for weight in training.eye.state_dict().values())
 
 

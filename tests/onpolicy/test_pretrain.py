@@ -1,4 +1,4 @@
-"""A tiny run of `dynahoi pretrain`: it logs, leaves an eye, and goes on where it was killed."""
+"""A tiny run of `dynahoi pretrain`: it logs, leaves an eye, and resumes after a kill."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from lerobot_policy_tracker import eye_training
-from lerobot_policy_tracker.backbones.eye import EyeBackbone
+from lerobot_policy_obact import eye_training
+from lerobot_policy_obact.encoders import Eye
 from safetensors.torch import load_file
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.onpolicy.run_folder import LOG, STATE, RunFolder
 
-TINY_EYE = {"channels": 8, "fovea": 12, "embedding": 4}
+TINY_EYE = {"channels": 8, "fovea": 12}
 BATCH, UPDATES, SAVE_EVERY = 4, 7, 3
 
 
 def tiny_recipe(folder: Path, **changes: object) -> Path:
     """Write a recipe of seven updates, saved after the third, the sixth and the last."""
     recipe = {"out": str(folder / "eye"), "episodes": {"image_size": 32}, "n_episodes": 2, "batch_size": BATCH}
-    recipe |= {"pictures": BATCH * UPDATES, "save_every": SAVE_EVERY}
-    recipe |= {"policy": {"type": "tracker", "backbone_options": TINY_EYE}}
+    recipe |= {"images": BATCH * UPDATES, "save_every": SAVE_EVERY}
+    recipe |= {"eye": TINY_EYE}
     path = folder / "recipe.yaml"
     path.write_text(yaml.safe_dump(recipe | changes))
     return path
@@ -54,9 +54,9 @@ def kill_at(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
 
 
 def test_an_eye_is_pretrained_and_a_policy_starts_from_it(finished: Path):
-    eye = EyeBackbone(16, **TINY_EYE, weights=str(finished / eye_training.WEIGHTS))
+    eye = Eye(**TINY_EYE, weights=str(finished / eye_training.WEIGHTS))
     eye.load_pretrained()
-    assert [line["pictures"] for line in log(finished)] == [12, 24, 28]
+    assert [line["images"] for line in log(finished)] == [12, 24, 28]
     minutes = [line["processor_minutes"] for line in log(finished)]
     assert 0 < minutes[0] <= minutes[1] <= minutes[2]
 
@@ -69,7 +69,7 @@ def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(
         with monkeypatch.context() as patch:
             kill_at(patch, update)
             assert main(words) == 130
-        assert [line["pictures"] for line in log(tmp_path / "eye")] == saved
+        assert [line["images"] for line in log(tmp_path / "eye")] == saved
         assert not (tmp_path / "eye" / eye_training.WEIGHTS).exists()
     assert main(words) == 0
     assert [line["loss"] for line in log(tmp_path / "eye")] == [line["loss"] for line in log(finished)]
@@ -84,7 +84,7 @@ def test_a_finished_run_is_not_trained_again(
     kill_at(monkeypatch, 0)
     before = (finished / eye_training.WEIGHTS).read_bytes()
     assert main(["pretrain", "--recipe", str(finished.parent / "recipe.yaml")]) == 0
-    assert "already trained on all 28 pictures" in capsys.readouterr().out
+    assert "already trained on all 28 images" in capsys.readouterr().out
     assert (finished / eye_training.WEIGHTS).read_bytes() == before
 
 
@@ -103,7 +103,7 @@ def test_another_recipe_does_not_go_on_in_the_same_folder(
     [
         ({"save_every": 0}, "save_every must be 1 or more, got 0"),
         ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
-        ({"pictures": 3}, "pictures must be at least batch_size, 4, got 3"),
+        ({"images": 3}, "images must be at least batch_size, 4, got 3"),
     ],
 )
 def test_a_wrong_recipe_is_refused_in_a_sentence(

@@ -1,4 +1,4 @@
-"""Pictures of random poses show the target where they say it is."""
+"""Images of random poses show the target where they say it is."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lerobot_policy_tracker.eye import CAMERAS
-from lerobot_policy_tracker.backbones.eye import EyeBackbone
+from lerobot_policy_obact.camera import Pinhole
 
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
-from dynahoi_lerobot.onpolicy.snapshots import PictureStream, snapshots
+from dynahoi_lerobot.onpolicy.snapshots import ImageStream, snapshots
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -22,14 +21,14 @@ RECIPE = Recipe(image_size=64)
 SPECS = sample_specs(RECIPE, range(8))
 
 
-def test_the_same_draws_give_the_same_pictures_and_others_do_not():
+def test_the_same_draws_give_the_same_images_and_others_do_not():
     first, again, other = (next(snapshots(RECIPE, SPECS, 4, np.random.default_rng(seed))) for seed in (0, 0, 1))
     np.testing.assert_array_equal(first.images, again.images)
     np.testing.assert_array_equal(first.place, again.place)
     assert (first.place != other.place).any()
 
 
-def test_pictures_are_of_many_poses():
+def test_images_are_of_many_poses():
     shown = list(islice(snapshots(RECIPE, SPECS, 4, np.random.default_rng(0)), 10))
     offsets = np.concatenate([s.place for s in shown])
     assert len(offsets) == 40
@@ -37,15 +36,16 @@ def test_pictures_are_of_many_poses():
     assert np.ptp(offsets, axis=0).min() > 0.2, "targets near and far, left and right, above and below"
 
 
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_the_eye_has_the_geometry_of_the_camera(camera: str):
-    """A target that is posed where the eye's geometry puts (u, v) is drawn around that point of the image."""
-    eye = EyeBackbone(16, camera=camera)
+@pytest.mark.parametrize("camera", ["ego", "side"])
+def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
+    """A target that is posed where the calibration puts (u, v) is drawn around that point of the image."""
+    pose, (focal_px, _, centre_px, _) = ImageStream(EyeRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)).camera
+    eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
     batch = WorldBatch(RECIPE, len(wanted), threads=1)
     batch.reset(np.arange(len(wanted)), SPECS[: len(wanted)])
     state = batch.state + np.eye(18)[2] * 0.05
-    place = eye.camera.origin(torch.from_numpy(state[:, :3])) + eye.camera.place(wanted)
+    place = eye.origin(torch.from_numpy(state[:, :3])) + eye.place(wanted)
     pose = np.concatenate([place, np.tile((1.0, 0.0, 0.0, 0.0), (len(wanted), 1))], axis=1)
     batch.place(state, pose)
     seen = batch.cameras._renderer(camera).segmentation(np.arange(len(wanted)))
@@ -55,7 +55,7 @@ def test_the_eye_has_the_geometry_of_the_camera(camera: str):
         assert (column, -row) == pytest.approx((u, v), abs=0.08)
 
 
-def test_fingers_move_between_some_pictures_and_some_come_twice(monkeypatch: pytest.MonkeyPatch):
+def test_fingers_move_between_some_images_and_some_come_twice(monkeypatch: pytest.MonkeyPatch):
     placed: list[np.ndarray] = []
     batch = WorldBatch(RECIPE, 32, threads=1)
     place = type(batch).place
@@ -74,12 +74,12 @@ def test_fingers_move_between_some_pictures_and_some_come_twice(monkeypatch: pyt
 def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
     def surroundings(share: float) -> int:
         """Return how many of four episodes have distractors."""
-        recipe = EyeRecipe(tmp_path, {"type": "tracker"}, RECIPE, n_episodes=4, randomized_share=share)
-        return sum(bool(spec.appearance.distractors) for spec in PictureStream(recipe).specs)
+        recipe = EyeRecipe(tmp_path, episodes=RECIPE, n_episodes=4, randomized_share=share)
+        return sum(bool(spec.appearance.distractors) for spec in ImageStream(recipe).specs)
 
     assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
 
 
 def test_a_share_beyond_one_is_refused(tmp_path: Path):
     with pytest.raises(ValueError, match=re.escape("randomized_share must be 0 to 1, got 1.5")):
-        EyeRecipe(tmp_path, {"type": "tracker"}, randomized_share=1.5)
+        EyeRecipe(tmp_path, randomized_share=1.5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import islice
@@ -20,17 +20,15 @@ from torch import Tensor
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
 from dynahoi_lerobot.onpolicy.run_folder import RunFolder
-from dynahoi_lerobot.onpolicy.snapshots import Snapshots, camera_pose
+from dynahoi_lerobot.onpolicy.snapshots import ImageStream, Snapshots
 
 from .camera import Pinhole
 from .encoders import Eye
+from .recordings import CARRIED_VIEW
 
 WEIGHTS = "eye.safetensors"
 WARMUP_UPDATES, GRADIENT_CLIP = 200, 5.0
 HEAT_WEIGHT = 0.3
-
-Images = Callable[[int], Iterator[Snapshots]]
-"""The images from an update on, a batch for each; a run that resumes there sees the same ones."""
 
 
 def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> Tensor:
@@ -69,6 +67,7 @@ class EyeTraining:
 
     Args:
         recipe: what to do.
+        images: what is shown.
 
     Attributes:
         eye: who learns.
@@ -79,14 +78,15 @@ class EyeTraining:
         FileExistsError: if the folder holds a run of another recipe, or no run made it.
     """
 
-    def __init__(self, recipe: EyeRecipe) -> None:
+    def __init__(self, recipe: EyeRecipe, images: ImageStream) -> None:
         torch.manual_seed(recipe.seed)
-        self.recipe = recipe
+        self.recipe, self._images = recipe, images
         self.eye = Eye(**recipe.eye)
         self.eye.load_pretrained()
         self.eye.to(recipe.device)
-        pose, half_view = camera_pose(recipe.camera, recipe.episodes)
-        self.camera = Pinhole.from_pose(pose, half_view, carried=recipe.is_carried).to(recipe.device)
+        pose, (focal_px, _, centre_px, _) = images.camera
+        camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=recipe.camera == CARRIED_VIEW)
+        self.camera = camera.to(recipe.device)
         self.optimizer = torch.optim.AdamW(self.eye.parameters(), lr=0.0, weight_decay=1e-4)
         self.n_updates, self._spent_s = 0, 0.0
         self._folder = RunFolder(recipe.out, draccus.encode(replace(recipe, out=Path())))
@@ -104,7 +104,7 @@ class EyeTraining:
     def _all_updates(self) -> int:
         return self.recipe.images // self.recipe.batch_size
 
-    def run(self, images: Images) -> Iterator[dict[str, Any]]:
+    def run(self) -> Iterator[dict[str, Any]]:
         """Learn until all images have been seen, then write the weights; yield a line of the log after each save.
 
         Raises:
@@ -112,7 +112,7 @@ class EyeTraining:
         """
         while not self.finished:
             ahead = min(self.recipe.save_every, self._all_updates - self.n_updates)
-            losses = [self.update(shown) for shown in _prefetched(islice(images(self.n_updates), ahead))]
+            losses = [self.update(shown) for shown in _prefetched(islice(self._images(self.n_updates), ahead))]
             minutes = round(self._processor_s() / 60, 3)
             line = {"images": self.n_updates * self.recipe.batch_size, "processor_minutes": minutes}
             line["loss"] = round(sum(losses) / len(losses), 4)

@@ -28,7 +28,6 @@ from dynahoi_lerobot.onpolicy.student import Learner
 from .configuration_tracker import TrackerConfig
 from .correction import Expectation
 from .decisions import Decisions, window_decisions
-from .eye_training import EyeTraining
 from .frames import EncodedFrames
 from .heads.base import Forecast, ForecastHead
 from .lesson import Lesson
@@ -42,7 +41,7 @@ if TYPE_CHECKING:
     from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe
     from dynahoi_lerobot.onpolicy.rounds import Round
 
-__all__ = ["EyeTraining", "TrackerLearner", "make_learner"]
+__all__ = ["TrackerLearner", "make_learner"]
 
 WARMUP_UPDATES = 50
 ON_POLICY = "on-policy"

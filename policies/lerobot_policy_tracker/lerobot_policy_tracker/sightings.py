@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import torch
-from .eye import N_SCALES
 from torch import Tensor
 
+from .eye import N_SCALES
 from .frames import EncodedFrames
 
 LEAST_ERROR_M = 0.003

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import torch
-from .eye import N_SIGHTING
 from torch import Tensor, nn
 
 from .decisions import Decisions
+from .eye import N_SIGHTING
 from .fitting import fit_lines_of_sight
 from .frames import EncodedFrames
 from .motion_models import MODELS, paths, velocities

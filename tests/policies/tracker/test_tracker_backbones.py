@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 import torch
-from lerobot_policy_tracker.eye import pixel_grid
 from lerobot_policy_tracker import TrackerPolicy
 from lerobot_policy_tracker.backbones import backbones
 from lerobot_policy_tracker.backbones.keypoints import KeypointTokens
 from lerobot_policy_tracker.backbones.transformers_vision import pool_patches
+from lerobot_policy_tracker.eye import pixel_grid
 from tokenizers import Tokenizer, models, pre_tokenizers
 from tracker_helpers import make_batch, make_policy
 from transformers import (

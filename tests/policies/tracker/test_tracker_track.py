@@ -6,9 +6,9 @@ import math
 
 import pytest
 import torch
-from lerobot_policy_tracker.eye import N_SIGHTING, UNSEEN_SCALE
 from lerobot_policy_tracker.backbones.eye import EyeBackbone
 from lerobot_policy_tracker.decisions import Decisions
+from lerobot_policy_tracker.eye import N_SIGHTING, UNSEEN_SCALE
 from lerobot_policy_tracker.fitting import fit_lines_of_sight
 from lerobot_policy_tracker.frames import EncodedFrames
 from lerobot_policy_tracker.motion_models import GRAVITY_M_S2, MODELS, RATES_RAD_S, RESTING_HEIGHT_M, RESTITUTION

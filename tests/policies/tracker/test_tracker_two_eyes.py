@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from lerobot_policy_tracker.eye import N_SIGHTING
 from lerobot_policy_tracker.backbones.two_eyes import TwoEyes
 from lerobot_policy_tracker.decisions import Decisions
+from lerobot_policy_tracker.eye import N_SIGHTING
 from lerobot_policy_tracker.frames import EncodedFrames
 from lerobot_policy_tracker.model_card import describe
 from lerobot_policy_tracker.track import Track

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from ..eye import StandardisedPatches, conv, saturation
 from torch import Tensor, nn
 
+from ..eye import StandardisedPatches, conv, saturation
 from .base import Backbone, backbones
 from .keypoints import KeypointTokens
 

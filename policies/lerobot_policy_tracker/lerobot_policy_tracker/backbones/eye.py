@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import ClassVar
 
 import torch
-from ..eye import N_SIGHTING, Eye
 from torch import Tensor, nn
 
+from ..eye import N_SIGHTING, Eye
 from .base import backbones
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import torch
-from ..eye import pixel_grid
 from torch import Tensor, nn
 
 from ..attention import sinusoidal_features
+from ..eye import pixel_grid
 
 N_FREQUENCIES = 12
 

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import torch
-from ..eye import UNSEEN_SCALE
 from torch import Tensor, nn
 
+from ..eye import UNSEEN_SCALE
 from .base import Backbone, backbones
 from .eye import EyeBackbone
 

@@ -1,0 +1,100 @@
+"""Cameras and the eye: their geometry, the fovea, and what the eye learns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from lerobot_policy_obact.camera import Pinhole
+from lerobot_policy_obact.encoders import ENCODERS, SHIPPED, Eye
+from lerobot_policy_obact.eye_training import sighting_loss
+
+LOOKS_ALONG_X = [-0.15, 0.03, 0.21, 0.5, 0.5, -0.5, -0.5]
+"""Pose of a camera behind the palm that looks along +x, with z up."""
+
+
+def camera() -> Pinhole:
+    return Pinhole.from_pose(LOOKS_ALONG_X, 0.9, carried=True)
+
+
+def test_what_is_seen_and_places_are_inverse():
+    offset = torch.tensor([[0.1, 0.2, -0.1], [0.5, -0.3, 0.2], [0.02, 0.0, 0.03]])
+    torch.testing.assert_close(camera().place(camera().seen(offset)), offset, rtol=1e-4, atol=1e-5)
+
+
+def test_u_grows_to_the_right_and_v_upwards():
+    middle, right, above = camera().seen(torch.tensor([[0.3, 0.03, 0.21], [0.3, -0.2, 0.21], [0.3, 0.03, 0.4]]))
+    assert middle[:2].abs().max() < 1e-5
+    assert right[0] > 0.2
+    assert above[1] > 0.2
+
+
+def test_the_fovea_shows_the_pixels_around_the_point_it_looks_at():
+    """An image that differs far from the attended point gives the same fovea; one that differs there does not."""
+    eye = Eye(fovea=4).eval()
+    image = torch.full((1, 6, 64, 64), 0.5)
+    image[:, 0, 20:26, 38:44] = 1.0
+    elsewhere, there = image.clone(), image.clone()
+    elsewhere[:, 1, 60, 2], there[:, 1, 22, 40] = 0.0, 0.0
+    pixels = [x[:, :3].repeat(1, 3, 1, 1)[:, :7] for x in (image, elsewhere, there)]
+    ray = torch.tensor([[2 * 41 / 64 - 1, 1 - 2 * 23 / 64]])
+    crop, far, near = (eye._crop(x, ray) for x in pixels)
+    torch.testing.assert_close(crop, far, rtol=0, atol=0)
+    assert not torch.equal(crop, near)
+
+
+def squares(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Grey images with a red square in each, which is the larger, the nearer it is; and its offsets [m]."""
+    generator = torch.Generator().manual_seed(seed)
+    images = torch.full((n, 6, 32, 32), 0.5)
+    seen = torch.empty(n, 3)
+    for i in range(n):
+        half = int(torch.randint(1, 4, (), generator=generator))
+        x, y = torch.randint(4, 28, (2,), generator=generator).tolist()
+        for channel, value in enumerate((1.0, 0.0, 0.0, 1.0, 0.0, 0.0)):
+            images[i, channel, y - half : y + half, x - half : x + half] = value
+        seen[i] = torch.tensor([2 * x / 32 - 1, 1 - 2 * y / 32, 0.5 - half / 3])
+    return images, camera().place(seen)
+
+
+@pytest.mark.slow
+def test_it_learns_where_a_square_is_and_says_how_sure_it_is():
+    torch.manual_seed(0)
+    eye = Eye(channels=8, fovea=12)
+    optimizer = torch.optim.AdamW(eye.parameters(), lr=3e-3)
+    images, offset = squares(256, seed=0)
+    for _ in range(150):
+        optimizer.zero_grad()
+        loss = sighting_loss(eye, camera(), images, offset).mean()
+        loss.backward()
+        optimizer.step()
+    images, offset = squares(64, seed=1)
+    sighting = eye(images)
+    error = (camera().place(sighting[:, :3]) - offset).norm(dim=-1)
+    assert error.median() < 0.05, "of squares at 0.3 to 0.7 m"
+    assert sighting[:, 3].median() < -2, "it knows the direction to a tenth of half the view"
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_eyes_that_ship_load_whole(name: str):
+    eye = Eye(weights=name)
+    before = eye.attention.query.weight.clone()
+    eye.load_pretrained()
+    assert not torch.equal(eye.attention.query.weight, before)
+
+
+def test_a_black_image_shows_nothing():
+    assert (Eye()(torch.zeros(1, 6, 32, 32))[0, 3:5] == 5.0).all()
+
+
+def test_weights_that_are_not_there_are_named(tmp_path: Path):
+    with pytest.raises(FileNotFoundError, match=r"nothing\.safetensors"):
+        Eye(weights=str(tmp_path / "nothing.safetensors")).load_pretrained()
+
+
+@pytest.mark.parametrize("name", ["conv", "resnet18"])
+def test_an_encoder_with_cells_gives_a_sighting_and_an_embedding(name: str):
+    options = {"weights": ""} if name == "resnet18" else {}
+    encoder = ENCODERS[name](embedding=7, **options)
+    assert encoder(torch.rand(2, 3, 64, 64)).shape == (2, 5 + 7)
