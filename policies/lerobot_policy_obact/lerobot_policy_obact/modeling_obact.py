@@ -12,7 +12,7 @@ import time
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import torch
 from einops import rearrange, repeat
@@ -27,8 +27,11 @@ from .camera import Pinhole
 from .configuration_obact import HEADS, ObActConfig
 from .encoders import ENCODERS, Encoder
 from .heads import Guidance, perceptron
-from .recordings import Frames, Lesson, Recordings, describe, observed
-from .virtual_episodes import VirtualEpisodes
+from .lessons import Frames, Lesson, observed
+
+if TYPE_CHECKING:
+    from .recordings import Recordings
+    from .virtual_episodes import VirtualEpisodes
 
 Batch = dict[str, Any]
 N_FEATURES = 64
@@ -181,6 +184,8 @@ class ObActPolicy(PreTrainedPolicy):
         config.validate_features()
         self._meta = dataset_meta
         if dataset_meta is not None:
+            from .recordings import describe
+
             describe(dataset_meta, config)
         self.model = ObActModel(config)
         if load_pretrained:
@@ -219,6 +224,9 @@ class ObActPolicy(PreTrainedPolicy):
 
     def _recorded(self, batch: Batch) -> Lesson:
         """Return decisions in the episodes that the batch names; the first call encodes the dataset."""
+        from .recordings import Recordings
+        from .virtual_episodes import VirtualEpisodes
+
         if self.recordings is None:
             self.recordings = Recordings.encoded(self._meta, self.config, self.acting.sight)
             if self.recordings.targets is not None:

@@ -16,7 +16,8 @@ from torch import Tensor
 
 from .belief import N_SIGHTING
 from .camera import Pinhole
-from .recordings import Lesson, Recordings, Targets
+from .lessons import Lesson
+from .recordings import Recordings, Targets
 from .teacher import answers
 
 if TYPE_CHECKING:

@@ -1,0 +1,259 @@
+"""The policy through LeRobot's own commands: any dataset, recorded episodes, checkpoints, history, servers."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from accelerate.state import AcceleratorState
+from lerobot.async_inference.configs import PolicyServerConfig
+from lerobot.async_inference.helpers import RemotePolicyConfig, TimedObservation
+from lerobot.async_inference.policy_server import PolicyServer
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.datasets import LeRobotDataset
+from lerobot.policies import make_pre_post_processors
+from lerobot.scripts.lerobot_train import main
+from lerobot_policy_obact import ObActConfig, ObActPolicy
+from lerobot_policy_obact.launch_policy_server import allow_obact
+
+from dynahoi_lerobot.cli.main import main as dynahoi
+
+N_EPISODES, N_FRAMES, FPS, SIZE = 2, 30, 10, 48
+TINY = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "horizon": 4, "n_action_steps": 2, "n_obs_frames": 3}
+TINY |= {"device": "cpu", "push_to_hub": False, "head_options": {"width": 16}, "encoder_options": {"channels": 8}}
+
+
+def lerobot_train(monkeypatch: pytest.MonkeyPatch, root: Path, out: Path, **options: object) -> Path:
+    """Train for two steps, and return the checkpoint."""
+    AcceleratorState._reset_state(reset_partial_state=True)  # each command is a process of its own otherwise
+    options = {"policy.type": "obact", **{f"policy.{key}": value for key, value in (TINY | options).items()}}
+    options |= {"dataset.repo_id": "local/tiny", "dataset.root": root, "output_dir": out, "seed": 1, "steps": 2}
+    options |= {"batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1}
+    words = [f"--{k}={v if isinstance(v, str | Path) else json.dumps(v)}" for k, v in options.items()]
+    monkeypatch.setattr(sys, "argv", ["lerobot-train", *words])
+    main()
+    return out / "checkpoints/last/pretrained_model"
+
+
+@pytest.fixture(scope="module")
+def push_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset like PushT's: one camera, two coordinates, no hand and no target."""
+    root = tmp_path_factory.mktemp("push") / "data"
+    image = {"dtype": "image", "shape": (SIZE, SIZE, 3), "names": ["height", "width", "channel"]}
+    vector = {"dtype": "float32", "shape": (2,), "names": None}
+    features = {"observation.image": image, "observation.state": vector, "action": vector}
+    dataset = LeRobotDataset.create("local/tiny", fps=FPS, features=features, root=root, use_videos=False)
+    rng = np.random.default_rng(0)
+    for _ in range(N_EPISODES):
+        walk = rng.normal(size=(N_FRAMES + 1, 2)).cumsum(0).astype(np.float32)
+        for t in range(N_FRAMES):
+            picture = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
+            dataset.add_frame({
+                "observation.image": picture, "observation.state": walk[t], "action": walk[t + 1], "task": "push"
+            })  # fmt: skip
+        dataset.save_episode()
+    dataset.finalize()
+    return root
+
+
+@pytest.fixture(scope="module")
+def hand_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four recorded episodes of DynaHOI."""
+    root = tmp_path_factory.mktemp("hand") / "data"
+    assert dynahoi(["generate", "--root", str(root), "--episodes", "4", "--image-size", "32"]) == 0
+    return root
+
+
+RECORDED = {
+    "encoder": "eye", "encoder_options": {"channels": 8, "fovea": 12}, "freeze_encoder": True, "encode_once": True,
+    "relative_dims": 3, "n_obs_frames": 200, "obs_stride": 1, "n_decisions": 3, "episodes_per_sample": 2,
+}  # fmt: skip
+
+
+def step(policy: ObActPolicy, n: int = 2, seed: int = 0) -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    shapes = {key: feature.shape for key, feature in policy.config.input_features.items()}
+    return {key: torch.rand(n, *shape, generator=generator) for key, shape in shapes.items()}
+
+
+def hand_policy(**changes: object) -> ObActPolicy:
+    torch.manual_seed(0)
+    inputs = {
+        "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),
+        "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
+    }
+    outputs = {"action": PolicyFeature(FeatureType.ACTION, (18,))}
+    options = TINY | {"input_features": inputs, "output_features": outputs} | changes
+    return ObActPolicy(ObActConfig(**options)).eval()
+
+
+# -- training -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("head", ["diffusion", "flow", "regression"])
+def test_it_trains_on_a_dataset_that_is_not_ours(
+    head: str, push_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    options = {"head": head, "head_options": {} if head == "regression" else TINY["head_options"]}
+    checkpoint = lerobot_train(monkeypatch, push_root, tmp_path / "out", **options)
+    policy = ObActPolicy.from_pretrained(checkpoint)
+    assert policy.config.fps == FPS
+    assert not policy.config.forecasts
+    assert policy.select_action(step(policy)).isfinite().all()
+
+
+def test_it_learns_from_recorded_episodes_with_the_target_s_path(
+    hand_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
+    policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, hand_root, tmp_path / "out", **RECORDED))
+    config = policy.config
+    assert config.forecasts
+    assert (config.palm_speed_m_s, config.delay_frames) == (0.5, 0), "of class standard"
+    pose = config.calibration["observation.images.ego"]
+    assert pose[:3] == pytest.approx([-0.15, 0.03, 0.21]), "where the hand's camera is"
+    assert policy.select_action(step(policy)).shape == (2, 18)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_the_loss_falls_on_recorded_and_on_virtual_episodes(
+    share: float, hand_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
+    torch.manual_seed(0)
+    meta = LeRobotDataset("local/tiny", root=hand_root).meta
+    inputs = {
+        "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),
+        "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
+    }
+    outputs = {"action": PolicyFeature(FeatureType.ACTION, (18,))}
+    options = TINY | RECORDED | {"virtual_share": share, "input_features": inputs, "output_features": outputs}
+    policy = ObActPolicy(ObActConfig(**options), dataset_stats=meta.stats, dataset_meta=meta).train()
+    optimizer = torch.optim.Adam(policy.get_optim_params(), lr=3e-3)
+    batch, losses = {"episode_index": torch.arange(4)}, []
+    for _ in range(60):
+        loss, told = policy(batch)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        policy.update()
+        losses.append(told["forecast"])
+    assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
+    one_each, _ = policy(batch, reduction="none")
+    assert one_each.shape == (4,)
+
+
+def test_acting_never_imports_what_labels_virtual_palms():
+    code = """if True:
+        import sys
+        from tests.policies.obact.test_obact_policy import hand_policy, step
+        policy = hand_policy(encoder="eye", encoder_options={"channels": 8, "fovea": 12})
+        policy.select_action(step(policy))
+        modules = [name for name in sys.modules if name.startswith("lerobot_policy_obact")]
+        assert "lerobot_policy_obact.belief" in modules
+        assert not {"teacher", "recordings", "virtual_episodes"} & {name.split(".")[-1] for name in modules}, modules
+    """
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[3])
+
+
+# -- acting -------------------------------------------------------------------------------------------------------
+
+
+def test_a_checkpoint_acts_the_same_and_needs_nothing_else(tmp_path: Path):
+    policy = hand_policy()
+    policy.save_pretrained(tmp_path)
+    again = ObActPolicy.from_pretrained(tmp_path)
+    noise = torch.randn(2, 4, 18)
+    torch.testing.assert_close(
+        again.select_action(step(policy), noise), policy.select_action(step(policy), noise), rtol=0, atol=0
+    )
+
+
+def test_what_was_seen_before_changes_the_action():
+    policy, noise = hand_policy(n_action_steps=1), torch.zeros(2, 4, 18)
+    alone = policy.select_action(step(policy, seed=9), noise)
+    policy.reset()
+    policy.select_action(step(policy, seed=1), noise)
+    assert not torch.equal(policy.select_action(step(policy, seed=9), noise), alone)
+
+
+def test_history_counts_seconds_not_calls():
+    """Chunks that are asked for now and then see the past as a policy that is called in every frame does."""
+    policy, noise = hand_policy(n_action_steps=1, obs_stride=1), torch.zeros(2, 4, 18)
+    for parameter in policy.acting.parameters():
+        torch.nn.init.normal_(parameter, std=0.1)
+    first = [policy.predict_action_chunk(step(policy, seed=i) | {"timestamp": torch.tensor([t])}, noise)
+             for i, t in enumerate((0.0, 0.05))]  # fmt: skip
+    policy.reset()
+    later = [policy.predict_action_chunk(step(policy, seed=i) | {"timestamp": torch.tensor([t])}, noise)
+             for i, t in enumerate((0.0, 0.5))]  # fmt: skip
+    policy.reset()
+    called = [policy.select_action(step(policy, seed=i), noise) for i in range(2)]
+    torch.testing.assert_close(called[1], first[1][:, 0])
+    assert not torch.equal(first[1], later[1])
+
+
+def test_another_number_of_environments_needs_a_reset():
+    policy = hand_policy(n_action_steps=1)
+    policy.select_action(step(policy, n=2))
+    with pytest.raises(ValueError, match="from 2 to 3 environments"):
+        policy.select_action(step(policy, n=3))
+    policy.reset()
+    assert policy.select_action(step(policy, n=3)).shape == (3, 18)
+
+
+def test_acting_uses_the_average_and_training_does_not():
+    policy, noise = hand_policy(ema_decay=0.9), torch.zeros(2, 4, 18)
+    before = policy.predict_action_chunk(step(policy) | {"timestamp": torch.zeros(1)}, noise)
+    torch.nn.init.normal_(policy.model.head.base.bias)
+    policy.reset()
+    torch.testing.assert_close(
+        policy.predict_action_chunk(step(policy) | {"timestamp": torch.zeros(1)}, noise), before, rtol=0, atol=0
+    )
+    policy.update()
+    policy.reset()
+    assert not torch.equal(policy.predict_action_chunk(step(policy) | {"timestamp": torch.zeros(1)}, noise), before)
+
+
+def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
+    policy = hand_policy()
+    policy.save_pretrained(tmp_path)
+    for processor in make_pre_post_processors(policy.config):
+        processor.save_pretrained(tmp_path)
+    allow_obact()
+    joints = [f"joint_{i}" for i in range(18)]
+    features = {
+        "observation.state": {"dtype": "float32", "shape": (18,), "names": joints},
+        "observation.images.ego": {"dtype": "image", "shape": (32, 32, 3), "names": ["h", "w", "c"]},
+    }
+    specs = RemotePolicyConfig("obact", str(tmp_path), features, actions_per_chunk=3, device="cpu")
+    server, client = PolicyServer(PolicyServerConfig()), SimpleNamespace(peer=lambda: "test")
+    server.Ready(None, client)
+    server.SendPolicyInstructions(SimpleNamespace(data=pickle.dumps(specs)), client)
+    image = torch.zeros(32, 32, 3, dtype=torch.uint8).numpy()
+    observation = {**dict.fromkeys(joints, 0.1), "ego": image, "task": "catch"}
+    actions = server._predict_action_chunk(TimedObservation(timestamp=1.0, timestep=7, observation=observation))
+    assert [action.get_timestep() for action in actions] == [7, 8, 9]
+    assert all(action.get_action().shape == (18,) for action in actions)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"encoder": "camera"}, "encoder is 'camera', but must be one of eye, conv"),
+        ({"head": "arm"}, "head is 'arm', but must be one of diffusion, flow, regression, gr00t"),
+        ({"encode_once": True}, "freeze_encoder is False, but must be true with encode_once"),
+        ({"relative_dims": 19}, "relative_dims is 19, but must be 0 to 18"),
+        ({"n_action_steps": 9}, "n_action_steps is 9, but must be 1 to 4"),
+    ],
+)
+def test_a_wrong_option_is_named(change: dict, told: str):
+    with pytest.raises(ValueError, match=told):
+        hand_policy(**change)
