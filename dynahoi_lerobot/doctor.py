@@ -306,16 +306,16 @@ class Reference:
     Attributes:
         machine: processor and library versions, in words.
         motions: (n,) digests of states, commands and target poses, all frames.
-        pictures: (n,) digests of all images.
+        images: (n,) digests of all images.
         poses: (K, 25) float32, hand state [m, rad] and target pose [m, 1] at every tenth frame of all episodes.
-        images: (n, 32, 32, 3) uint8 RGB at control start.
+        pixels: (n, 32, 32, 3) uint8 RGB at control start.
     """
 
     machine: str
     motions: np.ndarray
-    pictures: np.ndarray
-    poses: np.ndarray
     images: np.ndarray
+    poses: np.ndarray
+    pixels: np.ndarray
 
     def write(self) -> None:
         """Write it to the packaged file."""
@@ -325,7 +325,7 @@ class Reference:
     def read(cls) -> Reference:
         """Read the packaged file."""
         with np.load(REFERENCE, allow_pickle=False) as held:
-            arrays = {name: held[name] for name in ("motions", "pictures", "poses", "images")}
+            arrays = {name: held[name] for name in ("motions", "images", "poses", "pixels")}
             return cls(str(held["machine"]), **arrays)
 
 
@@ -338,9 +338,9 @@ def play(count: int) -> Reference:
     return Reference(
         machine=", ".join([platform.machine(), *(f"{library} {version(library)}" for library in LIBRARIES[:4])]),
         motions=np.array([digest([e.state, e.action, e.target_pose]) for e in episodes]),
-        pictures=np.array([digest([e.images[EGO_VIEW]]) for e in episodes]),
+        images=np.array([digest([e.images[EGO_VIEW]]) for e in episodes]),
         poses=np.concatenate(poses),
-        images=np.stack([e.images[EGO_VIEW][e.meta.window_frames] for e in episodes]),
+        pixels=np.stack([e.images[EGO_VIEW][e.meta.window_frames] for e in episodes]),
     )
 
 
@@ -363,11 +363,11 @@ def compare(found: Reference, wanted: Reference) -> Iterator[Fact]:
         close = bool(off.max() <= TOLERANCE)
         confirmed = "`dynahoi evaluate --replay` confirms results across both, with the same library versions"
         yield Fact("motion", told, confirmed if close else "results differ from ours", problem=not close)
-    told = _counted(found.pictures == wanted.pictures)
-    if (found.pictures == wanted.pictures).all():
+    told = _counted(found.images == wanted.images)
+    if (found.images == wanted.images).all():
         yield Fact("images", told, "policies see identical images")
     else:
-        off = np.abs(found.images.astype(int) - wanted.images)
+        off = np.abs(found.pixels.astype(int) - wanted.pixels)
         yield Fact("images", f"{told}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average")
 
 

@@ -6,7 +6,6 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-import av.logging
 import pytest
 
 from dynahoi_lerobot.core.episode import Episode
@@ -20,7 +19,6 @@ from dynahoi_lerobot.world.batch import WorldBatch
 from tests.dataset.episodes import write
 from tests.menagerie import write_menagerie
 
-av.logging.set_level(av.logging.ERROR)
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # each worker has a core; more threads of torch fight over them
 
 TEST = Recipe(split="test", image_size=32)

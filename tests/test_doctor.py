@@ -114,7 +114,7 @@ def test_the_quickstart_takes_as_long_as_where_it_was_timed_by_pace(
 
 def test_the_reference_is_small_and_holds_every_kind_twice(ours: Reference):
     assert REFERENCE.stat().st_size < 100_000
-    assert len(set(ours.motions)) == len(set(ours.pictures)) == len(ours.images) == EPISODES == 44
+    assert len(set(ours.motions)) == len(set(ours.images)) == len(ours.pixels) == EPISODES == 44
 
 
 @pytest.mark.slow
@@ -128,7 +128,7 @@ def test_this_machine_moves_as_the_reference_does(ours: Reference):
 def test_the_first_episodes_are_the_same_in_other_numbers(ours: Reference):
     few = play(2)
     assert few.motions.tolist() == ours.motions[:2].tolist()
-    np.testing.assert_array_equal(few.images, ours.images[:2])
+    np.testing.assert_array_equal(few.pixels, ours.pixels[:2])
 
 
 @pytest.mark.parametrize(("off", "problem"), [(TOLERANCE / 2, False), (0.01, True)])
@@ -142,10 +142,10 @@ def test_a_small_difference_is_measured_and_a_large_one_is_a_problem(ours: Refer
 
 
 def test_other_lengths_are_a_problem_and_other_pixels_are_counted(ours: Reference):
-    images = ours.images.copy()
-    images[3, 0, 0, 0] ^= 1
-    pictures = np.array(["f" * 16, *ours.pictures[1:]])
-    found = replace(ours, motions=ours.motions[::-1], poses=ours.poses[1:], images=images, pictures=pictures)
+    pixels = ours.pixels.copy()
+    pixels[3, 0, 0, 0] ^= 1
+    images = np.array(["f" * 16, *ours.images[1:]])
+    found = replace(ours, motions=ours.motions[::-1], poses=ours.poses[1:], images=images, pixels=pixels)
     facts = by_name(compare(found, ours))
     assert facts["motion"].problem
     assert not facts["images"].problem

@@ -112,11 +112,10 @@ def _refuse_foreign(path: Path, record: str) -> None:
 
 
 def _claim(path: Path, task: dict[str, Any], record: str) -> None:
-    """Write the task into a new folder; compare it with that of an old one, and remove the drafts that it left."""
+    """Write the task into a new folder or compare it with that of an old one; remove drafts of killed processes."""
     text = json.dumps(task, indent=4)
     if not (path / record).exists():
         write_atomically({path / record: lambda draft: draft.write_text(text)})
-        return
     if (found := read_task(path, record)) is None:
         raise FileExistsError(f"{path / record} cannot be read; remove {path} or choose another folder")
     if names := differences(found, json.loads(text)):

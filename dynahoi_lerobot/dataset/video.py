@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import av
+import av.logging
 import numpy as np
 from av.container import OutputContainer
 from av.error import FFmpegError
@@ -23,6 +24,8 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
+
+av.logging.set_libav_level(av.logging.ERROR)  # what FFmpeg prints wherever LeRobot has restored its own callback
 
 CODECS = {"h264": "libx264", "images": ""}
 """What stores images, and its encoder in FFmpeg: LeRobot's tools turn either into any other codec that it knows."""
@@ -79,7 +82,7 @@ class Encoding:
             "tune": "fastdecode",
             "g": str(self.gop),
             "bf": "0",
-            "x264-params": "scenecut=0:log=-1",
+            "x264-params": "scenecut=0",
         }
 
     def info(self, image_size: int) -> dict[str, Any]:

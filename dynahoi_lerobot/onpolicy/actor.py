@@ -21,8 +21,8 @@ from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_fol
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
-ACTING = ("evaluate/frame_history.py", "evaluate/policy_agent.py")
-"""Sources between a policy and the worlds; no expert passes there."""
+ACTING = "evaluate/policy_agent.py"
+"""Source between a policy and the worlds; no expert passes there."""
 PARTS = (CONFIG, "policy_*.json", "*.safetensors")
 """Files of a checkpoint from which a policy and its processors are loaded."""
 
@@ -118,8 +118,7 @@ def runtime(policy: PolicyAgent) -> str:
     import torch
 
     sources = hashlib.sha256(hash_packages({policy.package} - {"lerobot"}))
-    for name in ACTING:
-        sources.update((Path(dynahoi_lerobot.__file__).parent / name).read_bytes())
+    sources.update((Path(dynahoi_lerobot.__file__).parent / ACTING).read_bytes())
     capability = torch.backends.cpu.get_cpu_capability()
     return f"torch {torch.__version__}, lerobot {lerobot.__version__}, {capability}, {sources.hexdigest()[:16]}"
 

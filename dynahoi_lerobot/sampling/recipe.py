@@ -48,7 +48,7 @@ class Recipe:
     The lines below are also the help of the command-line options that are named after the fields.
 
     Attributes:
-        split: train, val, test, test_small or one of the ood_ splits; it decides the seed stream.
+        split: train, val, test, test_small or one of the ``ood_`` splits; it decides the seed stream.
         motions: comma-separated kinds of motion that take turns; those of the split by default. A registered motion
             that is not part of the benchmark is played only if it is named here.
         objects: comma-separated objects to draw from; those of the split by default.

@@ -27,7 +27,7 @@ STANDARD = Path(__file__).parents[2] / "recipes" / "dagger" / "standard.yaml"
 
 
 def test_it_trains_the_standard_recipe_shortened() -> None:
-    original = yaml.safe_load(STANDARD.read_text().replace("96", "64"))  # smaller pictures are quicker to draw
+    original = yaml.safe_load(STANDARD.read_text().replace("96", "64"))  # smaller images render faster
     copy = yaml.safe_load(quickstart.TRAINING.read_text())
     differs = {key for key in copy.keys() | original.keys() if copy.get(key) != original.get(key)}
     assert differs == {"out", "rounds", "n_episodes", "validation_episodes", "updates"}
@@ -45,7 +45,7 @@ def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(quickstart, "_run_stages", lambda _, size, __: sizes.append(size))
     monkeypatch.setattr(quickstart, "_conclude", lambda *_, **__: None)
     for words in ([], ["--episodes", "4", "--rounds", "2", "--evaluation-episodes", "3"], ["--tiny"]):
-        assert main(["quickstart", "--out", str(tmp_path), *words]) == 0
+        assert main(["quickstart", "--out", str(tmp_path / str(len(words))), *words]) == 0
     assert sizes == [quickstart.FULL, quickstart.Size(4, 2, 3), quickstart.TINY]
     assert sorted(quickstart.KINDS[: quickstart.FULL.kinds]) == sorted(MOTIONS)
 
@@ -158,10 +158,13 @@ def test_the_core_install_is_told_what_the_quickstart_needs(
 
 def test_open_opens_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
-    for name in ("tracker", *quickstart.BASELINES):
-        example_run(tmp_path / "results" / name, name, skill=0.5)
+
+    def play(out: Path, *_: object) -> None:
+        for name in ("tracker", *quickstart.BASELINES):
+            example_run(out / "results" / name, name, skill=0.5)
+
     monkeypatch.setattr(quickstart.webbrowser, "open", opened.append)
-    monkeypatch.setattr(quickstart, "_run_stages", lambda *_: None)
+    monkeypatch.setattr(quickstart, "_run_stages", play)
     monkeypatch.setattr(quickstart, "render_report", lambda _, page: page)
     assert main(["quickstart", "--out", str(tmp_path)]) == 0
     assert not opened

@@ -35,6 +35,13 @@ def holder(call: str, folder: Path) -> subprocess.Popen:
     return process
 
 
+def test_the_draft_of_a_start_that_was_killed_does_not_stay(tmp_path):
+    (tmp_path / ".plan.json.1.part").write_text('{"tas')
+    with working_folder(tmp_path, {"task": 1}):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.json"]
+
+
 def test_a_killed_process_loses_its_lock(tmp_path):
     with holder("exclusive(Path(sys.argv[1]))", tmp_path) as process:
         with pytest.raises(BlockingIOError, match=f"process {process.pid} on"), exclusive(tmp_path):

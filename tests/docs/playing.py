@@ -23,6 +23,7 @@ COUNTS = {
     "dynahoi generate": {"--episodes": "2"},
     "dynahoi evaluate": {"--episodes": "2", "--gifs": "1"},
     "dynahoi verify": {"--replay": "1"},
+    "dynahoi filter": {"--drop": "0"},
     "lerobot-train": {
         "--steps": "2", "--batch_size": "2", "--env_eval_freq": "2", "--eval.n_episodes": "1", "--eval.batch_size": "1",
     },

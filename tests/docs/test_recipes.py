@@ -18,7 +18,7 @@ from dynahoi_lerobot.sampling.recipe import load_recipe
 from tests.docs.documents import ROOT
 
 RECIPES = ROOT / "recipes"
-FOLDERS = {"dagger", "edit", "eye", "generate", "train", "zoo"}
+FOLDERS = {"dagger", "eye", "generate", "train", "zoo"}
 HEADER = re.compile(r"^#   (\S.*)$", re.MULTILINE)
 
 

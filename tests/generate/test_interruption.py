@@ -54,7 +54,7 @@ def killed_after(seconds: float, root: Path) -> bool:
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
-@pytest.mark.parametrize(("kills", "seed"), [(3, 7), pytest.param(20, 0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("kills", "seed"), [(3, 7), pytest.param(8, 0, marks=pytest.mark.slow)])
 def test_killed_at_random_instants(undisturbed, tmp_path, kills, seed):
     begin, rng, killed, root = time.monotonic(), random.Random(seed), 0, tmp_path / "d"
     os.waitpid(start(tmp_path / "first"), 0)

@@ -17,7 +17,6 @@ HERE = [name for name in __cpu_dispatch__ if __cpu_features__[name]]
 PROCESSORS = {
     "all that it has": {},
     "an older BLAS": {"OPENBLAS_CORETYPE": "Sandybridge"},
-    "no AVX-512": {"NPY_DISABLE_CPU_FEATURES": " ".join(name for name in HERE if name.startswith("AVX512"))},
     "the least of all": {"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": " ".join(HERE)},
 }
 PLAY = """
@@ -29,7 +28,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import digest
 
 test = Recipe(split="test", image_size=0)
-for recipe, count in ((test, 44), (test.changed(protocol="occluded"), 22), (test.changed(capture="contact"), 11)):
+for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 22), (test.changed(capture="contact"), 11)):
     specs = sample_specs(recipe, range(count), threads=1)
     for episode in evaluate(WorldBatch(recipe, 11, threads=1), EXPERTS[recipe.expert](), specs):
         spec = specs[episode.meta.seed]
@@ -39,7 +38,7 @@ for recipe, count in ((test, 44), (test.changed(protocol="occluded"), 22), (test
 
 @pytest.mark.slow
 def test_episodes_do_not_depend_on_the_processor() -> None:
-    """The expert's first two episodes of each kind, and some behind a screen and with contacts."""
+    """The expert's first episode of each kind, and some behind a screen and with contacts."""
     played = {
         name: subprocess.run(
             [sys.executable, "-c", PLAY], env=os.environ | changes, capture_output=True, text=True, check=True
@@ -47,6 +46,6 @@ def test_episodes_do_not_depend_on_the_processor() -> None:
         for name, changes in PROCESSORS.items()
     }
     reference = played["all that it has"]
-    assert len(reference) == 77
+    assert len(reference) == 55
     for name, episodes in played.items():
         assert episodes == reference, name

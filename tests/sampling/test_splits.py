@@ -180,10 +180,10 @@ def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: d
     for name in ("public", "other"):
         with pytest.raises(MixedError, match=rf"salted has salt '\w{{8}}', .*{name} has salt .*; evaluate both"):
             read_entries([runs["salted"], runs[name]])
-    rows = {name: read_results(folder).rows for name, folder in runs.items()}
-    assert compare(rows["salted"], rows["again"], "S_loc").n == 3
-    with pytest.raises(MixedError, match=r"A has salt '\w{8}', B has salt 'none'; evaluate both with one salt"):
-        compare(rows["salted"], rows["public"], "S_loc")
+    results = {name: read_results(folder) for name, folder in runs.items()}
+    assert compare(results["salted"], results["again"], "S_loc").n == 3
+    with pytest.raises(MixedError, match=r"salted has salt '\w{8}', .*public has salt 'none'; evaluate both"):
+        compare(results["salted"], results["public"], "S_loc")
 
 
 def test_a_salt_that_can_be_guessed_is_refused_and_not_repeated():

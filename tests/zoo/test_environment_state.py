@@ -64,7 +64,7 @@ def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
 
 def test_an_environment_shows_it_on_request() -> None:
     register_envs()
-    options = {"images": False, "image_size": 16}
+    options = {"image_size": 0}
     env = gym.make("dynahoi/constant-v0", environment_state=True, **options)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
