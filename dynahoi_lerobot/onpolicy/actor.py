@@ -21,7 +21,7 @@ from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_fol
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
-ACTING = ("evaluate/frame_history.py", "evaluate/policy_agent.py")
+ACTING = ("evaluate/policy_agent.py",)
 """Sources between a policy and the worlds; no expert passes there."""
 PARTS = (CONFIG, "policy_*.json", "*.safetensors")
 """Files of a checkpoint from which a policy and its processors are loaded."""

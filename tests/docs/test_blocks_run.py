@@ -104,7 +104,6 @@ def check_data(folder: Path) -> None:
     features = {root.name: json.loads((root / "meta/info.json").read_text())["features"] for root in ours}
     assert sum(key.startswith("observation.images.") for key in features["views"]) == 4
     assert "observation.touch" in features["contact"]
-    assert {"executed_action", "intervention", "teacher.arrival"} <= set(features["onpolicy"])
     assert "language_persistent" in features["told"]
     assert len(list((folder / "data/one_file/videos").rglob("*.mp4"))) == 1
 
