@@ -39,7 +39,7 @@ def catch() -> None:
     specs = sample_specs(recipe, [CAUGHT, MISSED])
     tracker = make_actor("checkpoints/tracker_standard")
     played = evaluate(WorldBatch(recipe, len(specs)), tracker, specs)
-    logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed) for episode in played}
+    logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed_action) for episode in played}
     episodes = replay(replace(recipe, image_size=SHOWN_PX), [logs[CAUGHT], logs[MISSED]])
     for episode in episodes:
         print(f"{episode.meta.motion}: {episode.stage}, nearest {100 * _nearest(episode)[1]:.1f} cm")

@@ -63,7 +63,7 @@ def _feature(feature: Feature, shape: str) -> Row:
     cases = [(feature.constant, "constant over the episode"), (feature.in_episode_table, "in the episode table")]
     cases += [(feature.per != "frame", f"a row per {feature.per}")]
     cases += [(feature.needs_contact_sensors, "only if the capture rule uses contact sensors")]
-    cases += [(feature.on_policy, "only in on-policy recordings"), (feature.on_request, "only on request")]
+    cases += [(feature.on_request, "only on request")]
     notes = "; ".join(words for holds, words in cases if holds)
     return {
         "dataset": feature.key,

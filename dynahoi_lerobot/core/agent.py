@@ -98,6 +98,8 @@ class Actor(ABC):
         views: the views it needs besides ``ego``.
         weights: sha256 of its files of weights, by name; empty if it has none.
         retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
+        labels: (N, 18) what a teacher wanted from the frames it last gave commands for, as commands; None if nobody
+            labels them, so that the commands stand for themselves.
     """
 
     name: str = "actor"
@@ -110,6 +112,7 @@ class Actor(ABC):
     views: tuple[str, ...] = ()
     weights: Mapping[str, str] = MappingProxyType({})
     retries: int = 0
+    labels: np.ndarray | None = None
 
     def reset(self, count: int) -> None:  # noqa: B027 - an actor without memory has nothing to forget
         """Forget everything; ``count`` new episodes begin."""
@@ -216,9 +219,13 @@ class Expert(Actor):
 
     A world may begin an episode at any frame of the others. What an expert keeps between frames, such as a plan, must
     follow from the episode and the attempt alone.
+
+    Attributes:
+        finds_back: it catches the target all the same after its palm was pulled away, so recordings may perturb it.
     """
 
     name = "expert"
+    finds_back: bool = False
     privileged = True
     has_memory = False
 

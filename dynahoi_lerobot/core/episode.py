@@ -23,7 +23,8 @@ class EpisodeMeta:
         object: the object's name, one of the 11.
         parameters: the motion's parameters, JSON with SI units, world frame.
         task: the instruction given to the policy.
-        agent: who moved the hand (``intercept``, ``hold``, a policy's name).
+        agent: who moved the hand (``intercept``, ``hold``, a policy's name; in an on-policy recording type and hash of
+            its checkpoint, ``tracker@...``).
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         protocol: one of ``rules.PROTOCOLS``.
         control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.
@@ -33,8 +34,6 @@ class EpisodeMeta:
         attempts: how many attempts the agent needed, from 1.
         fingerprint: identifies the code and recipe that made the episode.
         benchmark: version of the benchmark that the episode was drawn and played under.
-        actor: the policy whose states the recording is to show, type and hash of its checkpoint (``tracker@...``), also
-            where a teacher leads; empty if nobody but an expert ever does.
     """
 
     seed: int
@@ -54,7 +53,6 @@ class EpisodeMeta:
     attempts: int
     fingerprint: str
     benchmark: str
-    actor: str = ""
 
     @property
     def motion_parameters(self) -> dict[str, Any]:
@@ -67,7 +65,7 @@ class Episode:
     """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
 
     Home frame, SI units; `features.py` has shapes, units and names of all arrays. ``state[t]`` is measured at time
-    t * 0.05 s, ``action[t]`` is the command executed from then until frame t + 1. The window is frames
+    t * 0.05 s, ``executed_action[t]`` is the command executed from then until frame t + 1. The window is frames
     ``[0, window_frames)``; control starts at frame ``window_frames``.
 
     Attributes:
@@ -76,8 +74,11 @@ class Episode:
         state: (T, 18) float32, palm centre position [m] and 15 joint angles [rad].
         fingertips: (T, 30) float32, 5 x (position [m], rotation vector [rad]), which follow from ``state``.
         phase: (T, 2) float32, [1, 0] observing, [0, 1] acting.
-        action: (T, 18) float32, commanded palm position [m] and joint angles [rad] for the next frame; in an on-policy
-            recording what the teacher would have commanded.
+        action: (T, 18) float32, palm position [m] and joint angles [rad]. In recordings for learning the teacher's
+            goal, which may lie beyond the reach of one frame, also in the window, where commands are void; elsewhere
+            ``executed_action``.
+        executed_action: (T, 18) float32, the commands for the next frame that were executed, within the limits of the
+            hand and with what perturbed them.
         target_pose: (T, 7) float32, position [m] and quaternion wxyz of the target.
         target_velocity: (T, 6) float32, linear [m/s] and angular [rad/s] velocity of the target.
         target_path: (F, 3) float32 [m], where the target would be in every frame had nothing touched it. F = window +
@@ -110,9 +111,6 @@ class Episode:
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
         touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
             None unless the capture rule ``uses_contact_sensors``.
-        executed_action: (T, 18) float32, the commands that were executed; None if they are ``action``.
-        intervention: (T,) bool, the teacher moved the hand; None unless the recording is on-policy.
-        teacher_arrival: (T,) float32 [s], time until the teacher would meet the target from here; likewise.
     """
 
     meta: EpisodeMeta
@@ -121,6 +119,7 @@ class Episode:
     fingertips: np.ndarray = field(repr=False)
     phase: np.ndarray = field(repr=False)
     action: np.ndarray = field(repr=False)
+    executed_action: np.ndarray = field(repr=False)
     target_pose: np.ndarray = field(repr=False)
     target_velocity: np.ndarray = field(repr=False)
     target_path: np.ndarray = field(repr=False)
@@ -150,18 +149,10 @@ class Episode:
     success: bool
     stage: str
     touch: np.ndarray | None = field(default=None, repr=False)
-    executed_action: np.ndarray | None = field(default=None, repr=False)
-    intervention: np.ndarray | None = field(default=None, repr=False)
-    teacher_arrival: np.ndarray | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return T, the number of frames."""
         return len(self.state)
-
-    @property
-    def executed(self) -> np.ndarray:
-        """(T, 18) the commands that moved the hand: palm positions [m], home frame, and joint angles [rad]."""
-        return self.action if self.executed_action is None else self.executed_action
 
     @property
     def control(self) -> slice:

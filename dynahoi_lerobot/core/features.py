@@ -50,7 +50,6 @@ class Feature:
         low: least value in the Gymnasium space, in ``unit``; values beyond are clipped.
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
-        on_policy: whether only on-policy recordings have it, see `rollout.teacher_labels`.
         on_request: whether policies and datasets get it only if that is asked for: it is the simulator's truth.
         constant: whether it has one value per episode; a frame table repeats that value in every row.
         per: what its rows are if it is not constant: ``frame``, or something whose number differs between episodes, as
@@ -69,7 +68,6 @@ class Feature:
     low: float = -math.inf
     high: float = math.inf
     needs_contact_sensors: bool = False
-    on_policy: bool = False
     on_request: bool = False
     constant: bool = False
     per: str = "frame"
@@ -93,7 +91,7 @@ class Feature:
     @property
     def optional(self) -> bool:
         """Whether some recordings do not have it."""
-        return self.needs_contact_sensors or self.on_policy or self.on_request
+        return self.needs_contact_sensors or self.on_request
 
     @property
     def is_image(self) -> bool:
@@ -157,20 +155,13 @@ _TABLE = (
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "target for the next frame, after clipping: palm centre position, home frame; joint angles; in on-policy "
-        "recordings what the teacher would have commanded", gym_key="action",
+        "where the hand should get to: palm centre position, home frame, which may lie beyond the reach of one frame, "
+        "as the world cuts it to the limits of the hand; joint angles now. In datasets the teacher's goal, also in the "
+        "observation window, where commands are void", gym_key="action",
     ),
     Feature(
         "executed_action", "stats/executed_action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "likewise, the command that was executed, whoever gave it", on_policy=True,
-    ),
-    Feature(
-        "intervention", "stats/intervention", (), ("intervention",), "1",
-        "the teacher moved the hand, disturbed, not the policy", dtype="bool", on_policy=True,
-    ),
-    Feature(
-        "teacher_arrival", "stats/teacher.arrival", (), ("time",), "s",
-        "time until the teacher would meet the target from here", on_policy=True,
+        "the command for the next frame that was executed, whoever gave it, after clipping and perturbation",
     ),
     Feature(
         "target_pose", "stats/target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
@@ -328,14 +319,9 @@ def frame_features(
     return (*images, *(feature for feature in asked if not feature.in_episode_table))
 
 
-def episode_features(*, on_policy: bool = False) -> tuple[Feature, ...]:
-    """Return the columns of the episode table, which LeRobot does not load: metrics need them, policies do not.
-
-    Args:
-        on_policy: whether a teacher labels what somebody else does.
-    """
-    rows = (feature for feature in FEATURES.values() if feature.in_episode_table)
-    return tuple(feature for feature in rows if on_policy or not feature.on_policy)
+def episode_features() -> tuple[Feature, ...]:
+    """Return the columns of the episode table, which LeRobot does not load: metrics need them, policies do not."""
+    return tuple(feature for feature in FEATURES.values() if feature.in_episode_table)
 
 
 def as_gym(observation: Observation) -> dict[str, Any]:

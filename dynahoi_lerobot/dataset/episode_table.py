@@ -39,7 +39,7 @@ def own_values(row: EpisodeRow) -> dict[str, Any]:
     Raises:
         KeyError: if a column is missing that every dataset has.
     """
-    held = (f for f in episode_features(on_policy=True) if not f.derived and (f.key in row or not f.optional))
+    held = (f for f in episode_features() if not f.derived and (f.key in row or not f.optional))
     meta = EpisodeMeta(**{field.name: row[field.name] for field in fields(EpisodeMeta)})
     return {"meta": meta, "success": row["success"], "stage": row["stage"]} | {
         f.name: _value(row[f.key], f) for f in held

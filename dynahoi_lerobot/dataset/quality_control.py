@@ -106,7 +106,8 @@ def out_of_limits(episode: Episode, limits: TrajectoryLimits) -> str | None:
     """Find positions and angles that the hand cannot take."""
     low, high = np.array(limits.palm_range_m).T
     least, most = limits.joint_range_rad
-    for name, values in (("state", episode.state), ("action", episode.action), ("executed_action", episode.executed)):
+    for name in ("state", "action", "executed_action"):
+        values = getattr(episode, name)
         palm, joints = values[:, :PALM_DOF], values[:, PALM_DOF:]
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
@@ -125,7 +126,7 @@ def jumps(episode: Episode, limits: TrajectoryLimits) -> str | None:
         (slice(0, PALM_DOF), limits.palm_step_m, "m"),
         (slice(PALM_DOF, HAND_DOF), limits.joint_step_rad, "rad"),
     )
-    for name, values in (("state", episode.state), ("executed_action", episode.executed)):
+    for name, values in (("state", episode.state), ("executed_action", episode.executed_action)):
         for part, allowed, unit in groups:
             steps = np.abs(np.diff(values[:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
             if steps.size and (worst := float(steps.max())) > allowed:
@@ -148,24 +149,20 @@ def teleports(episode: Episode, limits: TrajectoryLimits) -> str | None:
 
 
 def saturation(episode: Episode, limits: TrajectoryLimits) -> str | None:
-    """Find demonstrations that stay at a limit of the hand through the control phase; a policy may well do that."""
-    commands = episode.action[is_acting(episode.phase)]
-    if episode.executed_action is not None or not len(commands):
+    """Find labels that have the palm at a limit of its slides through the control phase."""
+    palm = episode.action[is_acting(episode.phase), :PALM_DOF]
+    if not len(palm):
         return None
     low, high = np.array(limits.palm_range_m).T
-    palm, joints = commands[:, :PALM_DOF], commands[:, PALM_DOF:]
     share = ((palm < low + 1e-3) | (palm > high - 1e-3)).mean(axis=0)  # (3,)
     if share.max() > limits.palm_saturated_share:
         return f"action[{int(share.argmax())}] is at its limit in {share.max():.0%} of the control phase"
-    closed = (joints >= joints.max()).all(axis=0) & (joints.max() > 1.0)
-    if closed.any():
-        return f"action[{PALM_DOF + int(closed.argmax())}] is at its limit in all of the control phase"
     return None
 
 
 def frozen(episode: Episode, limits: TrajectoryLimits) -> str | None:
     """Find a measured state that stays the same to the last bit while it is commanded elsewhere."""
-    state, command = episode.state, episode.executed
+    state, command = episode.state, episode.executed_action
     still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
     away = np.abs(command[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > limits.frozen_gap_m
     run = 0

@@ -159,7 +159,7 @@ class Store:
     def array_features(self) -> list[Feature]:
         """Our arrays that the episode table holds."""
         names = pq.read_schema(self.row_files()[0]).names
-        return [feature for feature in episode_features(on_policy=True) if feature.key in names]
+        return [feature for feature in episode_features() if feature.key in names]
 
     def data_files(self) -> list[Path]:
         """Return the files of the frame table, in order.

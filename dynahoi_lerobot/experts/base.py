@@ -67,6 +67,23 @@ class SingleWorldExpert(Expert):
 class Teacher(SingleWorldExpert):
     """An expert that is a function of the state alone, so that it can label whatever state somebody else gets into."""
 
+    finds_back = True
+
+    @abstractmethod
+    def goal(self, world: WorldView) -> np.ndarray:
+        """Return (18,) where the hand of one world should get to, and how far closed it should be now.
+
+        Palm centre [m], world, which may lie beyond the reach of one frame, and joint angles [rad]. In the observation
+        window it is what the teacher would command were control active; after the catch it holds still.
+        """
+
+    def goals(self, state: WorldState) -> np.ndarray:
+        """Return (N, 18) the goals, home frame; worlds without an episode get zeros."""
+        found = np.zeros((len(state.specs), HAND_DOF))
+        for i, view in views(state):
+            found[i] = self.goal(view) - _origin(view.spec)
+        return found
+
     @abstractmethod
     def arrivals(self, state: WorldState) -> np.ndarray:
         """Return (N,) int, in how many frames from now it means to meet each target; 0 without an episode."""

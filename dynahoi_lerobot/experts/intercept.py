@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Meeting, WorldState
@@ -10,9 +12,13 @@ from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView, views
+from dynahoi_lerobot.hands import HANDS
 
 CLOSING_FRAMES = 8
 """Fingers close over at most this many frames."""
+CLOSED_FRAMES = 16
+"""A goal has the fingers closed this long before the meeting: a learner that comes to it a little off, or early, must
+not be caught open."""
 SPARE_FRAMES = 2
 """Fingers are closed this long before the target comes within reach of them."""
 CLOSED_EARLY_M = 0.0005
@@ -37,6 +43,16 @@ class Intercept(Teacher):
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
         return approach(world, _path_from(world.spec, world.due_frame), _speed(world.control))
+
+    def goal(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the meeting point, and fingers that close by time to go; after the catch, the held pose."""
+        spec, closed = world.spec, closed_joints(world.spec.hand)
+        if world.localized:
+            return np.concatenate([world.state[:PALM_DOF], closed])
+        path_w = _path_from(spec, world.due_frame)
+        arrival = earliest_arrival(world.state, closed, path_w, _speed(world.control), world.control)
+        closing = np.clip((CLOSED_FRAMES + CLOSING_FRAMES - arrival) / CLOSING_FRAMES, 0.0, 1.0)
+        return np.concatenate([path_w[arrival], spec.open_joints + closing * (closed - spec.open_joints)])
 
     def arrivals(self, state: WorldState) -> np.ndarray:
         """See `Teacher.arrivals`."""
@@ -97,6 +113,12 @@ def earliest_arrival(
     distance = np.linalg.norm(path_w[1:] - state[:PALM_DOF], axis=1)
     possible = in_time & (distance <= speed_m_s * CONTROL_DT * frames)
     return int(possible.argmax()) + 1 if possible.any() else len(path_w) - 1
+
+
+@cache
+def closed_joints(hand: str) -> np.ndarray:
+    """Return (15,) joint angles [rad] of a closed hand."""
+    return HANDS[hand]().closed_joints()
 
 
 def _path_from(spec: EpisodeSpec, frame: int) -> np.ndarray:

@@ -21,8 +21,8 @@ from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 
-RECIPE_OPTIONS = tuple(entry.name for entry in fields(Recipe) if entry.name not in ("actor", "teacher_share"))
-"""Fields of the recipe that options of the command override; on-policy recordings have options of their own."""
+RECIPE_OPTIONS = tuple(entry.name for entry in fields(Recipe) if entry.name != "actor")
+"""Fields of the recipe that options of the command override; ``--actor`` takes a checkpoint, not its name."""
 BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 EXECUTORS = ("local", "slurm", "ray")
 LONGEST_VIDEO_S = 1e9

@@ -96,7 +96,7 @@ class GenerationPlan:
     @property
     def features(self) -> tuple[Feature, ...]:
         """The columns of the dataset, of the frame table and of the episode table."""
-        return (*self.recipe.features(), *episode_features(on_policy=self.recipe.on_policy))
+        return (*self.recipe.features(), *episode_features())
 
     @property
     def shards(self) -> int:

@@ -26,6 +26,10 @@ SHOWN_GROUP, SKIN_GROUP, HIDDEN_GROUP = 0, 1, 4
 """Groups of geoms that are drawn, that are drawn and nothing else, and that are not drawn."""
 
 
+CLOSED_RADIUS_M = 0.0295
+"""Closed around this radius, a hand passes the two-sided test of the grasp for 97 % of the targets."""
+
+
 def camera_quat(forward: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return (4,) quaternion wxyz of an upright camera, whose -z points along ``forward`` (3,), of any length."""
     ahead = np.asarray(forward, float) / norm(forward)
@@ -56,3 +60,7 @@ class Hand(ABC):
     @abstractmethod
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
         """Return (15,) joint angles [rad] of the reference grasp around an object of that radius [m]."""
+
+    def closed_joints(self) -> np.ndarray:
+        """Return (15,) joint angles [rad] of the closed hand, one pose for all objects."""
+        return self.reference_joints(CLOSED_RADIUS_M)

@@ -89,7 +89,7 @@ def command_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
     Palm positions are in u and joint angles in radians, because that mixture is what the authors' code
     measured.
     """
-    points = episode.executed[until_localized(episode)].astype(np.float64)  # (M, 18)
+    points = episode.executed_action[until_localized(episode)].astype(np.float64)  # (M, 18)
     points[:, :PALM_DOF] /= UNIT_M
     steps = np.diff(points, axis=0)
     return steps[np.linalg.norm(steps, axis=1) > LEGACY_REST], points[-1] - points[0]

@@ -16,9 +16,10 @@ from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.onpolicy.student import Student
 from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.teacher_labels import DISTURBANCE_M
 from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.commands import DISTURBED_SHARE
+
+DISTURBANCE_M, DISTURBED_SHARE = 0.03, 0.3
+"""A teacher that leads misses its command in so many of the frames, by this standard deviation along each axis [m]."""
 
 
 @dataclass(frozen=True, eq=False)

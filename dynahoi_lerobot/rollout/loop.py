@@ -6,21 +6,27 @@ Generation, evaluation and the environments all play here, so that they cannot d
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Actor, Meeting, Observation
+from dynahoi_lerobot.core.agent import Actor, Agent, Meeting, Observation
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, frame_columns
+from dynahoi_lerobot.rollout.teacher_labels import Demonstrator, Taught
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DEFAULT_BATCH = 32
+"""Worlds played side by side. A network's rounding may depend on what else is in its batch, so a policy that is
+recorded plays consecutive seeds of a shard together, whoever records them."""
+
+MakeAgent = Callable[[int], Agent]
+"""Returns the policy, whose random numbers follow from the seed given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,12 +77,12 @@ class Session:
         self.observation = self.batch.observe(images=images, ids=shown)
         return self.observation
 
-    def step(self, commands: np.ndarray, labels: dict[str, np.ndarray] | None = None) -> Ended:
+    def step(self, commands: np.ndarray, labels: np.ndarray | None = None) -> Ended:
         """Record what was observed, move the worlds that play by one frame, and tell which have ended.
 
         Args:
             commands: (N, 18) of all worlds; those of worlds that do not play are ignored.
-            labels: (N, ...) what a teacher says of this frame, by name in ``Episode``; None without a teacher.
+            labels: (N, 18) what a teacher wants from this frame; None without a teacher.
 
         Raises:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
@@ -90,9 +96,9 @@ class Session:
         for i, recorder in self._recorders.items():
             recorder.add_frame(columns, i, images)
         self.batch.step(checked[ids], ids)
+        wanted = None if labels is None else self.batch.within_workspace(labels)
         for i, recorder in self._recorders.items():
-            label = None if labels is None else {name: values[i] for name, values in labels.items()}
-            recorder.add_action(self.batch.commanded[i], label)
+            recorder.add_action(self.batch.commanded[i], None if wanted is None else wanted[i])
         terminated = [i for i in ids if self._recorders[i].settled(self.batch.rule)]
         truncated = [i for i in ids if self._recorders[i].full and i not in terminated]
         return Ended(np.array(terminated, int), np.array(truncated, int))
@@ -135,7 +141,8 @@ def play(
         if not session.playing.size:
             return
         observation = session.observe(images=images or actor.sees_images)
-        ended = session.step(actor.commands(observation, batch.world_state))
+        commands = actor.commands(observation, batch.world_state)
+        ended = session.step(commands, actor.labels)
         for i in ended.worlds:
             job = session.job(int(i))
             yield job, session.finish(int(i), actor.name, actor.first_meeting(job.spec, batch.control, job.attempt))
@@ -146,6 +153,8 @@ def record(
 ) -> Iterator[Episode]:
     """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are left out.
 
+    Each frame's ``action`` is the expert's label, see `teacher_labels`; an episode ends soon after its outcome.
+
     With ``recipe.keep_failures`` the last attempt at them is yielded instead.
 
     Each is a function of (recipe, seed): batch size and threads do not matter.
@@ -153,16 +162,39 @@ def record(
     if len(recipe.path_speeds) > 1:
         raise ValueError(f"split {recipe.split!r} is for evaluations; record another one")
     batch = WorldBatch(recipe, min(batch_size, max(1, len(seeds))), threads)
+    expert = Demonstrator(EXPERTS[recipe.expert](), recipe.perturbed_share)
+    for episode in _in_order(_play_with_retries(batch, expert, _fresh_jobs(recipe, seeds, threads), images=True)):
+        if episode.success or recipe.keep_failures:
+            yield episode
+
+
+def record_on_policy(
+    recipe: Recipe, seeds: Sequence[int], *, make_agent: MakeAgent, threads: int = 0
+) -> Iterator[Episode]:
+    """Yield the episodes of ``seeds`` in their order, those that the policy fails included.
+
+    Args:
+        recipe: with an ``actor``, whose states its expert labels.
+        seeds: of the episodes; what a policy does may depend, in the last bit, on which are played in a group.
+        make_agent: returns the policy that the recipe names.
+        threads: for physics, 0 for all cores; without influence on the result.
+    """
+    for first in range(0, len(seeds), DEFAULT_BATCH):
+        group = seeds[first : first + DEFAULT_BATCH]
+        agent = Taught(make_agent(group[0]), recipe.teacher(), recipe.actor)
+        jobs = _fresh_jobs(recipe, group, threads)
+        yield from _in_order(play(WorldBatch(recipe, len(group), threads), agent, jobs, images=True))
+
+
+def _in_order(played: Iterable[tuple[Job, Episode]]) -> Iterator[Episode]:
+    """Yield episodes in the order of their jobs, each as soon as all before it have ended."""
     finished: dict[int, Episode] = {}
     next_index = 0
-    expert, jobs = EXPERTS[recipe.expert](), _fresh_jobs(recipe, seeds, threads)
-    for job, episode in _play_with_retries(batch, expert, jobs, images=True):
+    for job, episode in played:
         finished[job.index] = episode
         while next_index in finished:
-            ready = finished.pop(next_index)
+            yield finished.pop(next_index)
             next_index += 1
-            if ready.success or recipe.keep_failures:
-                yield ready
 
 
 def evaluate(
@@ -217,20 +249,8 @@ class _Jobs(Iterator[Job]):
 
 def _fresh_jobs(recipe: Recipe, seeds: Sequence[int], threads: int) -> Iterator[Job]:
     for block in range(0, len(seeds), DEFAULT_BATCH):
-        specs = sample_shortened(recipe, seeds[block : block + DEFAULT_BATCH], threads)
-        yield from (Job(block + offset, spec, spec.length_frames) for offset, spec in enumerate(specs))
-
-
-def sample_shortened(recipe: Recipe, seeds: Sequence[int], threads: int) -> list[EpisodeSpec]:
-    """Return the episodes of ``seeds`` as they are recorded: over ``recipe.hold_frames`` after the intercept."""
-    return [_shortened(spec, recipe.hold_frames) for spec in sample_specs(recipe, seeds, threads=threads)]
-
-
-def _shortened(spec: EpisodeSpec, hold_frames: int | None) -> EpisodeSpec:
-    """The same episode, over ``hold_frames`` after the intercept."""
-    if hold_frames is None:
-        return spec
-    return replace(spec, length_frames=min(spec.length_frames, spec.intercept_frame + 1 + hold_frames))
+        specs = sample_specs(recipe, seeds[block : block + DEFAULT_BATCH], threads=threads)
+        yield from (Job.evaluation(block + offset, spec) for offset, spec in enumerate(specs))
 
 
 def _begin(session: Session, actor: Actor, waiting: Iterator[Job]) -> None:

@@ -81,7 +81,7 @@ class WorldRecorder:
     frames: list[dict[str, np.ndarray]] = field(default_factory=list)
     images: dict[str, list[np.ndarray]] = field(default_factory=dict)
     actions: list[np.ndarray] = field(default_factory=list)
-    labels: list[dict[str, np.ndarray]] = field(default_factory=list)
+    labels: list[np.ndarray] = field(default_factory=list)
     localized_frames: int = 0
 
     def add_frame(self, columns: dict[str, np.ndarray], i: int, images: dict[str, np.ndarray]) -> None:
@@ -97,16 +97,15 @@ class WorldRecorder:
         for view, pixels in images.items():
             self.images.setdefault(view, []).append(pixels[i])
 
-    def add_action(self, executed: np.ndarray, label: dict[str, np.ndarray] | None = None) -> None:
+    def add_action(self, executed: np.ndarray, label: np.ndarray | None = None) -> None:
         """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad].
 
         Args:
             executed: the command.
-            label: what a teacher says of this frame, by name in ``Episode``; its ``action`` is then the episode's.
+            label: (18,) what a teacher wanted instead; the episode's ``action``. Without one it is what was executed.
         """
         self.actions.append(executed.copy())
-        if label is not None:
-            self.labels.append(label)
+        self.labels.append(self.actions[-1] if label is None else label.copy())
 
     def settled(self, rule: CaptureRule) -> bool:
         """Tell whether the episode may end because the rule has settled its outcome."""
@@ -145,12 +144,11 @@ class WorldRecorder:
 
     def _columns(self) -> dict[str, np.ndarray]:
         """Everything measured besides images, (T, ...) each."""
-        return _stacked(self.frames)
+        return {name: np.stack([frame[name] for frame in self.frames]) for name in self.frames[0]}
 
     def _commands(self) -> dict[str, np.ndarray]:
-        """The commands, and what a teacher says of the frames if there is one, (T, ...) each."""
-        executed = np.stack(self.actions)
-        return {"executed_action": executed, **_stacked(self.labels)} if self.labels else {"action": executed}
+        """The commands and what a teacher wanted, (T, 18) each."""
+        return {"action": np.stack(self.labels), "executed_action": np.stack(self.actions)}
 
     def _track(self, columns: dict[str, np.ndarray]) -> Track:
         """What the capture rule judges: the control phase."""
@@ -165,10 +163,6 @@ class WorldRecorder:
             palm_distance=columns["palm_distance"][control],
             palm_pos_h=columns["state"][control, :PALM_DOF],
         )
-
-
-def _stacked(frames: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    return {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
 
 
 def next_frames(flags: np.ndarray) -> np.ndarray:

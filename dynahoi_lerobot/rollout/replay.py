@@ -11,8 +11,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.rollout.loop import Job, play, record, sample_shortened
-from dynahoi_lerobot.rollout.teacher_labels import play_on_policy
+from dynahoi_lerobot.rollout.loop import Job, play, record, record_on_policy
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -72,9 +71,7 @@ def simulator(recipe: dict[str, Any]) -> Resimulate:
 
 
 def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode]) -> Resimulate:
-    """Return a function that makes on-policy recordings again: by the executed commands where the policy led.
-
-    All else is computed anew, the teacher's labels included, and where it leads its commands, too.
+    """Return a function that makes on-policy recordings again, by the executed commands; all else is computed anew.
 
     Args:
         recipe: what was recorded.
@@ -82,10 +79,8 @@ def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode]) -> Res
     """
 
     def resimulate(seed: int) -> Episode:
-        specs = sample_shortened(recipe, [seed], threads=1)
-        player = Player([ActionLog(seed, stored(seed).executed)])
-        (episode,) = play_on_policy(WorldBatch(recipe, 1, threads=1), player, specs)
-        return episode
+        player = Player([ActionLog(seed, stored(seed).executed_action)])
+        return next(record_on_policy(recipe, [seed], make_agent=lambda _: player, threads=1))
 
     return resimulate
 

@@ -1,117 +1,142 @@
-"""On-policy recordings: a policy moves the hand, and in every frame a teacher says what it would have commanded.
+"""Recordings for learning: in every frame the teacher's goal is the label, whoever moves the hand and wherever it is.
 
-A share of the episodes is led by the teacher itself, whose commands are disturbed (DAgger; Ross et al., 2011).
+An expert that is recorded executes its own labels. In a share of the episodes its palm is perturbed: pulled away for
+several frames at a time, and trembling. A policy that only ever saw a hand on its way does not know what to do after
+its own first mistake (DART; Laskey et al., 2017). What was executed is recorded beside the labels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Agent, Observation
-from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
-from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.agent import Agent, Expert, Meeting, Observation, WorldState
+from dynahoi_lerobot.core.conventions import PALM_DOF
+from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import Teacher
-from dynahoi_lerobot.rollout.loop import Session, check_sight, sample_shortened
-from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.commands import DISTURBED_SHARE
 
-GROUP = 32
-"""Episodes that a policy plays side by side. A network's rounding may depend on what else is in its batch, so groups
-are consecutive seeds of a shard, whoever records them."""
-DISTURBANCE_M = 0.03
-"""Standard deviation of what the palm of a teacher that leads is disturbed by, along each axis [m]."""
-STREAM = 0x1EAD
-
-MakeAgent = Callable[[int], Agent]
-"""Returns the policy, whose random numbers follow from the seed given."""
+PULL_ODDS = 0.15
+"""Probability with which a pull begins in a frame without one."""
+PULL_M = 0.12
+"""Standard deviation of where the palm is pulled, along each axis, from where it is when the pull begins [m]."""
+PULL_FRAMES = (2, 8)
+"""Shortest and longest pull."""
+TREMOR_ODDS, TREMOR_M = 0.5, 0.006
+"""Share of the other frames with tremor, and its standard deviation along each axis [m]."""
+PERTURBED_ATTEMPTS = 3
+"""An attempt that fails is made again with another perturbation, after so many without one, so that targets that pass
+once are not left out."""
+STREAM = 0xD157
 
 
-@dataclass(frozen=True, eq=False)
-class Lead:
-    """Whether a teacher leads an episode, and how it is disturbed there: both follow from the episode's seed.
+def labels(teacher: Expert, world: WorldState) -> np.ndarray:
+    """Return (N, 18) what the teacher wants from here, home frame: its goal, or its next command if it tells none."""
+    return teacher.goals(world) if isinstance(teacher, Teacher) else teacher.act(world)
+
+
+class Demonstrator(Expert):
+    """An expert that is recorded: it executes its labels, in some episodes perturbed."""
+
+    def __init__(self, expert: Expert, perturbed_share: float) -> None:
+        """Record ``expert``, perturbed in a share of the episodes if it finds back."""
+        self.name, self.retries, self._expert = expert.name, expert.retries, expert
+        self._share = perturbed_share if expert.finds_back else 0.0
+        if self._share:
+            self.retries = max(expert.retries, PERTURBED_ATTEMPTS)
+        self._perturbations: dict[int, Perturbation] = {}
+
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting | None:
+        """Return the meeting that the expert plans."""
+        return self._expert.first_meeting(spec, control, attempt)
+
+    def act(self, world: WorldState) -> np.ndarray:
+        """Return (N, 18) the labels, with the palms of some worlds perturbed."""
+        self.labels = labels(self._expert, world)
+        commands = self.labels.copy()
+        for i, spec in enumerate(world.specs):
+            frame = int(world.frame[i])
+            if spec is not None and self._share and not world.localized[i] and frame < spec.horizon_frames:
+                perturbation, palm = self._perturbation(i, spec, int(world.attempt[i])), world.state_when_due[i]
+                commands[i, :PALM_DOF] = perturbation(frame, palm[:PALM_DOF], commands[i, :PALM_DOF])
+        return commands
+
+    def _perturbation(self, i: int, spec: EpisodeSpec, attempt: int) -> Perturbation:
+        known = self._perturbations.get(i)
+        if known is None or known.spec is not spec or known.attempt != attempt:
+            known = self._perturbations[i] = Perturbation.drawn(spec, attempt, self._share)
+        return known
+
+
+@dataclass
+class Perturbation:
+    """What moves the palm besides the expert in one attempt at an episode; it follows from seed and attempt.
 
     Attributes:
-        led: the teacher leads.
-        rng: of the disturbances.
+        spec: the episode.
+        attempt: from 1.
+        pull_begin: (F,) int, the frame in which the pull of each frame began, -1 for frames without one.
+        pull_m: (F, 3) where a pull that begins in a frame leads, from the palm then [m].
+        tremor_m: (F, 3) what is added to the commands of frames without a pull [m].
+        aims: where each pull leads [m], home frame, by the frame in which it began.
     """
 
-    led: bool
-    rng: np.random.Generator
+    spec: EpisodeSpec
+    attempt: int
+    pull_begin: np.ndarray
+    pull_m: np.ndarray
+    tremor_m: np.ndarray
+    aims: dict[int, np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def drawn(cls, seed: int, teacher_share: float) -> Lead:
-        """Draw it for the episode of a seed, of which the teacher leads a share."""
-        rng = np.random.default_rng([STREAM, seed])
-        return cls(bool(rng.random() < teacher_share), rng)
+    def drawn(cls, spec: EpisodeSpec, attempt: int, share: float) -> Perturbation:
+        """Draw it for an attempt at an episode; a ``share`` of the episodes has one, but not in the last attempt."""
+        rng, frames = np.random.default_rng([STREAM, spec.seed, attempt]), spec.horizon_frames
+        perturbed = np.random.default_rng([STREAM, spec.seed]).random() < share and attempt <= PERTURBED_ATTEMPTS
+        begins = rng.random(frames) < PULL_ODDS
+        lengths = rng.integers(PULL_FRAMES[0], PULL_FRAMES[1] + 1, frames)
+        pull_m = rng.normal(0.0, PULL_M, (frames, PALM_DOF))
+        tremor_m = rng.normal(0.0, TREMOR_M, (frames, PALM_DOF)) * (rng.random((frames, 1)) < TREMOR_ODDS)
+        pull_begin = np.full(frames, -1)
+        for frame in np.flatnonzero(begins & perturbed):
+            if pull_begin[frame] < 0:
+                pull_begin[frame : frame + lengths[frame]] = frame
+        return cls(spec, attempt, pull_begin, pull_m, tremor_m * perturbed)
+
+    def __call__(self, frame: int, palm_h: np.ndarray, wanted_h: np.ndarray) -> np.ndarray:
+        """Return (3,) where the palm is sent in a frame, home frame.
+
+        Args:
+            frame: of the episode.
+            palm_h: (3,) where it will be when the command takes effect [m].
+            wanted_h: (3,) where the expert sends it [m].
+        """
+        begin = int(self.pull_begin[frame])
+        if begin < 0:
+            return wanted_h + self.tremor_m[frame]
+        if begin not in self.aims:
+            self.aims[begin] = palm_h + self.pull_m[begin]
+        return self.aims[begin]
 
 
-def record_on_policy(
-    recipe: Recipe, seeds: Sequence[int], *, make_agent: MakeAgent | None, threads: int = 0
-) -> Iterator[Episode]:
-    """Yield the episodes of ``seeds`` in their order, those that the policy fails included.
+class Taught(Agent):
+    """A policy that moves the hand while a teacher labels the states it gets into (DAgger; Ross et al., 2011)."""
 
-    Args:
-        recipe: with an ``actor``, or a teacher that leads everything.
-        seeds: of the episodes; what a policy does may depend, in the last bit, on which are played in a group.
-        make_agent: returns the policy that the recipe names; None if the teacher leads all.
-        threads: for physics, 0 for all cores; without influence on the result.
-    """
-    for first in range(0, len(seeds), GROUP):
-        specs = sample_shortened(recipe, seeds[first : first + GROUP], threads)
-        agent = None if make_agent is None else make_agent(seeds[first])
-        yield from play_on_policy(WorldBatch(recipe, len(specs), threads), agent, specs)
+    def __init__(self, agent: Agent, teacher: Teacher, name: str) -> None:
+        """Let ``agent`` act under a name."""
+        self.name, self.sees_images, self._agent, self._teacher = name, agent.sees_images, agent, teacher
 
+    def reset(self, count: int) -> None:
+        """Forget the last episodes."""
+        self._agent.reset(count)
 
-def play_on_policy(batch: WorldBatch, agent: Agent | None, specs: Sequence[EpisodeSpec]) -> list[Episode]:
-    """Play one episode in every world of a batch; return the labelled recordings, in the order of ``specs``.
+    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+        """Return (N, 18) the policy's commands, which sees the observation alone."""
+        self.labels = labels(self._teacher, world_state(observation))
+        return self.act(observation)
 
-    Args:
-        batch: the worlds; their recipe names the teacher and the policy, and the share that the former leads.
-        agent: moves the hands where the teacher does not lead; None if it leads all.
-        specs: an episode for each world.
-
-    Raises:
-        ValueError: if the agent needs images and the recipe has no camera.
-    """
-    recipe = batch.recipe
-    session, teacher = Session(batch), recipe.teacher()
-    session.begin(np.arange(batch.size), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
-    if agent is not None:
-        check_sight(agent, recipe)
-        agent.reset(batch.size)
-    leads = [Lead.drawn(spec.seed, recipe.teacher_share) for spec in specs]
-    led = np.array([lead.led for lead in leads])
-    played: dict[int, Episode] = {}
-    while session.playing.size:
-        observation = session.observe()
-        labels = _labels(batch, teacher, observation) | {"intervention": led}
-        stray = np.stack([disturbance(lead.rng) for lead in leads])
-        commands = labels["action"] + stray
-        if agent is not None:
-            commands = np.where(led[:, None], commands, agent.act(observation))
-        for i in session.step(commands, labels).worlds:
-            job = session.job(int(i))
-            meeting = teacher.first_meeting(job.spec, batch.control, job.attempt) if led[i] else None
-            episode = session.finish(int(i), teacher.name if led[i] else recipe.actor, meeting)
-            played[int(i)] = replace(episode, meta=replace(episode.meta, actor=recipe.actor))
-    return [played[i] for i in range(batch.size)]
-
-
-def disturbance(rng: np.random.Generator) -> np.ndarray:
-    """Draw (18,) by how much a command of the teacher is changed: its palm [m], in some of the frames."""
-    stray = np.zeros(HAND_DOF)
-    if rng.random() < DISTURBED_SHARE:
-        stray[:PALM_DOF] = rng.normal(0.0, DISTURBANCE_M, PALM_DOF)
-    return stray
-
-
-def _labels(batch: WorldBatch, teacher: Teacher, observation: Observation) -> dict[str, np.ndarray]:
-    """What the teacher says of this frame of all N worlds, (N, ...) each, by name in ``Episode``."""
-    world = batch.world_state(observation)
-    return {"action": batch.accepted(teacher.act(world)), "teacher_arrival": teacher.arrivals(world) * CONTROL_DT}
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (N, 18) the policy's commands."""
+        return self._agent.act(observation)

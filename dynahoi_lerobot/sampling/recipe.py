@@ -31,12 +31,9 @@ from dynahoi_lerobot.sampling.splits import check_salt, sealed, stream_label
 
 INSTRUCTION_STYLES = ("reveal", "neutral", "mixed")
 """``reveal`` names object and motion, ``neutral`` the object only, ``mixed`` is either with equal probability."""
-MIN_HOLD_FRAMES = 12
-"""The expert's last retry aims nine frames later than its first attempt, and its success must be on record."""
-MAX_DISTURBANCE_M = 0.2
 MAX_RENDER_NOISE = 64
 IMAGE_SIZES_PX = (16, 1024)
-RECORDING = ("expert", "hold_frames", "disturbance_m", "keep_failures", "actor", "teacher_share")
+RECORDING = ("expert", "perturbed_share", "keep_failures", "actor")
 """Fields that matter only where a dataset is recorded."""
 ACTOR = re.compile(r"[a-z0-9_]+@[0-9a-f]{16}")
 
@@ -64,16 +61,13 @@ class Recipe:
         image_size: side of the square images [px]; 0 for no camera.
         views: comma-separated views besides ego, the hand's camera, such as side or ego_depth.
         renderer: renderer of the images.
-        hold_frames: frames to record after the intercept; all frames drawn for the episode by default.
-        disturbance_m: standard deviation of the disturbance injected into the palm's commands [m].
+        perturbed_share: share of the recordings in which the palm of an expert that finds back is pulled away at times.
         render_noise: change every value of every image by at most so many of 255 levels, as renderers differ.
         salt: secret text that gives other episodes of the same benchmark; only a hash is stored.
         environment_state: show the simulator's truth as observation.environment_state, the target's pose and velocity.
         keep_failures: also store episodes that the expert fails, instead of drawing others in their place.
         actor: policy that moves the hand while the expert labels its states, TYPE@HASH of its checkpoint; empty if the
             expert demonstrates. Its failures are always kept.
-        teacher_share: share of the episodes that the expert leads, disturbed, in an on-policy recording; 1 needs no
-            actor.
     """
 
     split: str = "train"
@@ -90,14 +84,12 @@ class Recipe:
     image_size: int = DEFAULT_IMAGE_SIZE_PX
     views: tuple[str, ...] = ()
     renderer: str = DEFAULT_RENDERER
-    hold_frames: int | None = None
-    disturbance_m: float = 0.0
+    perturbed_share: float = 0.5
     render_noise: int = 0
     salt: str = field(default="", repr=False)
     environment_state: bool = False
     keep_failures: bool = False
     actor: str = ""
-    teacher_share: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every name against what exists.
@@ -131,12 +123,10 @@ class Recipe:
         low, high = IMAGE_SIZES_PX
         if self.image_size and not low <= self.image_size <= high:
             raise ValueError(f"image_size must be {low} to {high} pixels, or 0 for no camera, got {self.image_size}")
-        if not 0 <= self.disturbance_m <= MAX_DISTURBANCE_M:
-            raise ValueError(f"disturbance_m must be 0 to {MAX_DISTURBANCE_M} m, got {self.disturbance_m}")
+        if not 0 <= self.perturbed_share <= 1:
+            raise ValueError(f"perturbed_share must be 0 to 1, got {self.perturbed_share}")
         if not 0 <= self.render_noise <= MAX_RENDER_NOISE:
             raise ValueError(f"render_noise must be 0 to {MAX_RENDER_NOISE} levels of 255, got {self.render_noise}")
-        if self.hold_frames is not None and self.hold_frames < MIN_HOLD_FRAMES:
-            raise ValueError(f"hold_frames must be at least {MIN_HOLD_FRAMES}, or null, got {self.hold_frames}")
         self._check_actor()
 
     @property
@@ -199,14 +189,9 @@ class Recipe:
         )
 
     @property
-    def on_policy(self) -> bool:
-        """Whether the expert labels what it or somebody else does, instead of demonstrating."""
-        return bool(self.actor or self.teacher_share)
-
-    @property
     def keeps_failures(self) -> bool:
         """Whether failed episodes are stored."""
-        return self.keep_failures or self.on_policy
+        return self.keep_failures or bool(self.actor)
 
     def teacher(self) -> Teacher:
         """Return the expert as a teacher.
@@ -227,16 +212,10 @@ class Recipe:
         return BENCHMARK.splits[self.split]
 
     def _check_actor(self) -> None:
-        """Refuse an actor that is no name of one, and a share that leaves nobody to lead the rest."""
+        """Refuse an actor that is no name of one, and one whose states nobody can label."""
         if self.actor and not ACTOR.fullmatch(self.actor):
             raise ValueError(f"actor must be as `dynahoi generate --actor` writes it, TYPE@HASH, got {self.actor!r}")
-        if not 0 <= self.teacher_share <= 1:
-            raise ValueError(f"teacher_share must be 0 to 1, got {self.teacher_share}")
-        if not self.actor and self.teacher_share not in (0, 1):
-            raise ValueError(
-                f"teacher_share must be 0 or 1 without an actor to lead the rest, got {self.teacher_share}"
-            )
-        if self.on_policy:
+        if self.actor:
             self.teacher()
 
     def _check_split_of(self, noun: str, name: str) -> None:
@@ -282,7 +261,7 @@ def load_recipe(path: Path | None) -> Recipe:
     if not isinstance(values, dict):
         raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
     for name, value in values.items():
-        if (value is None and name != "hold_frames") or (isinstance(value, list) and None in value):
+        if value is None or (isinstance(value, list) and None in value):
             raise ValueError(f"{path}: {name} must not be null; leave it out for its default")
     for name in ("motions", "objects", "appearance", "views"):
         if isinstance(text := values.get(name), str):  # whose letters draccus would take for names

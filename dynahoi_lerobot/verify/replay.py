@@ -89,7 +89,7 @@ def _image_problems(images: list[Compared]) -> Iterator[str]:
 def _simulator(store: Store, recipe: Recipe) -> Resimulate:
     from dynahoi_lerobot.rollout.replay import on_policy_simulator, simulator  # compile the scene
 
-    if not recipe.on_policy:
+    if not recipe.actor:
         return simulator(Manifest.read(store.root).provenance["recipe"])
     place = {row["seed"]: index for index, row in enumerate(store.rows)}
     return on_policy_simulator(recipe, lambda seed: store.episode(place[seed], images=False))

@@ -19,7 +19,7 @@ from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, SpeedLimits, check_command
 from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
-from dynahoi_lerobot.world.commands import CommandLatency, DisturbanceInjection
+from dynahoi_lerobot.world.commands import CommandLatency
 from dynahoi_lerobot.world.physics import Physics, Targets
 from dynahoi_lerobot.world.sensors import Cameras, Fingertips, with_render_noise
 
@@ -52,8 +52,8 @@ class WorldBatch:
         control: the control class, whose limits every command is held to.
         palm_speed_m_s: the limit of the palm: the control class's, or that of the capture rule's gantry [m/s].
         servo: what holds them to it.
-        commanded: (N, 18) the command last given, cut to what an undisturbed hand can meet when it takes effect.
-        executed: (N, 18) what the servos were last told: the command that was due, cut to the speed limits, disturbed.
+        commanded: (N, 18) the command last given, cut to what a hand can meet when it takes effect.
+        executed: (N, 18) what the servos were last told: the command that was due, cut to the speed limits.
     """
 
     def __init__(self, recipe: Recipe, size: int, threads: int = 0) -> None:
@@ -83,7 +83,6 @@ class WorldBatch:
         self._targets = Targets(self.scene, self._fields, size)
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
-        self._disturbance = DisturbanceInjection(size, recipe.disturbance_m)
         self.cameras = Cameras(self.scene, self._batch, recipe.image_size, recipe.renderer, self._update_kinematics)
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
@@ -141,7 +140,7 @@ class WorldBatch:
             return
         previous, acting, origin = self.executed[chosen], self.acting[chosen], self._origin[chosen]
         commanded = self._accepted(wanted, chosen)
-        due = self._latency.exchange(chosen, commanded) + self._disturbance.offsets(chosen, self.frame[chosen])
+        due = self._latency.exchange(chosen, commanded)
         executed = self.servo.within_reach(due, previous, origin)
         force_w = np.stack([self._targets.force(int(i), int(self.frame[i])) for i in chosen])  # (n, 25, 3)
         control = self._physics.control(self.servo.set_points(executed, previous) + origin[:, None], force_w)
@@ -153,9 +152,16 @@ class WorldBatch:
     def accepted(self, commands: np.ndarray) -> np.ndarray:
         """Return (N, 18) what commands to all worlds would become now, [m], home frame, and [rad].
 
-        They are cut to what undisturbed hands can meet when they take effect; void ones become holding still.
+        They are cut to what hands can meet when they take effect; void ones become holding still.
         """
         return self._accepted(self.check(commands), np.arange(self.size))
+
+    def within_workspace(self, commands: np.ndarray) -> np.ndarray:
+        """Return (N, 18) commands to all worlds, cut to their slides and joint ranges, however far away, [m] and [rad].
+
+        Positions are in the home frame.
+        """
+        return np.clip(commands, self.servo.low - self._origin, self.servo.high - self._origin)
 
     def check(self, commands: np.ndarray) -> np.ndarray:
         """Return (N, 18) float64 commands for all worlds; raise ValueError as ``step`` would."""
@@ -294,7 +300,6 @@ class WorldBatch:
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
         self._targets.reset(i, drive)
-        self._disturbance.reset(i, spec, int(self.attempt[i]))
         self.specs[i] = spec
 
     def _update_kinematics(self, ids: np.ndarray | None = None) -> None:
@@ -327,7 +332,7 @@ class WorldBatch:
         return np.setdiff1d(np.arange(self.size) if ids is None else ids, np.flatnonzero(blind & self.acting))
 
     def _state_when_due(self) -> np.ndarray:
-        """(N, 18) where undisturbed hands will be when a command given now takes effect."""
+        """(N, 18) where hands will be when a command given now takes effect."""
         state = self.executed.copy()
         for command in self._latency.pending():
             state = self.servo.within_reach(command, state, self._origin)

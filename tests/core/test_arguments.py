@@ -29,10 +29,10 @@ def test_every_field_of_a_recipe_is_documented_and_an_option(parser: ArgumentPar
 
 def test_only_what_is_said_is_given_and_has_the_type_of_its_field(parser: ArgumentParser):
     assert given_fields(parser.parse_args([]), NAMES) == {}
-    words = ["--motions=lob,ramp", "--image-size=0", "--hold-frames=12", "--disturbance-m=0.1", "--keep-failures"]
+    words = ["--motions=lob,ramp", "--image-size=0", "--perturbed-share=0.1", "--keep-failures"]
     given = given_fields(parser.parse_args([*words, "--capture", "contact"]), NAMES)
     assert given == {
-        "motions": ("lob", "ramp"), "image_size": 0, "hold_frames": 12, "disturbance_m": 0.1, "keep_failures": True,
+        "motions": ("lob", "ramp"), "image_size": 0, "perturbed_share": 0.1, "keep_failures": True,
         "capture": "contact",
     }  # fmt: skip
     recipe = Recipe().changed(**given)

@@ -69,8 +69,6 @@ def test_a_folder_is_not_read(tmp_path: Path):
 
 def test_what_is_plain_is_read(tmp_path: Path):
     path = tmp_path / "plain.yaml"
-    path.write_text(
-        "# a comment\nmotions: [lateral, ramp]\nimage_size: 64\nhold_frames: null\nwords: {a: [1.5, true]}\n"
-    )
-    values = {"motions": ["lateral", "ramp"], "image_size": 64, "hold_frames": None, "words": {"a": [1.5, True]}}
+    path.write_text("# a comment\nmotions: [lateral, ramp]\nimage_size: 64\nsalt: null\nwords: {a: [1.5, true]}\n")
+    values = {"motions": ["lateral", "ramp"], "image_size": 64, "salt": None, "words": {"a": [1.5, True]}}
     assert read_yaml(path) == values

@@ -30,7 +30,7 @@ RECIPES = {
     "attach": Recipe(expert="pursuit", keep_failures=True),
     "attach_lenient": Recipe(capture="attach_lenient", expert="pursuit", keep_failures=True),
     "late": Recipe(expert="constant_velocity", control_class="late", protocol="direct_act", keep_failures=True),
-    "contact": Recipe(capture="contact", disturbance_m=0.05, keep_failures=True),
+    "contact": Recipe(capture="contact", keep_failures=True),
 }
 POSITION_ERROR_M = 3e-6
 """Of distances from poses in float32; ellipsoids divide by a gradient that vanishes towards their middle."""

@@ -57,13 +57,7 @@ def with_touch(seed: int) -> Episode:
     return dataclasses.replace(episode, touch=force)
 
 
-def on_policy(seed: int) -> Episode:
-    episode = varied_episode(seed, None)
-    flags, times = np.zeros(len(episode), bool), np.arange(len(episode), dtype=np.float32)
-    return dataclasses.replace(episode, executed_action=episode.action + 1, intervention=flags, teacher_arrival=times)
-
-
-@pytest.mark.parametrize("make", [lambda seed: varied_episode(seed, None), with_touch, on_policy])
+@pytest.mark.parametrize("make", [lambda seed: varied_episode(seed, None), with_touch])
 def test_columns_that_some_recordings_lack_come_back_where_they_were(tmp_path, make):
     write_episodes(tmp_path / "d", [make(seed) for seed in range(2)])
     assert not (tmp_path / "d/videos").exists()
@@ -80,7 +74,6 @@ SHORT = dataclasses.replace(varied_episode(1), palm_distance=np.zeros(3, np.floa
     [
         (with_touch(0), varied_episode(1, None), "observation.touch"),
         (varied_episode(0, None), with_touch(1), "observation.touch"),
-        (varied_episode(0, None), on_policy(1), "stats/executed_action"),
         (varied_episode(0), varied_episode(1, None), "observation.images.ego"),
         (varied_episode(0), varied_episode(1, 32, ("side",)), "observation.images.side"),
         (varied_episode(0), varied_episode(1, 16), "observation.images.ego"),
@@ -211,13 +204,6 @@ def test_merge_refuses_datasets_of_other_options_and_names_the_column(tmp_path, 
     with pytest.raises(ValueError, match="nothing to merge"):
         merge([], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
-
-
-def test_merge_refuses_columns_of_the_episode_table_that_only_one_has(tmp_path):
-    write_episodes(tmp_path / "a", [varied_episode(0, None)])
-    write_episodes(tmp_path / "b", [on_policy(1)])
-    with pytest.raises(ValueError, match="stats/executed_action"):
-        merge([tmp_path / "a", tmp_path / "b"], tmp_path / "merged")
 
 
 def test_merge_refuses_versions_of_the_benchmark_unless_asked(tmp_path):

@@ -104,8 +104,7 @@ def check_data(folder: Path) -> None:
     features = {root.name: json.loads((root / "meta/info.json").read_text())["features"] for root in ours}
     assert sum(key.startswith("observation.images.") for key in features["views"]) == 4
     assert "observation.touch" in features["contact"]
-    for name in ("executed_action", "intervention", "teacher.arrival"):
-        assert len(frame_column(folder / "data/onpolicy", name)), name
+    assert len(frame_column(folder / "data/onpolicy", "executed_action"))
     assert "language_persistent" in features["told"]
     assert len(list((folder / "data/one_file/videos").rglob("*.mp4"))) == 1
 

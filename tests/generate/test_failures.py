@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -69,10 +68,10 @@ def test_datasets_with_and_without_failures_merge(kept, tmp_path):
 
 
 def test_all_attempts_at_a_failed_episode_are_told(tmp_path):
-    recipe = Recipe(capture="contact", image_size=0, motions=("bounce", "struck"), keep_failures=True)
-    generate(GenerationPlan(replace(recipe, disturbance_m=0.12), 8), tmp_path / "d", record=record)
+    recipe = Recipe(image_size=0, motions=("bounce", "lob"), perturbed_share=1.0, keep_failures=True)
+    generate(GenerationPlan(recipe, 8), tmp_path / "d", record=record)
     attempts = episode_table(tmp_path / "d")["stats/attempt_success"].map(list).tolist()
-    assert [False] * 4 in attempts, "the expert begins four times"
+    assert max(map(len, attempts)) > 1, "the expert begins again"
     assert all(not any(tries[:-1]) for tries in attempts)
     assert verify(tmp_path / "d", replayed=2) == []
 

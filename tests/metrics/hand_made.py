@@ -42,6 +42,7 @@ def hand_made(
         meta=replace(episode.meta, window_frames=WINDOW, length_frames=length_frames),
         state=state,
         action=np.vstack([state[1:], state[-1:]]),
+        executed_action=np.vstack([state[1:], state[-1:]]),
         fingertips=np.zeros((frames, 30), np.float32),
         phase=one_hot_phase(np.arange(frames) >= WINDOW),
         target_pose=np.hstack([aim, np.tile([1.0, 0, 0, 0], (frames, 1))]).astype(np.float32),

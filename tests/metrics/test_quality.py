@@ -114,7 +114,7 @@ def test_legacy_quality_reads_18d_commands_in_units_and_radians():
     commands = [[0.0] * 18 for _ in range(5)]
     for frame, (x_m, angle) in enumerate([(0.0, 0.0), (0.1, 0.0), (0.1, 0.5), (0.100001, 0.5), (0.3, 1.0)]):
         commands[frame][0], commands[frame][3] = x_m, angle
-    episode.action[WINDOW:] = commands
+    episode.executed_action[WINDOW:] = commands
     # steps: 1 u; 0.5 rad; 1e-5 u, which is dropped; 2 u and 0.5 rad
     lengths = [1.0, 0.5, math.hypot(2.0, 0.5)]
     mean = sum(lengths) / 3
@@ -127,5 +127,5 @@ def test_legacy_quality_reads_18d_commands_in_units_and_radians():
 
 def test_legacy_quality_is_cut_at_success():
     episode = hand_made([(0.0, 0, 0)] * 5, localized_from=2)
-    episode.action[WINDOW:, 0] = [0.0, 0.1, 0.2, -5.0, 9.0]
+    episode.executed_action[WINDOW:, 0] = [0.0, 0.1, 0.2, -5.0, 9.0]
     assert METRICS["Q_line_18d"](episode) == pytest.approx(1)

@@ -24,7 +24,7 @@ SPLITS = [split for split in BENCHMARK.streams if len(Recipe(split=split).path_s
 def episodes() -> Iterator[tuple[str, str]]:
     """Yield split and digest of the expert's recordings: specs, states and pixels."""
     for number, split in enumerate(SPLITS):
-        recipe = Recipe(split=split, image_size=32, hold_frames=12, views=("ego_segmentation",))
+        recipe = Recipe(split=split, image_size=32, views=("ego_segmentation",))
         for episode in record(recipe, range(EPISODES * number, EPISODES * (number + 1))):
             yield f"{split}/{episode.meta.seed}", digest(episode)
     for episode in record(Recipe(split="train", capture="contact", image_size=16), range(EPISODES)):

@@ -1,18 +1,21 @@
 """Labels of a forecast from a dataset: where the target went, until it was caught, and how a hand closes around it.
 
 They are right wherever the hand is: the path of a target that is not held does not depend on it. When the hand meets
-the target does, so on-policy recordings keep what the teacher says of each state.
+the target does; there the teacher's goal, which is the label of every state, tells when it wanted to meet it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from lerobot.utils.constants import ACTION
 from torch import Tensor
+
+from dynahoi_lerobot.dataset import episode_column
 
 from .configuration_tracker import TrackerConfig
 from .heads.base import ActionHead, ForecastHead
@@ -21,8 +24,10 @@ from .privileged import find_column, read_column
 
 CAUGHT = "localized"
 """Column that tells whether the target has been caught."""
-ARRIVAL = "teacher.arrival"
-"""Column of on-policy recordings: time until the teacher would meet the target from here [s]."""
+PATH = "target_path"
+"""Array of the episode table: the untouched target's position in every frame [m]."""
+AT_GOAL_M = 1e-4
+"""A goal that is the meeting point lies no further from the path."""
 GRASP = "stats/reference_joints"
 """Column of the episode table: joint angles of the closed hand [rad]."""
 
@@ -68,8 +73,8 @@ class Demonstrated:
         self.catch = torch.from_numpy(np.repeat(np.array(catches), lengths))  # (F,) first frame with the target caught
         self.closed = torch.from_numpy(_grasps(meta, ends, lengths))  # (F, J)
         self.arrival = self.catch - torch.arange(len(episode))  # (F,)
-        if (told_s := find_column(meta, ARRIVAL)) is not None:
-            self.arrival = torch.from_numpy(np.rint(told_s[:, 0] * meta.fps).astype(np.int64))
+        if (told := _arrivals(meta, spans)) is not None:
+            self.arrival = torch.where(told > 0, told, self.arrival)
 
     def __call__(self, index: Tensor, offsets: list[int]) -> ForecastLabels:
         """Return the labels at frames ``index + offsets``, ``(B, K, ...)``.
@@ -86,6 +91,22 @@ class Demonstrated:
         path = self.position[ahead.clamp_max(len(self.position) - 1)]
         labels = (path, known, self.closed[frames], self.arrival[frames].clamp_min(1))
         return ForecastLabels(*(label.to(index.device) for label in labels))
+
+
+def _arrivals(meta: Any, spans: list[tuple[int, int]]) -> Tensor | None:
+    """Return in how many frames the teacher would meet the target, ``(F,)``, 0 where its goal is not on the path."""
+    try:
+        paths = episode_column(Path(meta.root), PATH)
+    except ValueError:  # a dataset of somebody else
+        return None
+    goals = read_column(meta, ACTION, PALM_DIM)[:, :PALM_DIM]  # (F, 3)
+    arrivals = np.zeros(len(goals), np.int64)
+    for (first, end), path in zip(spans, paths, strict=True):
+        frames = np.arange(end - first)[:, None]
+        near = np.linalg.norm(goals[first:end, None] - path, axis=-1) < AT_GOAL_M  # (T, K)
+        near &= np.arange(len(path)) > frames
+        arrivals[first:end] = np.where(near.any(axis=1), near.argmax(axis=1) - frames[:, 0], 0)
+    return torch.from_numpy(arrivals)
 
 
 def _grasps(meta: Any, ends: np.ndarray, lengths: np.ndarray) -> np.ndarray:

@@ -67,23 +67,25 @@ def test_on_policy_the_teacher_says_when_it_would_arrive_and_failures_know_the_g
     """The hand never comes near, nobody closes it, and the teacher arrives earlier than the episode ends."""
     features = {key: HAND_FEATURES[key] for key in ("observation.state", "action")}
     features |= {"target.pose": {"dtype": "float32", "shape": (7,), "names": None}}
-    features |= {key: {"dtype": "bool", "shape": (1,), "names": None} for key in ("localized", "intervention")}
-    features |= {"teacher.arrival": {"dtype": "float32", "shape": (1,), "names": None}}
+    features |= {"localized": {"dtype": "bool", "shape": (1,), "names": None}}
     root = tmp_path / "missed"
     dataset = LeRobotDataset.create("local/missed", fps=FPS, features=features, root=root, use_videos=False)
     for episode in range(2):
         for t in range(N_FRAMES):
             pose = np.array([0.01 * t, episode, 0, 1, 0, 0, 0], np.float32)
-            flags = {"localized": np.array([False]), "intervention": np.array([False])}
-            zero = {key: np.zeros(18, np.float32) for key in ("observation.state", "action")}
-            arrival = np.array([(5 + episode + t % 3) / FPS], np.float32)
-            dataset.add_frame({**zero, **flags, "target.pose": pose, "teacher.arrival": arrival, "task": "catch"})
+            goal = np.zeros(18, np.float32)
+            goal[:2] = 0.01 * (t + 5 + episode + t % 3), episode
+            told = {"observation.state": np.zeros(18, np.float32), "localized": np.array([False]), "action": goal}
+            dataset.add_frame({**told, "target.pose": pose, "task": "catch"})
         dataset.save_episode()
     dataset.finalize()
     for file in root.glob("meta/episodes/*/*.parquet"):
         table = pq.read_table(file)
         grasps = pa.array([[0.1 * (1 + episode)] * 15 for episode in range(len(table))])
-        pq.write_table(table.append_column(GRASP, grasps), file)
+        paths = pa.array(
+            [[x for t in range(2 * N_FRAMES) for x in (0.01 * t, float(episode), 0.0)] for episode in range(len(table))]
+        )
+        pq.write_table(table.append_column(GRASP, grasps).append_column("stats/target_path", paths), file)
     meta = LeRobotDatasetMetadata("local/missed", root=root)
     labels = Demonstrated(meta, "target.pose")(torch.tensor([10, N_FRAMES + 25]), [0, 1])
     assert labels.arrival.tolist() == [[6, 7], [7, 8]]
