@@ -11,6 +11,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Observation, WorldState
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS, from_grasp, to_grasp
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.rules import control_class_of, one_hot_phase, protocol_of
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -156,6 +157,33 @@ class WorldBatch:
         """
         return self._accepted(self.check(commands), np.arange(self.size))
 
+    def as_commands(self, actions: np.ndarray, observation: Observation) -> np.ndarray:
+        """Return (N, 18) the commands of actions given on an observation; experts' commands stay what they are.
+
+        Args:
+            actions: (N, 4) in control mode ``grasp``, or (N, 18) commands.
+            observation: of all worlds, from which displacements are counted.
+
+        Raises:
+            ValueError: as ``step``.
+        """
+        actions = np.asarray(actions)
+        if self.recipe.control_mode == JOINTS or actions.shape[1:] == (HAND_DOF,):
+            return self.check(actions)
+        given = check_command(actions, self.size, len(CONTROL_MODES[GRASP]))
+        return from_grasp(given, observation.state.astype(np.float64), *self._open_and_closed)
+
+    def as_actions(self, commands: np.ndarray, observation: Observation) -> np.ndarray:
+        """Return (N, 18) or (N, 4) the actions, in the recipe's control mode, of commands (N, 18)."""
+        if self.recipe.control_mode == JOINTS:
+            return commands
+        return to_grasp(commands, observation.state.astype(np.float64), *self._open_and_closed)
+
+    @property
+    def _open_and_closed(self) -> tuple[np.ndarray, np.ndarray]:
+        """(15,) joint angles of the open and of the closed hand [rad]."""
+        return self.scene.hand.open_joints(), self.scene.hand.closed_joints()
+
     def within_workspace(self, commands: np.ndarray) -> np.ndarray:
         """Return (N, 18) commands to all worlds, cut to their slides and joint ranges, however far away, [m] and [rad].
 
@@ -166,6 +194,16 @@ class WorldBatch:
     def check(self, commands: np.ndarray) -> np.ndarray:
         """Return (N, 18) float64 commands for all worlds; raise ValueError as ``step`` would."""
         return check_command(commands, self.size)
+
+    def action_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the (18,) or (4,) least and greatest actions in the recipe's control mode, float32.
+
+        The palm's are the whole length of each slide either way [m]: where on them the home lies is not told.
+        """
+        low, high = self.command_limits()
+        if self.recipe.control_mode == JOINTS:
+            return low, high
+        return np.append(low[:PALM_DOF], np.float32(0)), np.append(high[:PALM_DOF], np.float32(1))
 
     def command_limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (18,) least and greatest commands, float32, in any episode: palm [m] and joint ranges [rad].
