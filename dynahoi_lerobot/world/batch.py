@@ -16,13 +16,14 @@ from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.rules import control_class_of, one_hot_phase, protocol_of
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import PrescribedMotion
+from dynahoi_lerobot.renderers.views import MOTION_VIEW
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, SpeedLimits, check_command
 from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
 from dynahoi_lerobot.world.commands import CommandLatency
 from dynahoi_lerobot.world.physics import Physics, Targets
-from dynahoi_lerobot.world.sensors import Cameras, Fingertips, with_render_noise
+from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, with_render_noise
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.sampling.recipe import Recipe
@@ -85,6 +86,7 @@ class WorldBatch:
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
         self.cameras = Cameras(self.scene, self._batch, recipe.image_size, recipe.renderer, self._update_kinematics)
+        self._history = ImageHistory(size, recipe.image_size)
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self.commanded, self.executed = np.zeros((2, size, HAND_DOF))
@@ -102,6 +104,7 @@ class WorldBatch:
         """
         chosen = np.asarray(ids, int)
         self.frame[chosen], self.attempt[chosen] = 0, attempt
+        self._history.forget(chosen)
         self._fields.reset(chosen)
         for i, spec in zip(chosen, specs, strict=True):
             self._write(int(i), spec)
@@ -290,9 +293,8 @@ class WorldBatch:
                 control phase of a protocol with ``blind_control``.
         """
         sensed = self.rule.uses_contact_sensors
-        views = (EGO_VIEW, *self.recipe.views) if images and self.recipe.image_size else ()
         return Observation(
-            images={view: self._render(view, self._seeing(ids)) for view in views},
+            images=self._images(self._seeing(ids)) if images and self.recipe.image_size else {},
             state=self.state.astype(np.float32),
             phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
@@ -349,6 +351,14 @@ class WorldBatch:
     def _windows(self) -> np.ndarray:
         """(N,) int, length of each world's observation window [frames]."""
         return np.array([0 if spec is None else spec.window_frames for spec in self.specs])
+
+    def _images(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+        """(N, H, W, 3) uint8 of each of the recipe's views; only worlds ``ids`` (n,) are drawn, others are black."""
+        views = [EGO_VIEW, *self.recipe.views]
+        images = {view: self._render(view, ids) for view in views if view != MOTION_VIEW}
+        if MOTION_VIEW in views:
+            images[MOTION_VIEW] = self._history.add(images[EGO_VIEW], ids, self.frame)
+        return {view: images[view] for view in views}
 
     def _render(self, view: str, ids: np.ndarray) -> np.ndarray:
         """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are drawn."""
