@@ -44,6 +44,8 @@ def _run_policy(args: argparse.Namespace, recipe: Recipe) -> int:
     if recipe.actor not in ("", name):
         raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {args.actor} is {name}")
     changes: dict[str, Any] = {"actor": name}
+    if "control_mode" in policy.trained_for:
+        changes["control_mode"] = policy.trained_for["control_mode"]
     if policy.image_size is not None:
         changes["image_size"] = policy.image_size
     changes["views"] = tuple(dict.fromkeys((*recipe.views, *policy.views)))
