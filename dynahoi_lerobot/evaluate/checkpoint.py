@@ -26,8 +26,8 @@ CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.js
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 
 POLICY_TYPES = frozenset(
-    {"act", "actiontokens", "diffusion", "multi_task_dit", "obact", "pi0", "pi05", "smolvla", "tdmpc", "tracker"}
-    | {"upvla", "vqbet", "xvla"}
+    {"act", "actiontokens", "diffusion", "multi_task_dit", "obact", "pi0", "pi05", "smolvla", "tdmpc", "upvla"}
+    | {"vqbet", "xvla"}
 )
 """Policies whose own code runs no Python files of the repositories that their configs name."""
 
