@@ -64,7 +64,7 @@ LARGEST_JSON = 2**25
 LARGEST_NUMBER, MOST_FRAMES = 10**7, 1000
 """In ``config.json``, besides seeds and the settings of optimizers and schedulers; an episode has a third of so many
 frames, and a policy keeps the images of those that it remembers."""
-FRAMES = re.compile(r"frames|horizon|stride|reach|decisions|chunk_size|(obs|action)_steps")
+FRAMES = re.compile(r"frames|horizon|stride|decisions|chunk_size|(obs|action)_steps")
 """In the names of settings that count frames."""
 UNBOUNDED_KEYS = ("optimizer_", "scheduler_", "noise_seed", "seed")
 SPARE = 4
