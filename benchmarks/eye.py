@@ -1,7 +1,7 @@
 """How well an eye sees where the target is: errors along and across the line of sight, by distance from the origin.
 
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--images 4096] [--camera side] [--json FILE]
-python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/tracker_standard --episodes 110
+python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/obact_standard --episodes 110
 
 Random poses of episodes of a split that the eye was not trained on, or what the hand sees while a policy acts, until it
 could have met the target; only targets within the image count.
@@ -23,8 +23,8 @@ from support.options import benchmark_parser, write_numbers
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
-from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
-from dynahoi_lerobot.onpolicy.snapshots import ImageStream, Snapshots, snapshots
+from dynahoi_lerobot.pretrain.recipe import EyeRecipe
+from dynahoi_lerobot.pretrain.snapshots import ImageStream, Snapshots, snapshots
 from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe

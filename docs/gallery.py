@@ -1,6 +1,6 @@
 """Render the moving images of the documentation: ``python docs/gallery.py``, a minute on two cores.
 
-``images/catch.gif`` shows two episodes of ``test`` played by the tracker, one caught and one missed by 3 cm;
+``images/catch.gif`` shows two episodes of ``test`` played by ObAct, one caught and one missed by 3 cm;
 ``images/<category>.gif`` shows the expert catching a target of every kind of motion. All are seen by the hand's camera.
 """
 
@@ -34,11 +34,11 @@ BORDER_PX = 4
 
 
 def catch() -> None:
-    """Draw what the tracker catches and misses, side by side."""
+    """Draw what ObAct catches and misses, side by side."""
     recipe = Recipe(split="test", image_size=PLAYED_PX)
     specs = sample_specs(recipe, [CAUGHT, MISSED])
-    tracker = make_actor("checkpoints/tracker_standard")
-    played = evaluate(WorldBatch(recipe, len(specs)), tracker, specs)
+    obact = make_actor("checkpoints/obact_standard")
+    played = evaluate(WorldBatch(recipe, len(specs)), obact, specs)
     logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed_action) for episode in played}
     episodes = replay(replace(recipe, image_size=SHOWN_PX), [logs[CAUGHT], logs[MISSED]])
     for episode in episodes:

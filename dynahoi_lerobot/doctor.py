@@ -203,7 +203,7 @@ def codecs() -> Iterator[Fact]:
         yield Fact("torchcodec", f"{version('torchcodec')}, finds no FFmpeg libraries", told)
 
 
-OURS = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact", "lerobot_policy_tracker")
+OURS = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
 OPTIONAL = {
     "lerobot": "training and LeRobot's commands need it: pip install '.[lerobot]', in a checkout",
     "torch": "comes with lerobot",

@@ -351,7 +351,7 @@ def variant(results: Results) -> str:
     return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - DIGITS - 1]}_{_digest(text)}"
 
 
-PLUGINS = {name: f"lerobot_policy_{name}" for name in ("obact", "tracker", "actiontokens")}
+PLUGINS = {name: f"lerobot_policy_{name}" for name in ("obact", "actiontokens")}
 """Distribution that provides a policy type."""
 EXTRAS = {"pi0": "pi", "pi0_fast": "pi", "pi05": "pi", "multi_task_dit": "multi-task-dit", "vla_jepa": "vla-jepa"}
 """Extra of LeRobot that a policy type needs, where the names differ."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -158,12 +158,10 @@ class Plan:
     Attributes:
         actions: (n, H, 18) commands for the observed frame and those after it.
         seconds: (n,) what the inference took [s].
-        expectations: what each chunk was planned for, as the agent keeps it; empty if it does not correct chunks.
     """
 
     actions: np.ndarray
     seconds: np.ndarray
-    expectations: Sequence[Any] = ()
 
 
 class ChunkAgent(Agent):
@@ -171,29 +169,15 @@ class ChunkAgent(Agent):
 
     Attributes:
         accepts_guidance: whether a chunk can be guided by what the previous one has committed to.
-        accepts_prefix: whether a chunk is planned from where the hand will be when it is ready.
-        corrects: whether it can correct a chunk in every frame in which that is executed.
     """
 
     accepts_guidance: bool = False
-    accepts_prefix: bool = False
-    corrects: bool = False
 
     def enable_guidance(self) -> None:
         """Prepare for guidance, which ``accepts_guidance``."""
 
     def watch(self, observation: Observation) -> None:
         """Note a frame in which no chunk is asked for."""
-
-    def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
-        """Return (n, 18) commands for the frame that was noted last, in place of those of chunks.
-
-        Args:
-            worlds: (n,) sorted worlds.
-            expectations: of the `Plan` that each of them executes.
-            ages: frames since the observation of that.
-        """
-        raise NotImplementedError(f"{self.name!r} does not correct chunks")
 
     @abstractmethod
     def plan(
@@ -209,8 +193,9 @@ class ChunkAgent(Agent):
         Args:
             observation: of all worlds.
             worlds: (n,) sorted worlds that need a chunk.
-            executed: (n,) actions of each previous chunk that are past, to continue the others; None if there is none.
-            delays: (n,) actions that will be past when each chunk is ready; None for chunks that continue nothing.
+            executed: (n,) actions of each previous chunk that are past, to continue the others; None for chunks that
+                continue nothing.
+            delays: (n,) actions that will be past when each chunk is ready; None if ``executed`` is.
         """
 
 

@@ -24,7 +24,7 @@ class EpisodeMeta:
         parameters: the motion's parameters, JSON with SI units, world frame.
         task: the instruction given to the policy.
         agent: who moved the hand (``intercept``, ``hold``, a policy's name; in an on-policy recording type and hash of
-            its checkpoint, ``tracker@...``).
+            its checkpoint, ``obact@...``).
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         protocol: one of ``rules.PROTOCOLS``.
         control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.

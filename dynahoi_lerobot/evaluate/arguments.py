@@ -135,11 +135,6 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="MS",
         help="with --inference async or rtc: how long an inference takes [ms]; or measured, on this machine",
     )
-    parser.add_argument(
-        "--inference-correction",
-        action="store_true",
-        help="with --inference async or rtc: correct the running chunk in every frame for what is seen meanwhile",
-    )
     parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
     parser.add_argument(
         "--prompt",

@@ -27,8 +27,8 @@ CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.js
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 
 POLICY_TYPES = frozenset(
-    {"act", "actiontokens", "diffusion", "multi_task_dit", "obact", "pi0", "pi05", "smolvla", "tdmpc", "tracker"}
-    | {"upvla", "vqbet", "xvla"}
+    {"act", "actiontokens", "diffusion", "multi_task_dit", "obact", "pi0", "pi05", "smolvla", "tdmpc", "upvla"}
+    | {"vqbet", "xvla"}
 )
 """Policies whose own code runs no Python files of the repositories that their configs name."""
 
@@ -65,7 +65,7 @@ LARGEST_JSON = 2**25
 LARGEST_NUMBER, MOST_FRAMES = 10**7, 1000
 """In ``config.json``, besides seeds and the settings of optimizers and schedulers; an episode has a third of so many
 frames, and a policy keeps the images of those that it remembers."""
-FRAMES = re.compile(r"frames|horizon|stride|reach|decisions|chunk_size|(obs|action)_steps")
+FRAMES = re.compile(r"frames|horizon|stride|decisions|chunk_size|(obs|action)_steps")
 """In the names of settings that count frames."""
 UNBOUNDED_KEYS = ("optimizer_", "scheduler_", "noise_seed", "seed")
 SPARE = 4

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         raise ValueError(f"--replay-seed {args.replay_seed} is for --replay RESULTS")
     if args.replay:
         return replay_results.run(args)
-    inference = Inference(args.inference, args.inference_ms, args.inference_correction)
+    inference = Inference(args.inference, args.inference_ms)
     actor = _real_time(_actor(args), inference)
     recipe = _recipe(args, actor)
     if inference.mode != SYNC and recipe.control_mode != JOINTS:

@@ -98,16 +98,6 @@ class PolicyAgent(ChunkAgent):
 
         return supports_rtc_inference(self._policy)
 
-    @property
-    def accepts_prefix(self) -> bool:
-        """Whether the policy says that it plans from where the hand will be."""
-        return bool(getattr(self._policy, "accepts_prefix", False))
-
-    @property
-    def corrects(self) -> bool:
-        """Whether the policy says that it corrects its chunks."""
-        return bool(getattr(self._policy, "corrects", False))
-
     def enable_guidance(self) -> None:
         """Set real-time chunking up as ``lerobot-rollout`` does, with LeRobot's defaults if the checkpoint has none."""
         from lerobot.policies.rtc import RTCConfig
@@ -139,24 +129,17 @@ class PolicyAgent(ChunkAgent):
         import torch
 
         start, batch, guidance = time.perf_counter(), self._batch(observation), {}
-        if delays is not None and (executed is not None or self.accepts_prefix):
-            left_over = None if executed is None else self._left_over(int(executed[0]))
+        if executed is not None and delays is not None:
+            left_over = self._left_over(int(executed[0]))
             guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
-        seconds = np.full(len(worlds), time.perf_counter() - start)
-        return Plan(actions, seconds, self._policy.expectations(worlds.tolist()) if self.corrects else ())
+        return Plan(actions, np.full(len(worlds), time.perf_counter() - start))
 
     def _left_over(self, executed: int) -> Any:
         """The (N, n, 18) normalised actions that are not executed yet; of a chunk that is over, where it led."""
         return self._chunk[:, min(executed, self._chunk.shape[1] - 1) :]
-
-    @_in_a_sentence
-    def corrected(self, worlds: np.ndarray, expectations: Sequence[Any], ages: Sequence[int]) -> np.ndarray:
-        """Return (n, 18) commands for the frame that was noted last, in place of those of chunks."""
-        action = self._policy.corrected_action(worlds.tolist(), expectations, ages)
-        return self._after(action).to("cpu").numpy()
 
     def _predicted(self, batch: dict[str, Any], guidance: dict[str, Any]) -> Any:
         """The (N, H, 18) normalised chunks."""

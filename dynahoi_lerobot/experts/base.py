@@ -84,10 +84,6 @@ class Teacher(SingleWorldExpert):
             found[i] = self.goal(view) - _origin(view.spec)
         return found
 
-    @abstractmethod
-    def arrivals(self, state: WorldState) -> np.ndarray:
-        """Return (N,) int, in how many frames from now it means to meet each target; 0 without an episode."""
-
 
 class MotionPlan(Protocol):
     """What a hand is going to do in one attempt."""

@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Meeting, WorldState
+from dynahoi_lerobot.core.agent import Meeting
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView, views
+from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView
 from dynahoi_lerobot.hands import HANDS
 
 CLOSING_FRAMES = 8
@@ -53,15 +53,6 @@ class Intercept(Teacher):
         arrival = earliest_arrival(world.state, closed, path_w, _speed(world.control), world.control)
         closing = np.clip((CLOSED_FRAMES + CLOSING_FRAMES - arrival) / CLOSING_FRAMES, 0.0, 1.0)
         return np.concatenate([path_w[arrival], spec.open_joints + closing * (closed - spec.open_joints)])
-
-    def arrivals(self, state: WorldState) -> np.ndarray:
-        """See `Teacher.arrivals`."""
-        frames = np.zeros(len(state.specs), int)
-        for i, world in views(state):
-            path_w, closed = _path_from(world.spec, world.due_frame), world.spec.reference_joints
-            arrival = earliest_arrival(world.state, closed, path_w, _speed(world.control), world.control)
-            frames[i] = world.due_frame - world.frame + arrival
-        return frames
 
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
         """Return the meeting of its first plan, from the open hand at home."""

@@ -1,1 +1,1 @@
-"""Generation of datasets: plan, shards, worker processes and cluster executors."""
+"""Generation of datasets: plan, shards, worker processes, cluster executors, and policies that act in them."""

@@ -1,11 +1,14 @@
-"""``dynahoi generate``: the command's arguments, progress and one-sentence errors."""
+"""``dynahoi generate``: the command's arguments, progress and one-sentence errors.
+
+With ``--actor`` a policy moves the hand, and the expert labels its states.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +20,8 @@ from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.video import CODECS, Encoding
+from dynahoi_lerobot.evaluate.arguments import add_trust_argument
+from dynahoi_lerobot.generate.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
@@ -59,18 +64,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--cpus-per-task", type=whole(1, 4096), default=1)
     parser.add_argument("--gpus-per-task", type=whole(0, 64), default=0)
     parser.add_argument("--json", type=path, help="also write the summary to this file")
+    parser.add_argument(
+        "--actor", metavar="CHECKPOINT", help="policy that moves the hand; the expert labels its states"
+    )
+    add_trust_argument(parser)
 
 
-def run(
-    args: argparse.Namespace, *, record: Record | None = None, recipe: Recipe | None = None, runtime: str = ""
-) -> int:
+def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recipe | None = None) -> int:
     """Generate a dataset and print a JSON summary.
 
     Args:
         args: the parsed arguments of ``add_arguments``.
-        record: plays the expert; ``dynahoi_lerobot.rollout.loop.record`` by default.
+        record: plays the expert without ``--actor``; ``dynahoi_lerobot.rollout.loop.record`` by default.
         recipe: what the options override; that of ``--recipe``, or the default recipe, by default.
-        runtime: see `GenerationPlan`.
 
     Returns:
         The exit code: 0 success, 1 failure (run it again to resume), 2 bad input, 130 interrupted.
@@ -78,7 +84,10 @@ def run(
     try:
         check_output(args.root)
         complete = args.root.exists()
-        plan = _plan(args, recipe or load_recipe(args.recipe), runtime)
+        recipe, runs_on = recipe or load_recipe(args.recipe), ""
+        if args.actor is not None:
+            recipe, record, runs_on = _on_policy(args, recipe)
+        plan = _plan(args, recipe, runs_on)
         if args.executor is not None:
             from dynahoi_lerobot.generate import executors
 
@@ -105,7 +114,29 @@ def run(
     return 0
 
 
-def _plan(args: argparse.Namespace, recipe: Recipe, runtime: str) -> GenerationPlan:
+def _on_policy(args: argparse.Namespace, recipe: Recipe) -> tuple[Recipe, Record, str]:
+    """Return the recipe for the policy of ``--actor``, its recorder, and its ``runtime``.
+
+    Raises:
+        PolicyError: if the policy cannot be loaded or, without ``--trust``, could run code.
+        ValueError: if the recipe names another one.
+    """
+    from dynahoi_lerobot.rollout.loop import record_on_policy
+
+    policy, name = open_policy(args.actor, trust=args.trust), actor_name(args.actor)
+    if recipe.actor not in ("", name):
+        raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {args.actor} is {name}")
+    views = tuple(dict.fromkeys((*recipe.views, *policy.views)))
+    recipe = replace(recipe, actor=name, image_size=policy.image_size or recipe.image_size, views=views)
+    runs_on = runtime(policy)
+    make = partial(make_actor, path=args.actor, name=name, on=runs_on, trust=args.trust)
+    # one process uses all cores for physics
+    return recipe, partial(record_on_policy, make_agent=make, threads=0 if args.workers == 1 else 1), runs_on
+
+
+def _plan(args: argparse.Namespace, recipe: Recipe, runs_on: str) -> GenerationPlan:
+    if recipe.actor and args.actor is None:
+        raise ValueError(f"the recipe names the actor {recipe.actor}; give its checkpoint with --actor")
     return GenerationPlan(
         recipe.changed(**given_fields(args, RECIPE_OPTIONS)),
         args.episodes,
@@ -113,7 +144,7 @@ def _plan(args: argparse.Namespace, recipe: Recipe, runtime: str) -> GenerationP
         _encoding(args),
         shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
         FileLimits(video_s=args.video_seconds),
-        runtime=runtime,
+        runtime=runs_on,
         subtasks=args.subtasks,
     )
 

@@ -60,7 +60,7 @@ class GenerationPlan:
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
         code: fingerprint of the code that plans; other machines must have the same.
-        runtime: what else a policy's actions depend on, see ``onpolicy.actor.runtime``; empty without one.
+        runtime: what else a policy's actions depend on, see ``generate.actor.runtime``; empty without one.
         subtasks: whether to store subtasks as LeRobot's column for language.
     """
 

@@ -392,26 +392,19 @@ def condition(entry: Entry) -> tuple[str, ...]:
     return info.split, info.capture, str(info.extra.get("condition", "")), "" if seed is None else f"seed {seed}"
 
 
-def timing(entry: Entry) -> Inference | None:
-    """Return the timing of an evaluation's inference; None if its label does not state it."""
+def latency_ms(entry: Entry) -> float | None:
+    """Return the declared latency of an evaluation [ms]; None if it was measured, or its label does not state it."""
     label = entry.results.inference
     try:
-        return Inference.from_label("" if label == SYNC else label)
+        return Inference.from_label("" if label == SYNC else label).latency_ms
     except ValueError:
         return None
 
 
-def latency_ms(entry: Entry) -> float | None:
-    """Return the declared latency of an evaluation [ms]; None if it was measured."""
-    found = timing(entry)
-    return None if found is None else found.latency_ms
-
-
 def policy_and_rules(entry: Entry) -> tuple[str, ...]:
-    """Return policy, correction, split, capture rule and control class of an evaluation."""
-    results, corrected = entry.results, (timing(entry) or Inference()).corrected
-    rules = (results.info.split, results.capture, results.control_class)
-    return short_name(results.info.policy), "corrected" if corrected else "", *rules
+    """Return policy, split, capture rule and control class of an evaluation."""
+    results = entry.results
+    return short_name(results.info.policy), results.info.split, results.capture, results.control_class
 
 
 @figure("obs-frames", "Observed frames")

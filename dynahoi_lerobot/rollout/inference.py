@@ -27,7 +27,7 @@ INFERENCE_MODES = {
     RTC: "as async, and the new chunk is guided by what the old one has committed to (real-time chunking)",
 }
 MAX_LATENCY_MS = 60_000.0
-LABEL = re.compile(r"(?P<mode>\w+) (?:(?P<ms>[\d.e+]+) ms|measured)(?P<corrected>, corrected)?")
+LABEL = re.compile(r"(?P<mode>\w+) (?:(?P<ms>[\d.e+]+) ms|measured)")
 """What `Inference.label` gives, with its parts."""
 ROUNDING = 1e-9
 """Frames by which a latency may exceed a whole number of them, being computed in floating point."""
@@ -41,16 +41,13 @@ class Inference:
         mode: a key of ``INFERENCE_MODES``.
         latency_ms: time from an observation to the chunk that answers it [ms]; None is what each inference takes on
             this machine.
-        corrected: whether the policy corrects its running chunk in every frame for what it sees meanwhile, which takes
-            less than a frame (A2C2, arXiv 2509.23224).
 
     Raises:
-        ValueError: if the mode is unknown, the latency out of range, or ``sync`` is given one, or a correction.
+        ValueError: if the mode is unknown, the latency out of range, or ``sync`` is given one.
     """
 
     mode: str = SYNC
     latency_ms: float | None = 0.0
-    corrected: bool = False
 
     def __post_init__(self) -> None:
         if self.mode not in INFERENCE_MODES:
@@ -60,8 +57,6 @@ class Inference:
         if self.mode == SYNC and self.latency_ms != 0:
             told = "measured" if self.latency_ms is None else f"{self.latency_ms} ms"
             raise ValueError(f"the inference latency is {told}, but with mode sync the world waits; use async or rtc")
-        if self.mode == SYNC and self.corrected:
-            raise ValueError("a correction is of chunks that take time, but with mode sync the world waits; use async")
 
     @property
     def label(self) -> str:
@@ -69,7 +64,7 @@ class Inference:
         if self.mode == SYNC:
             return ""
         latency = "measured" if self.latency_ms is None else f"{self.latency_ms:g} ms"
-        return f"{self.mode} {latency}" + (", corrected" if self.corrected else "")
+        return f"{self.mode} {latency}"
 
     @classmethod
     def from_label(cls, label: str) -> Inference:
@@ -83,7 +78,7 @@ class Inference:
         found = LABEL.fullmatch(label)
         if not found:
             raise ValueError(f"no inference is called {label!r}; a name is such as 'async 150 ms'")
-        return cls(found["mode"], float(found["ms"]) if found["ms"] else None, bool(found["corrected"]))
+        return cls(found["mode"], float(found["ms"]) if found["ms"] else None)
 
 
 def frames_of(seconds: float) -> int:
@@ -99,13 +94,11 @@ class Chunk:
         actions: (H, ..., 18) commands.
         first: the frame that the first of them is for.
         ready: the frame from which on they are executed.
-        expectation: what they were planned for, as their agent keeps it, to correct them.
     """
 
     actions: np.ndarray
     first: int
     ready: int
-    expectation: Any = None
 
     def action(self, frame: int) -> np.ndarray:
         """Return the (..., 18) action of ``frame``, the last one where the chunk is over."""
@@ -119,26 +112,23 @@ class RealTimeAgent(Agent):
         """Give ``agent`` the timing ``inference``, of mode ``async`` or ``rtc``.
 
         Raises:
-            ValueError: for ``rtc`` with an agent that cannot be guided, or a correction by one that corrects nothing.
+            ValueError: for ``rtc`` with an agent that cannot be guided.
         """
         if inference.mode == RTC and not agent.accepts_guidance:
             raise ValueError(
                 f"inference mode rtc guides a chunk while it is generated, which {agent.name!r} does not support; "
                 "use async"
             )
-        if inference.corrected and not agent.corrects:
-            raise ValueError(
-                f"{agent.name!r} does not correct its chunks while they are executed; leave the correction out"
-            )
         for name in (
             "name", "sees_images", "image_size", "views", "sees_environment_state", "privileged", "weights",
             "trained_for",
         ):  # fmt: skip
             setattr(self, name, getattr(agent, name))
-        self._continues = inference.mode == RTC or agent.accepts_prefix
         if inference.mode == RTC:
             agent.enable_guidance()
-        self._agent, self._inference = agent, inference
+        declared_ms = inference.latency_ms
+        self._agent, self._continues = agent, inference.mode == RTC
+        self._delay = None if declared_ms is None else frames_of(declared_ms / 1000)
         self._inferences, self._waited_frames = 0, 0
         self.reset(0)
 
@@ -146,7 +136,6 @@ class RealTimeAgent(Agent):
         """Forget everything, also what is being inferred."""
         self._agent.reset(count)
         self._frame = 0
-        self._delays = self._declared(count)
         self._running: list[Chunk | None] = [None] * count
         self._coming: list[Chunk | None] = [None] * count
 
@@ -169,15 +158,10 @@ class RealTimeAgent(Agent):
         return {**self._agent.report(), "inference_frames": round(frames, 3)}
 
     def _commands(self, observation: Observation) -> np.ndarray:
-        """Return what is due of the running chunks, or the corrections of that."""
+        """Return what is due of the running chunks."""
         commands = observation.state.astype(np.float64)
-        running = {i: chunk for i, chunk in enumerate(self._running) if chunk is not None}
-        if running and self._inference.corrected:
-            ages = [self._frame - chunk.first for chunk in running.values()]
-            expectations = [chunk.expectation for chunk in running.values()]
-            commands[list(running)] = self._agent.corrected(np.array(list(running)), expectations, ages)
-        else:
-            for i, chunk in running.items():
+        for i, chunk in enumerate(self._running):
+            if chunk is not None:
                 commands[i] = chunk.action(self._frame)
         return commands
 
@@ -187,36 +171,29 @@ class RealTimeAgent(Agent):
             if chunk is not None and chunk.ready <= self._frame:
                 self._running[i], self._coming[i] = chunk, None
 
-    def _declared(self, count: int) -> list[int | None]:
-        """Return how long the inferences of each world take [frames]; None is what they take on this machine."""
-        declared = self._inference.latency_ms
-        return [None if declared is None else frames_of(declared / 1000)] * count
-
     def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
         plan = self._agent.plan(observation, worlds, **(self._continued(worlds) if self._continues else {}))
-        expectations = plan.expectations if self._inference.corrected else [None] * len(worlds)
-        for i, actions, seconds, expectation in zip(worlds, plan.actions, plan.seconds, expectations, strict=True):
-            delay = self._delays[i]
-            self._check(len(actions), delay)
-            took = frames_of(seconds) if delay is None else delay
-            self._coming[i] = Chunk(actions, self._frame, self._frame + took, expectation)
+        for i, actions, seconds in zip(worlds, plan.actions, plan.seconds, strict=True):
+            self._check(len(actions))
+            took = frames_of(seconds) if self._delay is None else self._delay
+            self._coming[i] = Chunk(actions, self._frame, self._frame + took)
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
 
     def _continued(self, worlds: np.ndarray) -> dict[str, np.ndarray]:
         """What goes on in ``worlds`` (n,) meanwhile; an inference is expected to take as long as the last one."""
         old = [chunk for i in worlds if (chunk := self._running[i]) is not None]
-        lasted = [chunk.ready - chunk.first for chunk in old] or [0] * len(worlds)
-        delays = [self._delays[i] for i in worlds]
-        told = {"delays": np.array([last if d is None else d for last, d in zip(lasted, delays, strict=True)])}
-        return told | ({"executed": np.array([self._frame - chunk.first for chunk in old])} if old else {})
+        if not old:
+            return {}
+        lasted = [chunk.ready - chunk.first if self._delay is None else self._delay for chunk in old]
+        return {"delays": np.array(lasted), "executed": np.array([self._frame - chunk.first for chunk in old])}
 
-    def _check(self, length: int, delay: int | None) -> None:
+    def _check(self, length: int) -> None:
         """Raise ValueError if a chunk is over before it is ready."""
-        if delay is not None and delay >= length:
+        if self._delay is not None and self._delay >= length:
             raise ValueError(
                 f"the chunks of {self.name!r} have {length} actions, all of them past when a chunk is ready after "
-                f"{delay} frames; allowed are less than {length} frames"
+                f"{self._delay} frames; allowed are less than {length} frames"
             )
 
 
@@ -227,13 +204,11 @@ class QueuedPolicy:
     Attributes:
         name: for messages.
         n_action_steps: calls that one inference answers.
-        skipped_frames: frames between its observation and the one that its first action is for.
         lookback_frames: how old the oldest frame is that an inference looks at.
     """
 
     name: str
     n_action_steps: int
-    skipped_frames: int = 0
     lookback_frames: int = 0
 
 
@@ -295,8 +270,7 @@ class StepwiseInference:
 
     def _finish(self) -> None:
         """Go on with the chunk that has been read; its successor is inferred next."""
-        first = self._begun + self.policy.skipped_frames
-        self._running = Chunk(np.stack(self._read), first, self._begun + self._delay)
+        self._running = Chunk(np.stack(self._read), self._begun, self._begun + self._delay)
         self._read, self._begun = [], self._begun + self._period
 
 
@@ -318,12 +292,7 @@ def _declared_ms(inference: Inference) -> float:
 def _check_policy(policy: QueuedPolicy, delay: int, after: str) -> None:
     """Raise ValueError unless the policy has actions left when a chunk is ready, and sees every frame once."""
     n, period = policy.n_action_steps, max(1, delay)
-    if policy.skipped_frames > delay:
-        raise ValueError(
-            f"{policy.name!r} skips {policy.skipped_frames} frames of a chunk that is ready {after}; allowed are up "
-            f"to {delay}"
-        )
-    if (least := max(period, delay - policy.skipped_frames + 1)) > n:
+    if (least := delay + 1) > n:
         raise ValueError(
             f"{policy.name!r} executes {n} actions of a chunk, all of them past when it is ready {after}; "
             f"n_action_steps must be at least {least}"

@@ -20,7 +20,6 @@ REQUIRED = {
     "verify": ["nothing"],
     "filter": ["nothing", "--out", "made"],
     "evaluate": ["--policy", "hold", "--motions", "constant", "--episodes", "1", "--image-size", "16"],
-    "dagger": ["--recipe", "nothing"],
     "pretrain": ["--recipe", "nothing"],
     "report": ["nothing"],
     "view": ["--motion", "constant", "--image-size", "16", "--out", "made.gif"],

@@ -14,7 +14,7 @@ from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.clip import Clip, write_clip
 from dynahoi_lerobot.evaluate.gif import BORDERS
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "tracker_standard"
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_standard"
 
 
 def view(*words: object) -> int:

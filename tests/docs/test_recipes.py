@@ -12,13 +12,12 @@ import draccus
 import pytest
 import yaml
 
-from dynahoi_lerobot.core.rules import control_class_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.recipe import load_recipe
 from tests.docs.documents import ROOT
 
 RECIPES = ROOT / "recipes"
-FOLDERS = {"dagger", "eye", "generate", "train", "zoo"}
+FOLDERS = {"eye", "generate", "train", "zoo"}
 HEADER = re.compile(r"^#   (\S.*)$", re.MULTILINE)
 
 
@@ -42,15 +41,11 @@ def test_a_generation_recipe_is_read(path: Path):
     assert load_recipe(path).split == "train"
 
 
-@pytest.mark.parametrize("path", recipes("dagger", "eye"))
-def test_a_recipe_of_ours_is_read(path: Path):
-    from dynahoi_lerobot.onpolicy.recipe import DaggerRecipe, EyeRecipe, read_recipe
+@pytest.mark.parametrize("path", recipes("eye"))
+def test_an_eye_recipe_is_read(path: Path):
+    from dynahoi_lerobot.pretrain.recipe import read_recipe
 
-    recipe = read_recipe({"dagger": DaggerRecipe, "eye": EyeRecipe}[path.parent.name], path)
-    if isinstance(recipe, DaggerRecipe):
-        assert recipe.policy["image_size"] == recipe.episodes.image_size
-        latency = control_class_of(recipe.episodes.control_class).latency_frames
-        assert recipe.policy.get("latency_frames", 0) == latency
+    assert read_recipe(path).episodes.split == "train"
 
 
 @pytest.mark.parametrize("path", recipes("train", "zoo"))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import json
+import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +14,7 @@ import draccus
 import numpy as np
 import pytest
 import torch
-from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
+from lerobot.configs import PreTrainedConfig
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
@@ -25,7 +27,6 @@ from lerobot.envs.utils import (
     preprocess_observation,
 )
 from lerobot.policies.act.configuration_act import ACTConfig
-from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.processor import PolicyProcessorPipeline
 from lerobot.scripts.lerobot_eval import eval_policy_all
@@ -33,7 +34,6 @@ from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_env_dynahoi.command_line import new_results_folder, policy_name, policy_weights
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig, kinds_of
-from lerobot_policy_tracker import TrackerConfig
 
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Results, read_results
@@ -43,6 +43,7 @@ from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.checkpoints import FEATURES, SHIPPED, saved, tiny_obact
 
 SMALL = {"image_size": 32, "split": "test_small"}
 
@@ -191,7 +192,7 @@ def test_tasks_are_kinds_or_categories() -> None:
 def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text('{"type": "act"}')
     assert policy_name(["lerobot-eval", f"--policy.path={tmp_path}"]) == "act"
-    assert policy_name(["lerobot-train", "--policy.type=tracker"]) == "tracker"
+    assert policy_name(["lerobot-train", "--policy.type=obact"]) == "obact"
     assert policy_name(["somebody's script"]) == "policy"
     assert policy_name(["lerobot-eval", "--policy.path", "me/policy"]) == "me/policy"
 
@@ -239,39 +240,17 @@ def test_lerobot_records_what_the_policy_saw(config_class: type[EnvConfig], tmp_
 
 
 def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    checkpoint = Path(__file__).parents[2] / "checkpoints" / "tracker_late"
+    checkpoint = shutil.copytree(SHIPPED, tmp_path / "late")
+    training = {"env": {"type": "dynahoi", "control_class": "late"}}
+    (checkpoint / "train_config.json").write_text(json.dumps(training))
     monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--policy.path={checkpoint}"])
     own = DynahoiEnvConfig(protocol="direct_act")
     assert (own.control_class, own.image_size, own.protocol) == ("late", 96, "direct_act")
     assert "control_class late" in capsys.readouterr().out
     monkeypatch.setattr("sys.argv", ["lerobot-eval"])
     assert DynahoiEnvConfig().control_class == "standard"
-
-
-FEATURES = {
-    "input_features": {
-        "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),
-        "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
-    },
-    "output_features": {"action": PolicyFeature(FeatureType.ACTION, (18,))},
-    "normalization_mapping": dict.fromkeys(("VISUAL", "STATE", "ACTION"), NormalizationMode.IDENTITY),
-    "device": "cpu",
-    "push_to_hub": False,
-}
-
-
-def saved(config: PreTrainedConfig, folder: Path) -> Path:
-    """Write a checkpoint with random weights, none of them zero."""
-    torch.manual_seed(0)
-    policy = get_policy_class(config.type)(config)
-    for weight in policy.parameters():
-        weight.data += 0.05 * torch.randn_like(weight)
-    policy.save_pretrained(folder)
-    for pipeline in make_pre_post_processors(config):
-        pipeline.save_pretrained(folder)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -282,11 +261,8 @@ def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def tracker(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    small = {"width": 16, "n_attention_heads": 2, "backbone_options": {"n_keypoints": 4, "channels": 8}}
-    small |= {"head_options": {"n_layers": 1}, "ema_decay": 0.0, "noise_scale": 0.0, "image_size": 32}
-    config = TrackerConfig(n_obs_frames=5, obs_stride=1, horizon=8, n_action_steps=4, **small, **FEATURES)
-    return saved(config, tmp_path_factory.mktemp("tracker"))
+def obact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_obact(tmp_path_factory.mktemp("obact"))
 
 
 def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> Results:
@@ -321,12 +297,6 @@ def test_a_policy_with_a_queue_plays_the_same_episodes(act: Path, tmp_path: Path
     assert found.info.extra["inference"] == "async 150 ms"
 
 
-def test_a_policy_with_a_memory_plays_the_same_episodes(tracker: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    skipping = ("--policy.latency_frames=3", "--policy.n_action_steps=3", "--policy.replan_key=")
-    found = through_lerobot(tracker, tmp_path, monkeypatch, *LATE, *skipping)
-    assert_same_as_with_whole_chunks(tracker, found)
-
-
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
@@ -343,11 +313,9 @@ def test_what_lerobots_loop_cannot_do_is_a_sentence(
         through_lerobot(act, tmp_path, monkeypatch, *options)
 
 
-def test_a_policy_that_replans_at_other_times_is_a_sentence(
-    tracker: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    with pytest.raises(ValueError, match=r"'tracker' infers anew when observation.phase rises"):
-        through_lerobot(tracker, tmp_path, monkeypatch, *LATE)
+def test_a_policy_with_a_memory_is_a_sentence(obact: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(ValueError, match=r"'obact' looks back 10 frames and would see some twice"):
+        through_lerobot(obact, tmp_path, monkeypatch, *LATE)
 
 
 def test_without_a_command_line_the_length_of_the_queue_must_be_told():

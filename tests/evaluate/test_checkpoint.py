@@ -36,7 +36,7 @@ from dynahoi_lerobot.evaluate.checkpoint import (
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "tracker_standard"
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_standard"
 PREPROCESSOR = "policy_preprocessor.json"
 
 
@@ -151,7 +151,7 @@ def test_listed_steps_exist_and_take_the_keys_of_their_own_configs(name: str, ch
         ("tokenizer_config.json", {"trust_remote_code": True}),
         ("config.json", {"type": "pi0_fast"}),
         ("config.json", {"type": "a_third_partys"}),
-        ("config.json", {"type": ["tracker"]}),
+        ("config.json", {"type": ["obact"]}),
     ],
 )
 def test_configs_that_ask_for_code_are_refused(name: str, content: dict[str, Any], checkpoint: Path) -> None:
@@ -278,9 +278,9 @@ def test_files_that_never_end_are_refused_at_once(damage: Callable[[Path], None]
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        *itertools.product(["n_attention_layers", "width", "n_obs_frames", "horizon"], [1e9, 10**9, 10**400]),
-        *itertools.product(["n_obs_frames", "n_action_steps", "window_reach", "obs_stride"], [10**6]),
-        *itertools.product(["n_attention_layers", "width"], [10**5, 10**7]),
+        *itertools.product(["n_layers", "width", "n_obs_frames", "horizon"], [1e9, 10**9, 10**400]),
+        *itertools.product(["n_obs_frames", "n_action_steps", "n_decisions", "obs_stride"], [10**6]),
+        *itertools.product(["n_layers", "width"], [10**5, 10**7]),
     ],
 )
 def test_sizes_that_no_machine_has_are_refused(key: str, value: float, checkpoint: Path) -> None:
@@ -291,13 +291,19 @@ def test_sizes_that_no_machine_has_are_refused(key: str, value: float, checkpoin
     assert time.process_time() - start < 1
 
 
-@pytest.mark.parametrize("setting", [{"fps": 1e-300}, {"image_size": 3}, {"noise_scale": 1e7, "image_size": 10**6}])
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ({"fps": 1e-300}, "action of world 0 must be finite, got nan"),
+        ({"head_options": {"n_steps": 0}}, "the policy cannot play: ZeroDivisionError"),
+    ],
+)
 def test_a_policy_that_fails_while_it_plays_is_one_sentence(
-    setting: dict[str, Any], checkpoint: Path, capsys: pytest.CaptureFixture
+    setting: dict[str, Any], told: str, checkpoint: Path, capsys: pytest.CaptureFixture
 ) -> None:
     change(checkpoint / "config.json", lambda config: config.update(setting))
     assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
-    assert "the policy cannot play: " in capsys.readouterr().err.splitlines()[-1]
+    assert told in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_nobody_is_asked_whether_to_run_code(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -307,7 +313,7 @@ def test_nobody_is_asked_whether_to_run_code(checkpoint: Path, monkeypatch: pyte
         assert input("Do you wish to run the custom code? [y/N] ") == "y"
 
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
-    monkeypatch.setattr("lerobot_policy_tracker.modeling_tracker.TrackerPolicy.from_pretrained", from_pretrained)
+    monkeypatch.setattr("lerobot_policy_obact.modeling_obact.ObActPolicy.from_pretrained", from_pretrained)
     with pytest.raises(PolicyError, match="EOFError"):
         PolicyAgent(str(checkpoint))
 
@@ -319,9 +325,12 @@ def test_a_path_that_cannot_be_is_one_sentence(name: str, capsys: pytest.Capture
 
 
 def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["evaluate", "--policy", str(CHECKPOINT.with_name("tracker_late")), "--episodes", "1"]
+    change(
+        checkpoint / "train_config.json", lambda config: config.update(env={"type": "dynahoi", "control_class": "late"})
+    )
+    words = ["evaluate", "--policy", str(checkpoint), "--episodes", "1"]
     assert cli.main([*words, "--out", str(tmp_path / "own")]) == 0
     assert "--control-class late" in capsys.readouterr().out
     recipe = read_results(tmp_path / "own").recipe()
@@ -342,11 +351,11 @@ def test_the_dataset_tells_what_a_checkpoint_was_trained_for(checkpoint: Path, t
 
 @pytest.fixture
 def hub(checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Serve the checkpoint as the Hub's repository you/tracker, laid out as its cache is; collect what is fetched."""
-    cache, fetched = tmp_path / "models--you--tracker", []
+    """Serve the checkpoint as the Hub's repository you/obact, laid out as its cache is; collect what is fetched."""
+    cache, fetched = tmp_path / "models--you--obact", []
 
     def snapshot_download(repo_id: str, *, revision: str | None, allow_patterns: list[str], **_: object) -> str:
-        assert repo_id == "you/tracker"
+        assert repo_id == "you/obact"
         folder = cache / "snapshots" / "c0ffee"
         assert revision in (None, folder.name)
         for file in (file for file in checkpoint.rglob("*") if file.is_file()):
@@ -367,7 +376,7 @@ def test_a_hub_repository_is_checked_before_its_weights_are_fetched(
 ) -> None:
     add_step(checkpoint, program(marker))
     with pytest.raises(UntrustedCheckpointError, match=r"os\.mkdir"):
-        PolicyAgent("you/tracker")
+        PolicyAgent("you/obact")
     assert not marker.exists()
     assert hub
     assert all(name.endswith(".json") for name in hub)
@@ -375,8 +384,8 @@ def test_a_hub_repository_is_checked_before_its_weights_are_fetched(
 
 def test_a_harmless_hub_repository_plays_without_its_other_files(checkpoint: Path, hub: list[str]) -> None:
     (checkpoint / "optimizer.pt").write_bytes(b"never fetched")
-    agent = PolicyAgent("you/tracker")
-    assert agent.name == "you/tracker"
+    agent = PolicyAgent("you/obact")
+    assert agent.name == "you/obact"
     assert agent.image_size == 96
     assert "model.safetensors" in hub
     assert "optimizer.pt" not in hub

@@ -16,25 +16,23 @@ from dynahoi_lerobot.core.agent import Observation, Plan
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.evaluate.results import read_results
 
-CHECKPOINTS = Path(__file__).parents[2] / "checkpoints"
-CHECKPOINT = str(CHECKPOINTS / "tracker_standard")
-LATE_CHECKPOINT = str(CHECKPOINTS / "tracker_async")
+CHECKPOINT = str(Path(__file__).parents[2] / "checkpoints" / "obact_standard")
 
 
 def test_settings_change_the_config_and_nothing_else() -> None:
     plain = PolicyAgent(CHECKPOINT)._policy.config
-    changed = PolicyAgent(CHECKPOINT, settings=["n_action_steps=2", "latency_frames=3"])._policy.config
-    assert (plain.n_action_steps, plain.latency_frames) == (1, 0)
-    assert (changed.n_action_steps, changed.latency_frames) == (2, 3)
-    assert {**changed.__dict__, "n_action_steps": 1, "latency_frames": 0} == plain.__dict__
+    changed = PolicyAgent(CHECKPOINT, settings=["n_action_steps=2", "delay_frames=3"])._policy.config
+    assert (plain.n_action_steps, plain.delay_frames) == (1, 0)
+    assert (changed.n_action_steps, changed.delay_frames) == (2, 3)
+    assert {**changed.__dict__, "n_action_steps": 1, "delay_frames": 0} == plain.__dict__
 
 
 def test_results_say_which_weights_they_are_of(tmp_path: Path) -> None:
     copied = Path(shutil.copytree(CHECKPOINT, tmp_path / "policy"))
     words = ["evaluate", "--policy", str(copied), "--split", "val", "--episodes", "1", "--out", str(tmp_path / "out")]
     assert main(words) == 0
-    digest = hashlib.sha256((copied / "model.safetensors").read_bytes()).hexdigest()
-    assert read_results(tmp_path / "out").info.extra["weights"] == {"model.safetensors": digest}
+    digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in copied.glob("*.safetensors")}
+    assert read_results(tmp_path / "out").info.extra["weights"] == digests
 
 
 @pytest.mark.parametrize("mode", ["async", "rtc"])
@@ -49,7 +47,7 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
         return replace(took, seconds=np.full(1, 0.55))  # its chunks are of 8 frames, 0.4 s
 
     monkeypatch.setattr(PolicyAgent, "plan", slow)
-    words = ["evaluate", "--policy", LATE_CHECKPOINT, "--split", "val", "--episodes", "2", "--out", str(tmp_path)]
+    words = ["evaluate", "--policy", CHECKPOINT, "--split", "val", "--episodes", "2", "--out", str(tmp_path)]
     assert main([*words, "--control-class", "unlimited", "--inference", mode, "--inference-ms", "measured"]) == 0
     assert set(worlds) == {1}
     assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
@@ -58,10 +56,10 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
 @pytest.mark.parametrize(
     ("setting", "sentence"),
     [
-        ("latency=3", "cannot set 'latency=3': must be KEY=VALUE, KEY one of .*latency_frames"),
-        ("latency_frames", "cannot set 'latency_frames': must be KEY=VALUE"),
-        ("latency_frames=8", "cannot set latency_frames=8: latency_frames is 8, but must be 0 to 7"),
-        ("latency_frames=few", "cannot set latency_frames=few: .*'few'"),
+        ("delay=3", "cannot set 'delay=3': must be KEY=VALUE, KEY one of .*delay_frames"),
+        ("delay_frames", "cannot set 'delay_frames': must be KEY=VALUE"),
+        ("n_action_steps=9", "cannot set n_action_steps=9: n_action_steps is 9, but must be 1 to 8"),
+        ("delay_frames=few", "cannot set delay_frames=few: .*'few'"),
     ],
 )
 def test_what_cannot_be_set_is_said(setting: str, sentence: str) -> None:

@@ -56,7 +56,7 @@ def checkpoint(tmp_path: Path) -> Path:
     folder = tmp_path / "pretrained_model"
     (folder / "training_state").mkdir(parents=True)
     (folder / "training_state/rng.safetensors").write_bytes(b"state")
-    (folder / "config.json").write_text(json.dumps({"type": "tracker"}))
+    (folder / "config.json").write_text(json.dumps({"type": "obact"}))
     (folder / "model.safetensors").write_bytes(b"weights")
     (folder / "train_config.json").write_text(json.dumps({"dataset": {"repo_id": "me/catching"}}))
     return folder

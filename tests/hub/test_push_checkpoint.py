@@ -24,7 +24,7 @@ def test_a_checkpoint_without_a_card_gets_one(checkpoint: Path, hub: Hub, push: 
     assert metadata["library_name"] == "lerobot"
     assert metadata["datasets"] == ["me/catching"]
     assert "dynahoi evaluate --policy me/policy" in body
-    assert 'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi ./policies/lerobot_policy_tracker ' in body
+    assert 'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi ./policies/lerobot_policy_obact ' in body
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_another_policy_is_not_overwritten(checkpoint: Path, hub: Hub, push: Pus
     (checkpoint / "config.json").write_text(json.dumps({"type": "act"}))
     code, _, err = push(checkpoint, "me/policy")
     assert code == 1
-    assert "me/policy holds other content (the type in config.json is tracker, not act); choose another name" in err
+    assert "me/policy holds other content (the type in config.json is obact, not act); choose another name" in err
     assert len(hub.repos[REPO].commits) == 3
 
 

@@ -99,7 +99,7 @@ def test_results_that_do_not_say_what_was_played_are_refused(checkpoint: Path, t
     assert "does not say what was played" in err
 
 
-STRANGERS = ["you/other", "intercept", "outputs/gone/pretrained_model", "tracker"]
+STRANGERS = ["you/other", "intercept", "outputs/gone/pretrained_model", "obact"]
 
 
 @pytest.mark.parametrize("policy", STRANGERS)

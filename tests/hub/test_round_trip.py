@@ -16,7 +16,7 @@ from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
 from tests.hub.conftest import Push
 from tests.hub.server import TOKEN, Hub
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints/tracker_standard"
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints/obact_standard"
 READ = """
 from datasets import load_dataset
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -54,18 +54,18 @@ def test_a_dataset_is_read_by_its_name(simulated: Path, hub: Hub, push: Push, tm
 
 def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(hub: Hub, push: Push, tmp_path: Path):
     checkpoint, results = shutil.copytree(CHECKPOINT, tmp_path / "checkpoint"), tmp_path / "results"
-    assert push(checkpoint, "me/tracker")[0] == 0
-    words = ("-m", "dynahoi_lerobot.cli.main", "evaluate", "--policy", "me/tracker", "--episodes", "2", "--out")
+    assert push(checkpoint, "me/obact")[0] == 0
+    words = ("-m", "dynahoi_lerobot.cli.main", "evaluate", "--policy", "me/obact", "--episodes", "2", "--out")
     elsewhere(hub, tmp_path / "home", *words, str(results))
-    code, out, err = push(results, "me/tracker")
+    code, out, err = push(results, "me/obact")
     assert code == 0, err
-    assert f"results pushed to {hub.url}/me/tracker" in out
-    files = hub.repos["models/me/tracker"].files
+    assert f"results pushed to {hub.url}/me/obact" in out
+    files = hub.repos["models/me/obact"].files
     assert set(files) > {path.name for path in checkpoint.iterdir()}
     head = json.loads((results / METRICS_FILE).read_text())
     name = f"v1_{head['split']}_attach_{head['extra']['recipe']['control_class']}_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
-    assert push(checkpoint, "me/tracker")[0] == 0, "results beside it are no obstacle"
+    assert push(checkpoint, "me/obact")[0] == 0, "results beside it are no obstacle"
 
 
 TRAIN = """
@@ -75,9 +75,9 @@ RepoCard.validate = lambda *args, **options: None  # asks huggingface.co, whatev
 main()
 """
 TINY = {
-    "policy.type": "tracker", "policy.width": 16, "policy.n_attention_heads": 2, "policy.image_size": 32,
-    "policy.n_obs_frames": 2, "policy.backbone_options": '{"n_keypoints": 4, "channels": 8}',
-    "policy.head_options": '{"n_layers": 1}', "policy.device": "cpu", "batch_size": 2, "steps": 2, "num_workers": 0,
+    "policy.type": "obact", "policy.dim": 16, "policy.n_heads": 2, "policy.width": 32, "policy.n_obs_frames": 2,
+    "policy.encoder_options": '{"channels": 8}', "policy.head_options": '{"width": 16}', "policy.device": "cpu",
+    "batch_size": 2, "steps": 2, "num_workers": 0,
     "env_eval_freq": 0, "dataset.repo_id": "me/catching", "policy.push_to_hub": "true", "policy.repo_id": "me/trained",
 }  # fmt: skip
 PLAYED = {

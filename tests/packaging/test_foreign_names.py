@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 UNREAD = (".gif", ".jpg", ".png", ".npz", ".parquet", ".pem", ".safetensors")
-DISTRIBUTION = r"(?:dynahoi(?:[-_]lerobot)?|lerobot[-_](?:env[-_]dynahoi|policy[-_](?:obact|tracker|actiontokens)))"
+DISTRIBUTION = r"(?:dynahoi(?:[-_]lerobot)?|lerobot[-_](?:env[-_]dynahoi|policy[-_](?:obact|actiontokens)))"
 INSTALL = re.compile(
     rf"(?:pip install|uv add|uv tool install|uvx|pipx \w+)\b[^\n`#]*?(?<![\w./\\-]){DISTRIBUTION}(?![\w/.-])"
 )
@@ -42,7 +42,7 @@ def test_the_repository_names_nothing_that_is_not_registered():
         'pip install -q "dynahoi-lerobot[lerobot]"',
         "uvx dynahoi quickstart",
         "pip install . lerobot_env_dynahoi",
-        "lerobot-eval --policy.path=dynahoi/tracker_standard",
+        "lerobot-eval --policy.path=dynahoi/obact_standard",
         'LeRobotDataset("dynahoi/train")',
     ],
 )

@@ -24,10 +24,10 @@ def named(policy: str, folder: str = "run", **extra: object) -> Results:
     ("policy", "label"),
     [
         ("expert", "expert"),
-        ("outputs/train/tracker/checkpoints/last/pretrained_model", "tracker"),
+        ("outputs/train/obact/checkpoints/last/pretrained_model", "obact"),
         ("outputs/study/act/training/checkpoints/last/pretrained_model", "act"),
-        (r"outputs\tracker\checkpoints\030000\pretrained_model", "tracker"),
-        ("someone/tracker_dynahoi", "tracker_dynahoi"),
+        (r"outputs\obact\checkpoints\030000\pretrained_model", "obact"),
+        ("someone/obact_dynahoi", "obact_dynahoi"),
         ("last", "last"),
         ("", "?"),
         ("two\nlines\x1b", r"two\nlines\x1b"),
@@ -44,9 +44,9 @@ def test_long_names_keep_both_ends():
 
 
 def test_equal_names_are_told_apart_by_conditions_then_folder_then_number():
-    late = named("tracker", inference="async 150 ms")
-    noisy = named("tracker", recipe={"render_noise": 2})
-    assert unique_labels([late, noisy, named("tracker")]) == ["tracker, async 150 ms", "tracker, noise 2", "tracker"]
+    late = named("obact", inference="async 150 ms")
+    noisy = named("obact", recipe={"render_noise": 2})
+    assert unique_labels([late, noisy, named("obact")]) == ["obact, async 150 ms", "obact, noise 2", "obact"]
     assert unique_labels([named("a", "s1"), named("a", "s5"), named("b")]) == ["a (s1)", "a (s5)", "b"]
     assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
 

@@ -84,7 +84,7 @@ def test_a_curve_needs_two_numbers(tmp_path: Path):
 def lines(tmp_path: Path, runs: dict[str, dict], group: Callable[[Entry], tuple[str, ...]]) -> dict[str, str]:
     """Return the names of the runs on each line."""
     for name, extra in runs.items():
-        example_run(tmp_path / name, "tracker", 0.5, 2, **extra)
+        example_run(tmp_path / name, "obact", 0.5, 2, **extra)
     drawn = grouped(read_entries([tmp_path / name for name in runs]), group)
     assert len({curve.colour for curve in drawn}) == len(drawn)
     return {curve.label: "".join(sorted(entry.results.folder.name for entry in curve.entries)) for curve in drawn}
@@ -97,13 +97,13 @@ def test_a_study_has_a_curve_for_each_condition_or_training_seed(tmp_path: Path)
     assert lines(tmp_path, runs, condition) == {"seed 1": "d", "seed 2": "ef"}
 
 
-def test_latency_has_a_line_for_each_policy_and_way_of_bridging_it(tmp_path: Path):
-    timings = {"a": "", "b": "async 150 ms", "c": "async 150 ms, corrected", "d": "async measured", "e": "soon"}
+def test_latency_has_a_line_for_each_policy(tmp_path: Path):
+    timings = {"a": "", "b": "async 150 ms", "c": "rtc 370 ms", "d": "async measured", "e": "soon"}
     runs = {name: {"inference": inference} for name, inference in timings.items()}
-    assert lines(tmp_path, runs, policy_and_rules) == {"tracker": "abde", "corrected": "c"}
+    assert lines(tmp_path, runs, policy_and_rules) == {"obact": "abcde"}
     entries = read_entries([tmp_path / name for name in timings])
     known = {entry.results.folder.name: latency_ms(entry) for entry in entries}
-    assert known == {"a": 0.0, "b": 150.0, "c": 150.0, "d": None, "e": None}
+    assert known == {"a": 0.0, "b": 150.0, "c": 370.0, "d": None, "e": None}
 
 
 def test_commands_that_never_change_still_have_a_histogram(lone: list[Entry]):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -53,12 +52,7 @@ class Clock(ChunkAgent):
         actions = 100 * self.t + self.t + np.arange(5.0)
         self.t += 1
         chunks = np.broadcast_to(actions[None, :, None], (len(worlds), 5, 18))
-        return Plan(chunks, self.seconds[worlds], [self.t - 1] * len(worlds))
-
-    def corrected(self, worlds: np.ndarray, expectations: Sequence[int], ages: Sequence[int]) -> np.ndarray:
-        """What the chunk is for and how old it is, at the frame noted last, as 100 x (frame it saw) + (frame now)."""
-        assert [seen + age for seen, age in zip(expectations, ages, strict=True)] == [self.t - 1] * len(worlds)
-        return np.repeat([[100.0 * seen + self.t - 1] for seen in expectations], 18, axis=1)
+        return Plan(chunks, self.seconds[worlds])
 
 
 def observation() -> Observation:
@@ -102,36 +96,20 @@ def test_real_time_chunking_tells_what_is_executed_and_how_long_it_will_take():
     clock = Clock()
     played(RealTimeAgent(clock, Inference("rtc", 100.0)), 7)
     # The chunk of frame 0 is ready at frame 2; then two of its actions are past and two will be by the next.
-    assert [call[2:] for call in clock.calls] == [(None, [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
+    assert [call[2:] for call in clock.calls] == [(None, None), ([2, 2], [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
     assert clock.guided
 
 
-def test_an_agent_that_plans_from_where_the_hand_will_be_is_told_in_mode_async_as_well():
+def test_only_real_time_chunking_guides_chunks():
     clock = Clock()
-    clock.accepts_prefix = True
     played(RealTimeAgent(clock, Inference("async", 100.0)), 5)
-    assert [call[2:] for call in clock.calls] == [(None, [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
-    assert not clock.guided, "guidance is for real-time chunking"
-
-
-def test_a_correction_replaces_what_is_left_of_the_running_chunk_in_every_frame():
-    clock = Clock()
-    clock.corrects = True
-    for world in played(RealTimeAgent(clock, Inference("async", 150.0, corrected=True)), 11):
-        # As without it, but for the frames after a chunk's last action, 5, which it goes beyond.
-        assert world.tolist() == [STILL, STILL, STILL, 3, 4, 5, 306, 307, 308, 609, 610]
-
-
-def test_a_correction_is_of_the_worlds_that_have_a_chunk():
-    clock = Clock(seconds=(0.04, 0.1))
-    clock.corrects = True
-    commands = played(RealTimeAgent(clock, Inference("async", None, corrected=True)), 6)
-    assert commands.tolist() == [[STILL, 1, 102, 203, 304, 405], [STILL, STILL, 2, 3, 204, 205]]
+    assert [call[2:] for call in clock.calls] == [(None, None)] * 3
+    assert not clock.guided
 
 
 @pytest.mark.parametrize(
     "timing",
-    [Inference(), Inference("async", 150.0, corrected=True), Inference("rtc", 12.5), Inference("async", None)],
+    [Inference(), Inference("async", 150.0), Inference("rtc", 12.5), Inference("async", None)],
 )
 def test_a_label_gives_its_timing_back(timing: Inference):
     assert Inference.from_label(timing.label) == timing
@@ -144,26 +122,17 @@ def test_a_label_of_no_timing_is_refused(label: str):
 
 
 @pytest.mark.parametrize(
-    ("mode", "latency_ms", "corrected"),
-    [
-        ("late", 0.0, False),
-        ("sync", 50.0, False),
-        ("sync", None, False),
-        ("sync", 0.0, True),
-        ("async", -1.0, False),
-        ("async", float("nan"), False),
-    ],
+    ("mode", "latency_ms"),
+    [("late", 0.0), ("sync", 50.0), ("sync", None), ("async", -1.0), ("async", float("nan"))],
 )
-def test_impossible_timings_are_refused(mode: str, latency_ms: float | None, corrected: bool):
-    with pytest.raises(ValueError, match=r"inference|correction"):
-        Inference(mode, latency_ms, corrected)
+def test_impossible_timings_are_refused(mode: str, latency_ms: float | None):
+    with pytest.raises(ValueError, match="inference"):
+        Inference(mode, latency_ms)
 
 
-@pytest.mark.parametrize(
-    "timing", [Inference("async", 250.0), Inference("async", 100.0, corrected=True), Inference("rtc", 100.0)]
-)
+@pytest.mark.parametrize("timing", [Inference("async", 250.0), Inference("rtc", 100.0)])
 def test_timings_that_an_agent_does_not_support_are_refused(timing: Inference):
-    """A chunk that is over before it is ready, a correction by an agent that corrects nothing, no guidance."""
+    """A chunk that is over before it is ready, and guidance of an agent that takes none."""
     clock = Clock()
     clock.accepts_guidance = False
     with pytest.raises(ValueError, match="'clock'"):
@@ -199,8 +168,7 @@ class Counter(ChunkAgent):
         """As LeRobot's policies do: infer if the queue is empty, else answer from it without a look."""
         self.seen.append(frame)
         if not self.queue:
-            first = 101 * frame + self.policy.skipped_frames
-            self.queue.extend(float(first + i) for i in range(self.policy.n_action_steps))
+            self.queue.extend(float(101 * frame + i) for i in range(self.policy.n_action_steps))
         return np.full((1, 18), self.queue.popleft())
 
 
@@ -223,12 +191,6 @@ def test_the_world_stands_still_while_the_queue_is_read_and_moves_in_its_last_ca
 def test_a_chunk_that_is_over_is_followed_by_its_last_action():
     executed, _ = stepwise(QueuedPolicy("five", 5), 150.0, 9)
     assert executed == [STILL, STILL, STILL, 3, 4, 4, 306, 307, 307]
-
-
-def test_a_policy_that_skips_what_is_past_sees_every_frame_once():
-    executed, seen = stepwise(QueuedPolicy("skipping", 3, skipped_frames=3, lookback_frames=12), 150.0, 9)
-    assert executed == [STILL, STILL, STILL, 3, 4, 5, 306, 307, 308]
-    assert seen == list(range(9))
 
 
 @pytest.mark.parametrize("latency_ms", [0.0, 50.0, 100.0, 150.0, 300.0])
@@ -261,9 +223,7 @@ def test_a_new_episode_begins_with_an_inference():
         (QueuedPolicy("p", 6), Inference("rtc", 150.0)),
         (QueuedPolicy("p", 6), Inference("async", None)),
         (QueuedPolicy("p", 3), Inference("async", 150.0)),
-        (QueuedPolicy("p", 2, 3), Inference("async", 150.0)),
-        (QueuedPolicy("p", 6, 4), Inference("async", 150.0)),
-        (QueuedPolicy("p", 6, 0, 5), Inference("async", 150.0)),
+        (QueuedPolicy("p", 6, lookback_frames=5), Inference("async", 150.0)),
     ],
 )
 def test_timings_that_a_queue_cannot_have_are_refused(policy: QueuedPolicy, timing: Inference):

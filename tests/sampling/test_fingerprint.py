@@ -12,7 +12,7 @@ from dynahoi_lerobot.sampling.fingerprint import deciding_sources, extension_fin
 from tests.rooms import ROOMS
 
 PACKAGE = Path(dynahoi_lerobot.__file__).parent
-READING = ("cli", "env", "evaluate", "metrics", "onpolicy", "report", "verify", "vlm")
+READING = ("cli", "env", "evaluate", "metrics", "pretrain", "report", "verify", "vlm")
 """Rooms that decide no byte of a dataset; of ``generate`` some modules do."""
 
 

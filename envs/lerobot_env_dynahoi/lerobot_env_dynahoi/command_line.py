@@ -77,7 +77,7 @@ def queued_policy(n_action_steps: int) -> QueuedPolicy:
         n_action_steps: how many calls an inference answers, where no command line names the policy; 0 if not told.
 
     Raises:
-        ValueError: if neither says how many, if the two differ, or if the policy infers at other times as well.
+        ValueError: if neither says how many, or if the two differ.
     """
     config = _policy_config()
     if config is None:
@@ -85,13 +85,8 @@ def queued_policy(n_action_steps: int) -> QueuedPolicy:
     steps = getattr(config, "n_action_steps", 0) or n_action_steps
     if n_action_steps not in (0, steps):
         raise ValueError(f"env.n_action_steps is {n_action_steps}, but the policy's is {steps}; leave it out")
-    if key := getattr(config, "replan_key", ""):
-        raise ValueError(
-            f"{config.type!r} infers anew when {key} rises, in the middle of its queue; pass --policy.replan_key=''"
-        )
     oldest = min(getattr(config, "lookback", None) or config.observation_delta_indices or [0])
-    skipped = getattr(config, "latency_frames", 0)
-    return QueuedPolicy(config.type, _known_steps(config.type, steps), skipped, lookback_frames=-oldest)
+    return QueuedPolicy(config.type, _known_steps(config.type, steps), lookback_frames=-oldest)
 
 
 def _known_steps(name: str, n_action_steps: int) -> int:

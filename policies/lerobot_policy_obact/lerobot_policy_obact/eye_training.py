@@ -18,9 +18,9 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.onpolicy.recipe import EyeRecipe
-from dynahoi_lerobot.onpolicy.run_folder import RunFolder
-from dynahoi_lerobot.onpolicy.snapshots import ImageStream, Snapshots
+from dynahoi_lerobot.pretrain.recipe import EyeRecipe
+from dynahoi_lerobot.pretrain.run_folder import RunFolder
+from dynahoi_lerobot.pretrain.snapshots import ImageStream, Snapshots
 
 from .camera import Pinhole
 from .encoders import Eye

@@ -1,0 +1,125 @@
+"""The policy that moves the hand in on-policy recordings: named by the content of its checkpoint, alone on the CPU.
+
+Nothing here imports torch before a policy is loaded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import dynahoi_lerobot
+from dynahoi_lerobot.core.agent import Agent, Observation
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
+from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_folder
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.sampling.fingerprint import hash_packages
+
+ACTING = "evaluate/policy_agent.py"
+"""Source between a policy and the worlds; no expert passes there."""
+PARTS = (CONFIG, "policy_*.json", "*.safetensors")
+"""Files of a checkpoint from which a policy and its processors are loaded."""
+
+
+class RecordedPolicy(Agent):
+    """A policy whose actions follow from what it sees and from a seed.
+
+    It has random numbers of its own and one thread: with more, sums may be rounded in another order.
+    """
+
+    def __init__(self, policy: PolicyAgent, seed: int) -> None:
+        """Let ``policy`` act."""
+        import torch
+
+        self.name, self.sees_images = policy.name, policy.sees_images
+        self._policy = policy
+        self._random = torch.Generator().manual_seed(seed).get_state()
+
+    def reset(self, count: int) -> None:
+        """Forget the last episodes."""
+        self._policy.reset(count)
+
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
+        with self._alone():
+            return self._policy.act(observation)
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        import torch
+
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            with torch.random.fork_rng(devices=[]):
+                torch.set_rng_state(self._random)
+                yield
+                self._random = torch.get_rng_state()
+        finally:
+            torch.set_num_threads(threads)
+
+
+def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
+    """Load a policy on the CPU.
+
+    Raises:
+        PolicyError: if there is no such policy, if it reads the simulator's truth, which recordings do not show it, or
+            a repository is to be trusted, whose content would not be named.
+        UntrustedCheckpointError: if loading it could run code of its own, unless ``trust`` allows that.
+    """
+    if trust and not Path(path).is_dir():
+        raise PolicyError(f"--trust needs a folder as the actor, got {path!r}; download the repository first")
+    policy = PolicyAgent(path, "cpu", trust=trust)
+    if policy.sees_environment_state:
+        raise PolicyError(f"{path} reads {ENVIRONMENT_STATE}, the simulator's truth; an actor sees images and the hand")
+    return policy
+
+
+@cache
+def _opened(path: str, name: str, on: str, trust: bool) -> PolicyAgent:
+    """Load a policy once in a process, if it is still the one of that name, and this machine acts to the same bits."""
+    policy = open_policy(path, trust=trust)
+    for found, wanted in ((actor_name(path), name), (runtime(policy), on)):
+        if found != wanted:
+            raise PolicyError(f"the checkpoint {path} is {found} here; the recording is of {wanted}")
+    return policy
+
+
+def make_actor(seed: int, *, path: str, name: str, on: str, trust: bool = False) -> RecordedPolicy:
+    """Return the policy at ``path`` with the random numbers of a seed.
+
+    Raises:
+        PolicyError: if its ``actor_name`` is not ``name``, or its ``runtime`` here is not ``on``.
+    """
+    return RecordedPolicy(_opened(path, name, on, trust), seed)
+
+
+def actor_name(path: str) -> str:
+    """Return ``TYPE@HASH`` of a checkpoint that can be loaded: its policy's type, 16 digits of its files' sha256."""
+    folder = _folder(path)
+    digest = hashlib.sha256()
+    for file in sorted({file for part in PARTS for file in folder.glob(part)}):
+        digest.update(file.name.encode())
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return f"{json.loads((folder / CONFIG).read_text())['type']}@{digest.hexdigest()[:16]}"
+
+
+def runtime(policy: PolicyAgent) -> str:
+    """Return what besides its checkpoint decides the bits of what a policy does: libraries, processor, sources."""
+    import lerobot
+    import torch
+
+    sources = hashlib.sha256(hash_packages({policy.package} - {"lerobot"}))
+    sources.update((Path(dynahoi_lerobot.__file__).parent / ACTING).read_bytes())
+    capability = torch.backends.cpu.get_cpu_capability()
+    return f"torch {torch.__version__}, lerobot {lerobot.__version__}, {capability}, {sources.hexdigest()[:16]}"
+
+
+def _folder(path: str) -> Path:
+    return Path(path) if Path(path).is_dir() else checked_folder(path)

@@ -1,1 +1,0 @@
-"""Learning while simulating: pictures and labelled episodes that never touch the disk."""

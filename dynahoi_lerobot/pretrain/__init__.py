@@ -1,0 +1,1 @@
+"""Pretraining an eye on images of random configurations that never touch the disk."""

@@ -1,0 +1,36 @@
+"""``dynahoi pretrain``: train an eye on images of random configurations, as a recipe says."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.pretrain.recipe import read_recipe
+from dynahoi_lerobot.pretrain.snapshots import ImageStream
+
+FAILED = 1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi pretrain``."""
+    parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/eye/ego_96.yaml")
+    parser.add_argument("--out", type=path, help="folder of the run instead of the recipe's; resumed if it was stopped")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, print a line at each save, and return the exit code: 0 done, 1 the loss was not finite."""
+    from lerobot_policy_obact.eye_training import EyeTraining
+
+    recipe = read_recipe(args.recipe, **({} if args.out is None else {"out": args.out}))
+    training = EyeTraining(recipe, ImageStream(recipe))
+    if training.finished:
+        print(f"{recipe.out}: already trained on all {recipe.images} images")
+    try:
+        for line in training.run():
+            print(json.dumps(line), flush=True)
+    except FloatingPointError as error:
+        print(f"dynahoi pretrain: {error}; the last save is in {recipe.out}", file=sys.stderr)
+        return FAILED
+    return 0

@@ -1,0 +1,76 @@
+"""How an eye is pretrained, as a YAML file that draccus reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import draccus
+
+from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.yaml_file import read_yaml
+from dynahoi_lerobot.sampling.recipe import Recipe
+
+
+@dataclass(frozen=True)
+class EyeRecipe:
+    """How an eye is trained on random configurations.
+
+    Attributes:
+        out: folder that receives ``eye.safetensors``, ``log.jsonl`` and what a killed run resumes from.
+        camera: whose images it sees, ``ego`` or ``side``.
+        eye: options of ObAct's ``Eye``, such as ``weights`` to start from.
+        device: of the training.
+        episodes: what the images show.
+        n_episodes: how many different episodes they show.
+        randomized_share: share of those whose appearance is randomised in every way, see ``randomization``.
+        images: images in all, each seen once.
+        batch_size: images in an update.
+        learning_rate: of AdamW, with a warm-up and cosine decay.
+        save_every: updates between saves. After each the images come from a new stream of random numbers, so that a
+            resumed run sees the same ones as a run that was never killed.
+        seed: of every draw.
+    """
+
+    out: Path
+    camera: str = EGO_VIEW
+    eye: dict[str, Any] = field(default_factory=dict)
+    device: str = "cpu"
+    episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
+    n_episodes: int = 1024
+    randomized_share: float = 0.0
+    images: int = 400_000
+    batch_size: int = 128
+    learning_rate: float = 2e-3
+    save_every: int = 100
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check what could only fail after minutes.
+
+        Raises:
+            ValueError: naming the value received and the ones allowed.
+        """
+        for name in ("n_episodes", "batch_size", "save_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        if not 0 <= self.randomized_share <= 1:
+            raise ValueError(f"randomized_share must be 0 to 1, got {self.randomized_share}")
+        if self.images < self.batch_size:
+            raise ValueError(f"images must be at least batch_size, {self.batch_size}, got {self.images}")
+
+
+def read_recipe(path: Path, **changes: Any) -> EyeRecipe:
+    """Read a recipe from YAML, with some values changed.
+
+    Raises:
+        ValueError: if the file is refused by ``read_yaml``, or holds an unknown key or value.
+    """
+    values = read_yaml(path)
+    if not isinstance(values, dict):
+        raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
+    try:
+        return draccus.decode(EyeRecipe, values | {name: str(value) for name, value in changes.items()})
+    except draccus.utils.DraccusException as error:
+        raise ValueError(f"{path}: {error.__cause__ or error}") from error

@@ -1,0 +1,200 @@
+"""Images of random configurations, posed without physics, with where the target is: what an eye learns from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.pretrain.recipe import EyeRecipe
+from dynahoi_lerobot.rollout.recorder import camera_pose, intrinsics
+from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
+
+POSES = 8
+"""Configurations of a world before it shows another episode: to begin one costs as much as several images."""
+HOME_SHARE = 0.25
+"""Share of the images from home, while the hand watches; that is where most of what stands about is in view."""
+NEAR_SHARE, APPROACH_SHARE = 0.35, 0.45
+"""Shares of the other images with the palm at the target, where an error of centimetres decides, and on its way
+there; in the rest it is anywhere behind it."""
+NEAR_M = 0.06
+"""Standard deviation of the palm from the target when it is near, along each axis [m]."""
+STRAY_M = 0.04
+"""Standard deviation of the palm from the straight way to the target, along each axis [m]."""
+LEAD_FRAMES = 24
+"""The way leads to where the target is at most this many frames later."""
+NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
+"""Range of the target's position relative to the palm in the other images [m], world axes."""
+OPEN_SHARE = 0.5
+FINGERS_MOVE_SHARE = 0.4
+"""Share of the other images in which the fingers move: else whatever moves in the hand would pass for a target."""
+MOST_OPENED, MOST_CLOSED = 0.3, 0.7
+"""How far fingers may move between the two images, of the way from open to closed."""
+REPEATED_SHARE = 0.03
+"""Share of all images that come twice, as the first of an episode does."""
+STILL_SHARE, FAST_SHARE = 0.15, 0.2
+"""Shares of the other hands that stand still, and of the moving ones that may be fast."""
+PALM_SPEEDS_M_S = [control.palm_speed_m_s for control in CONTROL_CLASSES.values()]
+SLOW_M_S, FAST_M_S = min(PALM_SPEEDS_M_S), max(PALM_SPEEDS_M_S)
+"""Greatest speeds of hands: those of the slowest and the fastest control class."""
+WANDER_M = 0.1
+"""Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
+LOWEST_PALM_M = 0.05
+SLOWER, FASTER = 0.6, 1.6
+"""Least and greatest speed of a target between the two images, relative to its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshots:
+    """N images of as many worlds.
+
+    Attributes:
+        images: (N, H, W, 6) uint8 RGB of a camera, and RGB one frame before.
+        place: (N, 3) float32 target centre relative to the palm centre, or, if the camera stands still, to where that
+            is at home [m], world axes.
+    """
+
+    images: np.ndarray
+    place: np.ndarray
+
+
+class ImageStream:
+    """The images of an eye's recipe, a batch for each update, from any update on.
+
+    Each call seeds a stream anew from the recipe's seed and the update. Episodes are sampled at the first one.
+    """
+
+    def __init__(self, recipe: EyeRecipe) -> None:
+        self._recipe = recipe
+
+    @property
+    def camera(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as ``stats/ego_intrinsics``, of the camera."""
+        model, name = self._batch.scene.model, self._recipe.camera
+        return camera_pose(model, name), intrinsics(model, name, self._recipe.episodes.image_size)
+
+    def __call__(self, update: int) -> Iterator[Snapshots]:
+        """Yield images for ever, as a run shows them that goes on from ``update``."""
+        return _shown(self._batch, self.specs, self._recipe.camera, np.random.default_rng([self._recipe.seed, update]))
+
+    @cached_property
+    def _batch(self) -> WorldBatch:
+        return WorldBatch(self._recipe.episodes, self._recipe.batch_size, threads=1)
+
+    @cached_property
+    def specs(self) -> list[EpisodeSpec]:
+        """The episodes whose objects, paths and surroundings are shown."""
+        recipe, n = self._recipe, self._recipe.n_episodes
+        n_plain = round(n * (1 - recipe.randomized_share))
+        randomized = replace(recipe.episodes, appearance=tuple(RANDOMIZATIONS))
+        return sample_specs(recipe.episodes, range(n_plain)) + sample_specs(randomized, range(n_plain, n))
+
+
+def snapshots(
+    recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator, camera: str = EGO_VIEW
+) -> Iterator[Snapshots]:
+    """Yield images for ever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
+
+    Args:
+        recipe: of the episodes, for hand, renderer and image size.
+        specs: episodes whose objects, paths and surroundings are shown; each serves many images.
+        size: worlds that are rendered together.
+        rng: source of every draw.
+        camera: whose images these are, ``ego`` or ``side``.
+    """
+    yield from _shown(WorldBatch(recipe, size, threads=1), specs, camera, rng)
+
+
+def _shown(
+    batch: WorldBatch, specs: Sequence[EpisodeSpec], camera: str, rng: np.random.Generator
+) -> Iterator[Snapshots]:
+    """Yield images for ever, of all worlds of a batch together; see `snapshots`."""
+    size, everyone = batch.size, np.arange(batch.size)
+    while True:
+        chosen = [specs[i] for i in rng.choice(len(specs), size)]
+        batch.reset(everyone, chosen)
+        for _ in range(POSES):
+            poses = [_pose(spec, rng) for spec in chosen]
+            turns = _turns(size, rng)
+            images = []
+            for pose in ([pose.now for pose in poses], [pose.before for pose in poses]):
+                hand, target = (np.stack(part) for part in zip(*pose, strict=True))
+                batch.place(hand, np.concatenate([target, turns], axis=1))
+                images.append(batch.cameras.render(view=camera))
+            place = np.stack([target for _, target in (pose.now for pose in poses)])
+            if camera == EGO_VIEW:
+                place -= np.stack([hand[:PALM_DOF] for hand, _ in (pose.now for pose in poses)])
+            yield Snapshots(np.concatenate(images, axis=-1), place.astype(np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pose:
+    """Hand (18,) and target (3,) [m, rad], home frame, at a frame and at the one before."""
+
+    now: tuple[np.ndarray, np.ndarray]
+    before: tuple[np.ndarray, np.ndarray]
+
+
+def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> _Pose:
+    """Draw a frame of an episode, and a hand that moves there."""
+    path = spec.oracle_path - spec.home_pos_w
+    pose = _at_home(spec, path, rng) if rng.random() < HOME_SHARE else _on_its_way(spec, path, rng)
+    return replace(pose, before=pose.now) if rng.random() < REPEATED_SHARE else pose
+
+
+def _at_home(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> _Pose:
+    """Draw a hand that watches the target on its path (F, 3) [m], home frame."""
+    hand = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
+    frame = min(int(rng.integers(1, spec.window_frames + LEAD_FRAMES)), len(path) - 1)
+    return _Pose((hand, path[frame]), (hand, path[frame - 1]))
+
+
+def _on_its_way(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> _Pose:
+    """Draw a hand that moves to a target on its path (F, 3) [m], home frame."""
+    frame = int(rng.integers(1, len(path)))
+    before = path[frame] - rng.uniform(SLOWER, FASTER) * (path[frame] - path[frame - 1])
+    palm = _palm(spec, path, frame, rng)
+    step = np.zeros(PALM_DOF)
+    if rng.random() > STILL_SHARE:
+        direction = path[frame] - palm + rng.normal(0.0, WANDER_M, PALM_DOF)
+        speed = rng.uniform(0.0, FAST_M_S if rng.random() < FAST_SHARE else SLOW_M_S)
+        step = speed * CONTROL_DT * direction / max(float(np.linalg.norm(direction)), 1e-6)
+    joints, joints_before = _fingers(spec, rng)
+    return _Pose((np.concatenate([palm, joints]), path[frame]), (np.concatenate([palm - step, joints_before]), before))
+
+
+def _palm(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
+    """Draw (3,) a palm that may see the target at a frame of its path (F, 3) [m], home frame."""
+    kind = rng.random()
+    if kind < NEAR_SHARE:
+        palm = path[frame] + rng.normal(0.0, NEAR_M, PALM_DOF)
+    elif kind < NEAR_SHARE + APPROACH_SHARE:
+        goal = path[min(frame + rng.integers(LEAD_FRAMES), len(path) - 1)]
+        palm = rng.random() * goal + rng.normal(0.0, STRAY_M, PALM_DOF)
+    else:
+        palm = path[frame] - rng.uniform(NEAREST_M, FARTHEST_M)
+    palm[2] = max(palm[2], LOWEST_PALM_M - spec.home_pos_w[2])
+    return palm
+
+
+def _fingers(spec: EpisodeSpec, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Draw (J,) joint angles [rad] now and one frame before."""
+    moving = rng.random() < FINGERS_MOVE_SHARE
+    closed = rng.random() if moving or rng.random() > OPEN_SHARE else 0.0
+    before = np.clip(closed + rng.uniform(-MOST_CLOSED, MOST_OPENED), 0.0, 1.0) if moving else closed
+    way = spec.reference_joints - spec.open_joints
+    return spec.open_joints + closed * way, spec.open_joints + before * way
+
+
+def _turns(count: int, rng: np.random.Generator) -> np.ndarray:
+    """(n, 4) random orientations, quaternions wxyz."""
+    quat = rng.normal(size=(count, 4))
+    return quat / np.linalg.norm(quat, axis=1, keepdims=True)

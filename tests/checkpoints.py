@@ -1,0 +1,41 @@
+"""Checkpoints for tests: what ships, and tiny policies with random weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
+from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from lerobot_policy_obact import ObActConfig
+
+SHIPPED = Path(__file__).parents[1] / "checkpoints" / "obact_standard"
+FEATURES = {
+    "input_features": {
+        "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),
+        "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
+    },
+    "output_features": {"action": PolicyFeature(FeatureType.ACTION, (18,))},
+    "normalization_mapping": dict.fromkeys(("VISUAL", "STATE", "ACTION"), NormalizationMode.IDENTITY),
+    "device": "cpu",
+    "push_to_hub": False,
+}
+
+
+def saved(config: PreTrainedConfig, folder: Path) -> Path:
+    """Write a checkpoint with random weights, none of them zero."""
+    torch.manual_seed(0)
+    policy = get_policy_class(config.type)(config)
+    for weight in policy.parameters():
+        weight.data += 0.05 * torch.randn_like(weight)
+    policy.save_pretrained(folder)
+    for pipeline in make_pre_post_processors(config):
+        pipeline.save_pretrained(folder)
+    return folder
+
+
+def tiny_obact(folder: Path) -> Path:
+    """Write an ObAct for images of 32 pixels, which sees six frames and executes half of its chunks of eight."""
+    small = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "head_options": {"width": 16}, "ema_decay": 0.0}
+    small |= {"encoder_options": {"channels": 8}, "horizon": 8, "n_action_steps": 4, "relative_dims": 3}
+    return saved(ObActConfig(**small, **FEATURES), folder)

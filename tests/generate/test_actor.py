@@ -1,0 +1,215 @@
+"""`dynahoi generate --actor`: a policy moves the hand, the expert labels every frame; the dataset is as any other."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lerobot.datasets import LeRobotDataset
+from lerobot.scripts.lerobot_train import main as lerobot_train
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.dataset import frame_column, read_episodes
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
+from dynahoi_lerobot.generate import command
+from dynahoi_lerobot.generate.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.verify.command import verify
+from dynahoi_lerobot.world.batch import WorldBatch
+from tests.verify.rewriting import changed, rewrite
+
+SEEDS = 4
+
+
+def words(actor: Path | None, root: Path, *more: object) -> list[str]:
+    """Return the command for four episodes in two shards, of two kinds whose path is prescribed or thrown."""
+    what = ["generate", "--root", root, "--episodes", SEEDS, "--shard-episodes", 2, "--motions", "constant,lob"]
+    what += ["--control-class", "late"]
+    what += [] if actor is None else ["--actor", actor]
+    return [str(word) for word in (*what, *more)]
+
+
+@pytest.fixture(scope="module")
+def generated(actor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("generated") / "d"
+    assert main(words(actor, root)) == 0
+    return root
+
+
+@pytest.fixture(scope="module")
+def episodes(generated: Path) -> list[Episode]:
+    return list(read_episodes(generated))
+
+
+def test_the_policy_moves_the_hand_and_failures_are_kept(episodes: list[Episode], actor: Path):
+    assert {episode.meta.agent for episode in episodes} == {actor_name(str(actor))}
+    assert not all(episode.success for episode in episodes)
+
+
+def test_the_executed_commands_move_the_hand_and_the_labels_do_not(episodes: list[Episode]):
+    latency = 3
+    for episode in episodes:
+        acting, frames = slice(episode.meta.window_frames, None), latency + 1
+        arrived = episode.state[frames:][acting] - episode.executed_action[:-frames][acting]
+        labelled = episode.state[frames:][acting] - episode.action[:-frames][acting]
+        assert np.abs(arrived[:, :3]).max() < 2e-3
+        assert np.abs(labelled[:, :3]).max() > 1e-2
+
+
+def test_it_is_verified_and_made_again_without_the_policy(generated: Path):
+    assert verify(generated, replayed=SEEDS) == []
+
+
+@pytest.mark.parametrize("name", ["action", "executed_action"])
+def test_a_replay_finds_labels_and_commands_that_were_not(generated: Path, tmp_path: Path, name: str):
+    root = shutil.copytree(generated, tmp_path / "d")
+    first, second, *others = read_episodes(root)  # the second is thrown, so nothing prescribes its path
+    rewrite(root, [first, changed(name, 20, lambda value: value + 0.02)(second), *others])
+    assert f"another {name}" in "\n".join(str(finding) for finding in verify(root, replayed=SEEDS))
+
+
+@pytest.mark.slow  # two processes import torch
+def test_any_number_of_workers_gives_the_same_bytes(generated: Path, actor: Path, tmp_path: Path):
+    assert main(words(actor, tmp_path / "d", "--workers", 2)) == 0
+    assert Manifest.read(tmp_path / "d").files == Manifest.read(generated).files
+
+
+@pytest.mark.slow
+def test_a_stopped_run_goes_on_to_the_same_bytes(
+    generated: Path, actor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    made: list[int] = []
+
+    def stopped_in_the_second_shard(seed: int, **what: object) -> RecordedPolicy:
+        made.append(seed)
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        return make_actor(seed, **what)
+
+    monkeypatch.setattr(command, "make_actor", stopped_in_the_second_shard)
+    assert main(words(actor, tmp_path / "d")) == 130
+    assert not (tmp_path / "d").exists()
+    assert main(words(actor, tmp_path / "d")) == 0
+    assert made == [0, 2, 2], "the first shard was kept"
+    assert Manifest.read(tmp_path / "d").files == Manifest.read(generated).files
+
+
+def test_another_checkpoint_is_another_dataset(
+    generated: Path, actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    other = edited(actor, tmp_path, "config.json", lambda content: content | {"n_action_steps": 1})
+    assert actor_name(str(other)) != actor_name(str(actor))
+    assert main(words(other, generated)) == 2
+    assert "holds another dataset (other actor)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("other", ["name", "on"])
+def test_a_worker_with_another_checkpoint_or_other_libraries_refuses(actor: Path, other: str):
+    policy = open_policy(str(actor))
+    known = {"name": actor_name(str(actor)), "on": runtime(policy)}
+    assert make_actor(0, path=str(actor), **known).sees_images
+    with pytest.raises(PolicyError, match="here; the recording is of something else"):
+        make_actor(0, path=str(actor), **known | {other: "something else"})
+
+
+def test_its_random_numbers_and_threads_are_its_own(actor: Path):
+    import torch
+
+    policy = PolicyAgent(str(actor), "cpu")
+    drawn: list[float] = []
+    policy.act = lambda observation: drawn.append(torch.rand(()).item())  # type: ignore[method-assign,assignment]
+    for seed in (3, 3, 4):
+        recorded = RecordedPolicy(policy, seed)
+        for _ in range(2):
+            torch.manual_seed(len(drawn))
+            recorded.act(None)  # type: ignore[arg-type]
+            assert torch.initial_seed() == len(drawn) - 1
+    assert drawn[:2] == drawn[2:4]
+    assert drawn[:2] != drawn[4:]
+    assert len(set(drawn[:2])) == 2
+
+
+def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: Path, tmp_path: Path):
+    assert main(words(None, tmp_path / "first", "--image-size", 32, "--seed", 100)) == 0
+    merge([tmp_path / "first", generated], tmp_path / "both")
+    assert verify(tmp_path / "both") == []
+    both = LeRobotDataset("local/both", root=tmp_path / "both")
+    assert len(frame_column(both.root, "executed_action")) == len(both)
+    card = (generated / "README.md").read_text()
+    assert f"the policy `{actor_name(str(actor))}` moves the hand" in card
+    assert "moves the hand, and" not in (tmp_path / "first" / "README.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (["--actor", "nowhere"], "there is no policy 'nowhere'"),
+        (["--actor", "user/name", "--trust"], "--trust needs a folder as the actor, got 'user/name'"),
+        (["--perturbed-share", "1.5"], "perturbed_share must be 0 to 1, got 1.5"),
+    ],
+    ids=str,
+)
+def test_bad_input_is_one_sentence(more: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(words(None, tmp_path / "d", *more)) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert "Traceback" not in error
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_checkpoint_that_could_run_code_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    hostile = edited(actor, tmp_path, "config.json", lambda content: content | {"auto_map": {"x": "y"}})
+    assert main(words(hostile, tmp_path / "d")) == 2
+    error = capsys.readouterr().err
+    assert "has an auto_map" in error
+    assert "give --trust only if" in error
+
+
+def test_a_recipe_that_names_another_actor_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text("actor: obact@0123456789abcdef\n")
+    for given, told in ((None, "give its checkpoint with --actor"), (actor, f"is {actor_name(str(actor))}")):
+        assert main(words(given, tmp_path / "d", "--recipe", recipe)) == 2
+        assert told in capsys.readouterr().err
+    recipe.write_text(f"actor: {actor_name(str(actor))}\ncapture: contact\n")
+    assert main(words(actor, tmp_path / "d", "--recipe", recipe)) == 2
+    assert "need an expert that labels any state (intercept), got 'match'" in capsys.readouterr().err
+    recipe.write_text("actor: me\n")
+    assert main(words(None, tmp_path / "d", "--recipe", recipe)) == 2
+    assert "TYPE@HASH, got 'me'" in capsys.readouterr().err
+
+
+ACT = ("--policy.type=act", "--policy.chunk_size=4", "--policy.n_action_steps=1", "--policy.dim_model=16")
+ACT = (*ACT, "--policy.n_heads=2", "--policy.dim_feedforward=16", "--policy.pretrained_backbone_weights=null")
+
+
+@pytest.mark.slow
+def test_act_learns_from_it_and_acts(generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    fixed = ("--steps=2", "--batch_size=2", "--num_workers=0", "--env_eval_freq=0", "--seed=0", "--log_freq=1")
+    fixed += ("--policy.device=cpu", "--policy.push_to_hub=false", "--policy.repo_id=local/x")
+    data = (f"--dataset.root={generated}", "--dataset.repo_id=local/d", f"--output_dir={tmp_path / 'out'}")
+    monkeypatch.setattr("sys.argv", ["lerobot-train", *data, *fixed, *ACT])
+    lerobot_train()
+    checkpoint = tmp_path / "out" / "checkpoints" / "last" / "pretrained_model"
+    config = json.loads((checkpoint / "config.json").read_text())
+    assert set(config["output_features"]) == {"action"}, "what was executed is not to be learned"
+    assert all(key.startswith("observation.") for key in config["input_features"])
+    specs = sample_specs(Recipe(split="val", image_size=32), [0])
+    (episode,) = evaluate(WorldBatch(Recipe(image_size=32), 1, threads=1), PolicyAgent(str(checkpoint)), specs)
+    assert len(episode) > episode.meta.window_frames
+
+
+def edited(actor: Path, folder: Path, name: str, change: Callable[[dict], dict]) -> Path:
+    """Return a copy of the checkpoint with another JSON file."""
+    copy = shutil.copytree(actor, folder / "other")
+    (copy / name).write_text(json.dumps(change(json.loads((copy / name).read_text()))))
+    return copy

@@ -1,0 +1,152 @@
+"""A tiny run of `dynahoi pretrain`: it logs, leaves an eye, and resumes after a kill."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from lerobot_policy_obact import eye_training
+from lerobot_policy_obact.encoders import Eye
+from safetensors.torch import load_file
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.pretrain.run_folder import LOG, STATE, RunFolder
+
+TINY_EYE = {"channels": 8, "fovea": 12}
+BATCH, UPDATES, SAVE_EVERY = 4, 7, 3
+
+
+def tiny_recipe(folder: Path, **changes: object) -> Path:
+    """Write a recipe of seven updates, saved after the third, the sixth and the last."""
+    recipe = {"out": str(folder / "eye"), "episodes": {"image_size": 32}, "n_episodes": 2, "batch_size": BATCH}
+    recipe |= {"images": BATCH * UPDATES, "save_every": SAVE_EVERY}
+    recipe |= {"eye": TINY_EYE}
+    path = folder / "recipe.yaml"
+    path.write_text(yaml.safe_dump(recipe | changes))
+    return path
+
+
+def log(out: Path) -> list[dict]:
+    return [json.loads(line) for line in (out / LOG).read_text().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pretrain")
+    assert main(["pretrain", "--recipe", str(tiny_recipe(folder))]) == 0
+    return folder / "eye"
+
+
+def kill_at(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
+    """Let the run stop in the middle of an update, counted from where it begins."""
+    loss, calls = eye_training.sighting_loss, []
+
+    def killed(*args):
+        calls.append(args)
+        if len(calls) > update:
+            raise KeyboardInterrupt
+        return loss(*args)
+
+    monkeypatch.setattr(eye_training, "sighting_loss", killed)
+
+
+def test_an_eye_is_pretrained_and_a_policy_starts_from_it(finished: Path):
+    eye = Eye(**TINY_EYE, weights=str(finished / eye_training.WEIGHTS))
+    eye.load_pretrained()
+    assert [line["images"] for line in log(finished)] == [12, 24, 28]
+    minutes = [line["processor_minutes"] for line in log(finished)]
+    assert 0 < minutes[0] <= minutes[1] <= minutes[2]
+
+
+def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    words = ["pretrain", "--recipe", str(tiny_recipe(tmp_path))]
+    for update, saved in ((5, [12]), (2, [12])):  # two updates after the first save, then one before the second
+        with monkeypatch.context() as patch:
+            kill_at(patch, update)
+            assert main(words) == 130
+        assert [line["images"] for line in log(tmp_path / "eye")] == saved
+        assert not (tmp_path / "eye" / eye_training.WEIGHTS).exists()
+    assert main(words) == 0
+    assert [line["loss"] for line in log(tmp_path / "eye")] == [line["loss"] for line in log(finished)]
+    weights, expected = (load_file(folder / eye_training.WEIGHTS) for folder in (tmp_path / "eye", finished))
+    for name, tensor in expected.items():
+        torch.testing.assert_close(weights[name], tensor, rtol=0, atol=0, msg=name)
+
+
+def test_a_finished_run_is_not_trained_again(
+    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    kill_at(monkeypatch, 0)
+    before = (finished / eye_training.WEIGHTS).read_bytes()
+    assert main(["pretrain", "--recipe", str(finished.parent / "recipe.yaml")]) == 0
+    assert "already trained on all 28 images" in capsys.readouterr().out
+    assert (finished / eye_training.WEIGHTS).read_bytes() == before
+
+
+def test_another_recipe_does_not_go_on_in_the_same_folder(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    recipe = tiny_recipe(tmp_path, learning_rate=0.5)
+    state = (finished / STATE).read_bytes()
+    assert main(["pretrain", "--recipe", str(recipe), "--out", str(finished)]) == 2
+    assert "(other learning_rate)" in capsys.readouterr().err
+    assert (finished / STATE).read_bytes() == state
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"save_every": 0}, "save_every must be 1 or more, got 0"),
+        ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
+        ({"images": 3}, "images must be at least batch_size, 4, got 3"),
+    ],
+)
+def test_a_wrong_recipe_is_refused_in_a_sentence(
+    change: dict, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path, **change))]) == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "eye").exists()
+
+
+def test_a_loss_that_is_not_finite_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(eye_training, "sighting_loss", lambda *_: torch.tensor([float("nan")]))
+    assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path))]) == 1
+    assert "the loss of update 0 is nan; lower learning_rate; the last save is in" in capsys.readouterr().err
+
+
+def test_a_log_of_somebody_else_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    recipe = tiny_recipe(tmp_path)
+    (tmp_path / "eye").mkdir()
+    (tmp_path / "eye" / LOG).write_text("mine")
+    assert main(["pretrain", "--recipe", str(recipe)]) == 2
+    assert f"holds {LOG} but no run.json" in capsys.readouterr().err
+    assert (tmp_path / "eye" / LOG).read_text() == "mine"
+
+
+def test_a_folder_goes_back_to_its_last_whole_save(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = RunFolder(tmp_path / "run", {})
+    folder.log({"of": "a run that was killed before it saved"})
+    assert folder.restore() is None
+    folder.log({"step": 1})
+    folder.save({"step": 1})
+    folder.log({"step": 2})
+
+    def half(state: dict, path: Path) -> None:
+        path.write_bytes(b"half of it")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", half)
+    with pytest.raises(KeyboardInterrupt):
+        folder.save({"step": 2})
+    restored = folder.restore()
+    assert restored is not None
+    assert restored["step"] == 1
+    assert log(tmp_path / "run") == [{"step": 1}]

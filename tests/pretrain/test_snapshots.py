@@ -1,0 +1,85 @@
+"""Images of random poses show the target where they say it is."""
+
+from __future__ import annotations
+
+import re
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from lerobot_policy_obact.camera import Pinhole
+
+from dynahoi_lerobot.pretrain.recipe import EyeRecipe
+from dynahoi_lerobot.pretrain.snapshots import ImageStream, snapshots
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
+
+RECIPE = Recipe(image_size=64)
+SPECS = sample_specs(RECIPE, range(8))
+
+
+def test_the_same_draws_give_the_same_images_and_others_do_not():
+    first, again, other = (next(snapshots(RECIPE, SPECS, 4, np.random.default_rng(seed))) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first.images, again.images)
+    np.testing.assert_array_equal(first.place, again.place)
+    assert (first.place != other.place).any()
+
+
+def test_images_are_of_many_poses():
+    shown = list(islice(snapshots(RECIPE, SPECS, 4, np.random.default_rng(0)), 10))
+    offsets = np.concatenate([s.place for s in shown])
+    assert len(offsets) == 40
+    assert len(np.unique(offsets, axis=0)) > 30, "some are from home, and there a target that rests is where it was"
+    assert np.ptp(offsets, axis=0).min() > 0.2, "targets near and far, left and right, above and below"
+
+
+@pytest.mark.parametrize("camera", ["ego", "side"])
+def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
+    """A target that is posed where the calibration puts (u, v) is drawn around that point of the image."""
+    pose, (focal_px, _, centre_px, _) = ImageStream(EyeRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)).camera
+    eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
+    wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
+    batch = WorldBatch(RECIPE, len(wanted), threads=1)
+    batch.reset(np.arange(len(wanted)), SPECS[: len(wanted)])
+    state = batch.state + np.eye(18)[2] * 0.05
+    place = eye.origin(torch.from_numpy(state[:, :3])) + eye.place(wanted)
+    pose = np.concatenate([place, np.tile((1.0, 0.0, 0.0, 0.0), (len(wanted), 1))], axis=1)
+    batch.place(state, pose)
+    seen = batch.cameras._renderer(camera).segmentation(np.arange(len(wanted)))
+    target = np.isin(seen, batch.scene.target_geoms)  # (N, H, W)
+    for mask, (u, v, _) in zip(target, wanted.tolist(), strict=True):
+        row, column = (2 * (np.argwhere(mask).mean(axis=0) + 0.5) / 64 - 1).tolist()
+        assert (column, -row) == pytest.approx((u, v), abs=0.08)
+
+
+def test_fingers_move_between_some_images_and_some_come_twice(monkeypatch: pytest.MonkeyPatch):
+    placed: list[np.ndarray] = []
+    batch = WorldBatch(RECIPE, 32, threads=1)
+    place = type(batch).place
+    monkeypatch.setattr(type(batch), "place", lambda self, hand, pose: (placed.append(hand), place(self, hand, pose)))
+    shown = list(islice(snapshots(RECIPE, SPECS, 32, np.random.default_rng(0)), 8))
+    now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 18) each
+    moving = np.abs(now[:, 3:] - before[:, 3:]).max(axis=1) > 1e-3
+    closing = (np.abs(now[:, 3:]).sum(axis=1) > np.abs(before[:, 3:]).sum(axis=1)) & moving
+    assert 0.2 < moving.mean() < 0.4
+    assert closing.sum() > 1.5 * (moving.sum() - closing.sum()), "hands close faster than they open"
+    images = np.concatenate([s.images for s in shown])
+    twice = (images[..., :3] == images[..., 3:]).all(axis=(1, 2, 3))
+    assert 0 < twice.mean() < 0.15
+
+
+def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
+    def surroundings(share: float) -> int:
+        """Return how many of four episodes have distractors."""
+        recipe = EyeRecipe(tmp_path, episodes=RECIPE, n_episodes=4, randomized_share=share)
+        return sum(bool(spec.appearance.distractors) for spec in ImageStream(recipe).specs)
+
+    assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
+
+
+def test_a_share_beyond_one_is_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match=re.escape("randomized_share must be 0 to 1, got 1.5")):
+        EyeRecipe(tmp_path, randomized_share=1.5)
