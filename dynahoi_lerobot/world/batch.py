@@ -256,11 +256,6 @@ class WorldBatch:
         return self._physics.localized
 
     @property
-    def released(self) -> np.ndarray:
-        """(N,) bool, the capture rule's event has happened: the target is attached, or free, and keeps to no path."""
-        return self._targets.released
-
-    @property
     def palm_distance(self) -> np.ndarray:
         """(N,) [m], least distance of palm and target centre during the last control step."""
         return self._physics.palm_distance
