@@ -127,7 +127,10 @@ def _on_policy(args: argparse.Namespace, recipe: Recipe) -> tuple[Recipe, Record
     if recipe.actor not in ("", name):
         raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {args.actor} is {name}")
     views = tuple(dict.fromkeys((*recipe.views, *policy.views)))
-    recipe = replace(recipe, actor=name, image_size=policy.image_size or recipe.image_size, views=views)
+    changes = {"actor": name, "image_size": policy.image_size or recipe.image_size, "views": views}
+    if mode := policy.trained_for.get("control_mode"):
+        changes["control_mode"] = mode
+    recipe = replace(recipe, **changes)
     runs_on = runtime(policy)
     make = partial(make_actor, path=args.actor, name=name, on=runs_on, trust=args.trust)
     # one process uses all cores for physics

@@ -279,6 +279,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._frames: deque[Frames] = deque(maxlen=reach)
         self._images: dict[str, Tensor] = {}
         self._queue: deque[Tensor] = deque()
+        self._pending: deque[Tensor] = deque(maxlen=self.config.delay_frames)
 
     @torch.no_grad()
     def select_action(self, batch: Batch, noise: Tensor | None = None, **kwargs: Any) -> Tensor:
@@ -293,7 +294,15 @@ class ObActPolicy(PreTrainedPolicy):
         self._note(batch, float(self._frames[-1].time_s) + 1 / self.config.fps if self._frames else 0.0)
         if not self._queue:
             self._queue.extend(self._chunk(noise)[:, : self.config.n_action_steps].unbind(1))
-        return self._queue.popleft()
+        action = self._queue.popleft()
+        self._pending.append(self._heeded(batch, action))
+        return action
+
+    def _heeded(self, batch: Batch, action: Tensor) -> Tensor:
+        """Return where an action sends the palm [m], ``(B, 3)``; not a number where the observation window voids it."""
+        goal = torch.nn.functional.pad(action[:, :3], (0, max(0, 3 - action.shape[-1])))
+        phase = batch.get("observation.phase")
+        return goal if phase is None else torch.where(phase[:, 1:] > 0.5, goal, torch.nan)
 
     @torch.no_grad()
     def observe(self, batch: Batch) -> None:
@@ -354,21 +363,33 @@ class ObActPolicy(PreTrainedPolicy):
 
     def _chunk(self, noise: Tensor | None = None, guidance: Guidance | None = None) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``."""
-        model, config = self.acting, self.config
+        model = self.acting
         sightings, state, time_s = zip(*((f.sightings, f.state, f.time_s) for f in self._frames), strict=True)
         frames = Frames(torch.cat(sightings, dim=1), torch.cat(state, dim=1), torch.cat(time_s))
         newest = len(frames.time_s) - 1
         rows = torch.full((len(frames.state), 1), newest, device=frames.state.device)
         features, forecast = model.believe(frames, rows)
-        palm = frames.palm[:, -1]
-        due = palm
-        if config.delay_frames and newest:  # a palm in motion goes on until the command takes effect
-            step_s = frames.time_s[-1] - frames.time_s[-2]
-            due = palm + (palm - frames.palm[:, -2]) / step_s * config.delay_frames / config.fps
+        due = self._due(frames)
         context = model.context(features[:, 0], forecast[:, 0], due, frames.state[:, -1])
         if guidance is not None:
             guidance = replace(guidance, leftover=model.normalise(guidance.leftover, due))
         return model.unnormalise(model.head.sample(context, noise, guidance), due)
+
+    def _due(self, frames: Frames) -> Tensor:
+        """Return where the palm will be when the next command takes effect [m], ``(B, 3)``.
+
+        That follows from the commands on their way, cut to the palm's speed; a caller of `predict_action_chunk` may
+        have executed others, so there a palm in motion is taken to go on.
+        """
+        palm, config = frames.palm[:, -1], self.config
+        step_m = config.palm_speed_m_s / config.fps
+        for goal in self._pending:
+            way = torch.where(goal.isnan(), 0.0, goal - palm)
+            palm = palm + way * (step_m / way.norm(dim=-1, keepdim=True).clamp_min(1e-6)).clamp_max(1.0)
+        if config.delay_frames and not self._pending and len(frames.time_s) > 1:
+            velocity = (palm - frames.palm[:, -2]) / (frames.time_s[-1] - frames.time_s[-2])
+            palm = palm + velocity * config.delay_frames / config.fps
+        return palm
 
     # -- real-time chunking, adapters, checkpoints ----------------------------------------------------------------
 
