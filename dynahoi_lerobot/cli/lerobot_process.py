@@ -20,8 +20,8 @@ def run_lerobot(script: str, words: list[str], log: Path, step: str, bar: tqdm) 
         script: module of ``lerobot.scripts``.
         words: its arguments.
         log: file that receives everything it prints.
-        step: prefix of the line that it prints after every step.
-        bar: advances by one at each such line.
+        step: what it prints after every step.
+        bar: advances by one at each line with that.
     """
     command = [sys.executable, "-m", f"lerobot.scripts.{script}", *words]
     process = subprocess.Popen(
@@ -36,5 +36,5 @@ def run_lerobot(script: str, words: list[str], log: Path, step: str, bar: tqdm) 
     with process, log.open("w", encoding="utf-8") as file:
         for line in process.stdout:
             file.write(line)
-            bar.update(line.startswith(step))
+            bar.update(step in line)
     return process.returncode

@@ -1,6 +1,6 @@
 """``dynahoi quickstart``: dataset, training, evaluation and report, in minutes on two CPU cores.
 
-generate -> dagger (tracker) -> lerobot-eval -> privileged baselines -> report. A stage is skipped if its
+generate -> lerobot-train (ObAct) -> lerobot-eval -> privileged baselines -> report. A stage is skipped if its
 product exists, so an interrupted quickstart resumes.
 """
 
@@ -12,18 +12,15 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
-import yaml
 from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.lerobot_process import run_lerobot
 from dynahoi_lerobot.core.arguments import path, whole
 from dynahoi_lerobot.core.working_folder import clear, working_folder
-from dynahoi_lerobot.core.yaml_file import read_yaml
 from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import read_results
@@ -32,16 +29,21 @@ from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.splits import SMALL_TEST
 
-IMAGE_SIZE = 64
+IMAGE_SIZE = 96
 TRAINING = Path(__file__).with_suffix(".yaml")
+BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
 KINDS = BENCHMARK.splits[SMALL_TEST].motions
 GIFS = 6
 BASELINES = ("intercept", "constant_velocity", "hold")
-NEEDS = ("torch", "lerobot", "lerobot_env_dynahoi", "lerobot_policy_tracker")
+NEEDS = ("torch", "lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
 """Packages that the core does not install."""
 TABLE = "table.txt"
 TASK_DONE = "metrics so far:"
-"""Prefix of the line that the environment prints after each kind of motion."""
+"""What the environment prints after each kind of motion."""
+STEPS_DONE, LOG_STEPS = " step:", 5
+"""What `lerobot-train` prints after so many steps."""
+POLICY = "obact"
+"""Name of the trained policy's results."""
 
 
 class StageError(RuntimeError):
@@ -54,28 +56,28 @@ class Size:
 
     Attributes:
         episodes: of the dataset.
-        rounds: of training.
-        per_kind: evaluation episodes per kind of motion of motion.
+        steps: of training, a multiple of ``LOG_STEPS``.
+        per_kind: evaluation episodes per kind of motion.
         kinds: how many kinds of motion, from the first.
-        training: changes of ``quickstart.yaml``.
+        batch_size: samples a step.
     """
 
-    episodes: int = 44
-    rounds: int = 6
+    episodes: int = 800
+    steps: int = 600
     per_kind: int = 2
     kinds: int = len(KINDS)
-    training: dict[str, Any] = field(default_factory=dict)
+    batch_size: int = 8
 
 
 FULL = Size()
-TINY = Size(2, 1, 1, 2, {"worlds": 2, "n_episodes": 2, "updates": 1, "batch_episodes": 2, "validation_episodes": 1})
+TINY = Size(2, LOG_STEPS, 1, 2, 1)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi quickstart``."""
     parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="output folder")
     parser.add_argument("--episodes", type=whole(1, 10**6), default=FULL.episodes, help="episodes of the dataset")
-    parser.add_argument("--rounds", type=whole(1, 10**6), default=FULL.rounds, help="rounds of training")
+    parser.add_argument("--steps", type=whole(1, 10**6), default=FULL.steps, help="steps of training")
     parser.add_argument(
         "--evaluation-episodes",
         type=whole(1, 1000),
@@ -95,10 +97,10 @@ def run(args: argparse.Namespace) -> int:
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
             f"training needs {', '.join(missing)}: pip install '.[lerobot]' ./envs/lerobot_env_dynahoi "
-            "./policies/lerobot_policy_tracker, in a checkout"
+            "./policies/lerobot_policy_obact, in a checkout"
         )
     out = args.out.resolve()
-    size = TINY if args.tiny else Size(args.episodes, args.rounds, args.evaluation_episodes)
+    size = TINY if args.tiny else Size(args.episodes, args.steps, args.evaluation_episodes)
     start = time.monotonic()
     try:
         with working_folder(out, {"quickstart": asdict(size)}):
@@ -113,8 +115,8 @@ def run(args: argparse.Namespace) -> int:
 def _run_stages(out: Path, size: Size, start: float) -> None:
     stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
-        ("train the tracker on its own episodes", _checkpoint(out) / WEIGHTS, _train),
-        ("evaluate it with lerobot-eval", out / "results" / "tracker", _evaluate),
+        ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),
+        ("evaluate it with lerobot-eval", out / "results" / POLICY, _evaluate),
         ("evaluate the privileged baselines", out / TABLE, _baselines),
     ]
     for number, (what, product, stage) in enumerate(stages, 1):
@@ -136,19 +138,37 @@ def _checkpoint(out: Path) -> Path:
 
 
 def _train(out: Path, size: Size) -> None:
-    """Train in memory, starting from the pretrained eye; write a checkpoint after the last round."""
-    recipe = out / "training.yaml"
-    rounds = dict.fromkeys(("rounds", "save_every", "validate_every"), size.rounds)
-    values = read_yaml(TRAINING)
-    policy = {"policy": values["policy"] | {"device": _device()}}
-    recipe.write_text(yaml.safe_dump(values | policy | rounds | size.training, sort_keys=False))
-    if cli.main(["dagger", "--recipe", str(recipe), "--out", str(out / "training")]):
-        raise StageError("training failed; see the message above")
+    """Train into a temporary folder and keep the last checkpoint."""
+    partial, log = out / "training.partial", out / "lerobot_train.log"
+    task = {"quickstart": "lerobot-train"}
+    clear(partial, task)
+    run = partial / "run"
+    words = [
+        f"--config_path={TRAINING}",
+        f"--dataset.root={out / 'dataset'}",
+        f"--output_dir={run}",
+        f"--policy.device={_device()}",
+        f"--steps={size.steps}",
+        f"--save_freq={size.steps}",
+        f"--log_freq={LOG_STEPS}",
+        f"--batch_size={size.batch_size}",
+    ]
+    print(f"lerobot-train {' '.join(words)}\noutput: {log}", flush=True)
+    with (
+        working_folder(partial, task),
+        tqdm(total=size.steps // LOG_STEPS, desc="encoding and training", disable=None, bar_format=BAR) as bar,
+    ):
+        if code := run_lerobot("lerobot_train", words, log, STEPS_DONE, bar):
+            raise StageError(f"lerobot-train exited with code {code}; see {log}")
+        checkpoint = _checkpoint(out)
+        checkpoint.parent.mkdir(exist_ok=True)
+        (run / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)
+    clear(partial, task)
 
 
 def _evaluate(out: Path, size: Size) -> None:
     """Evaluate into a temporary folder and rename it after all kinds have been played."""
-    kinds, results, partial = KINDS[: size.kinds], out / "results" / "tracker", out / "results" / "tracker.partial"
+    kinds, results, partial = KINDS[: size.kinds], out / "results" / POLICY, out / "results" / f"{POLICY}.partial"
     task = {"quickstart": "lerobot-eval"}
     clear(partial, task)
     words = [
@@ -172,8 +192,18 @@ def _evaluate(out: Path, size: Size) -> None:
     ):
         if code := run_lerobot("lerobot_eval", words, log, TASK_DONE, bar):
             raise StageError(f"lerobot-eval exited with code {code}; see {log}")
+        _film(_checkpoint(out), partial / "film", partial / results.name)
         (partial / results.name).rename(results)
     clear(partial, task)
+
+
+def _film(checkpoint: Path, scratch: Path, results: Path) -> None:
+    """Record the first episodes as GIFs beside ``results``."""
+    words = ["--policy", str(checkpoint), "--out", str(scratch), "--episodes", str(GIFS), "--gifs", str(GIFS)]
+    if cli.main(["evaluate", *words]):
+        raise StageError("recording clips failed; see the message above")
+    for clip in scratch.glob("*.gif"):
+        clip.rename(results / clip.name)
 
 
 def _device() -> str:
@@ -184,19 +214,18 @@ def _device() -> str:
 
 
 def _baselines(out: Path, size: Size) -> None:
-    """Evaluate the privileged baselines on the same episodes, and record some episodes as GIFs."""
-    count = str(len(read_results(out / "results" / "tracker").rows))
+    """Evaluate the privileged baselines on the same episodes."""
+    count = str(len(read_results(out / "results" / POLICY).rows))
     for name in BASELINES:
-        gifs = GIFS if name == "intercept" else 0
         folder = str(out / "results" / name)
-        words = ["--policy", name, "--out", folder, "--episodes", count, "--gifs", str(gifs), "--image-size", "128"]
+        words = ["--policy", name, "--out", folder, "--episodes", count, "--image-size", "0"]
         if cli.main(["evaluate", *words]):
             raise StageError(f"the baseline {name!r} failed")
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:
     """Write the report; print its table and the command that opens it."""
-    folders = [out / "results" / name for name in ("tracker", *BASELINES)]
+    folders = [out / "results" / name for name in (POLICY, *BASELINES)]
     page = render_report(folders, out / "report.html")
     table = results_table([read_results(folder) for folder in folders])
     (out / TABLE).write_text(table + "\n")

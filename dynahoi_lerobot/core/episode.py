@@ -76,7 +76,7 @@ class Episode:
         phase: (T, 2) float32, [1, 0] observing, [0, 1] acting.
         action: (T, 18) float32, palm position [m] and joint angles [rad]. In recordings for learning the teacher's
             goal, which may lie beyond the reach of one frame, also in the window, where commands are void; elsewhere
-            ``executed_action``.
+            ``executed_action``. (T, 4) where the control mode is ``grasp``.
         executed_action: (T, 18) float32, the commands for the next frame that were executed, within the limits of the
             hand and with what perturbed them.
         target_pose: (T, 7) float32, position [m] and quaternion wxyz of the target.

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF, FINGERS, HAND_DOF, HAND_NAMES, JOINT_NAMES
 from dynahoi_lerobot.core.rules import PHASES
 
@@ -298,10 +299,22 @@ def image_feature(view: str, image_size: int) -> Feature:
     )
 
 
+def action_feature(control_mode: str) -> Feature:
+    """Return the feature of the actions of a control mode."""
+    feature = FEATURES["action"]
+    if control_mode == JOINTS:
+        return feature
+    meaning = "the palm's displacement, from where it is now to where it should get to, along the axes of the home "
+    meaning += "frame, as action in control mode joints; how far closed the hand should be, 0 open to 1"
+    names = CONTROL_MODES[control_mode]
+    return replace(feature, shape=(len(names),), names=names, unit="m, 1", meaning=meaning)
+
+
 def frame_features(
     image_size: int,
     views: Sequence[str] = (),
     *,
+    control_mode: str = JOINTS,
     contact_sensors: bool = False,
     environment_state: bool = False,
 ) -> tuple[Feature, ...]:
@@ -310,13 +323,15 @@ def frame_features(
     Args:
         image_size: side of the images [px]; 0 for no camera.
         views: the views besides ``ego``.
+        control_mode: one of ``CONTROL_MODES``.
         contact_sensors: whether the capture rule ``uses_contact_sensors``.
         environment_state: whether policies are given the simulator's truth.
     """
     images = tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views) if image_size)
     sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
     asked = (f for f in sensed if environment_state or not f.on_request)
-    return (*images, *(feature for feature in asked if not feature.in_episode_table))
+    stored = (feature for feature in asked if not feature.in_episode_table)
+    return (*images, *(action_feature(control_mode) if feature.name == "action" else feature for feature in stored))
 
 
 def episode_features() -> tuple[Feature, ...]:

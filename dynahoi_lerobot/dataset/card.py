@@ -11,8 +11,9 @@ import numpy as np
 import yaml
 from jinja2 import StrictUndefined, Template
 
+from dynahoi_lerobot.core.control_mode import mode_of
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, image_feature
+from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, action_feature, image_feature
 from dynahoi_lerobot.dataset.columns import LANGUAGE
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, HISTOGRAM_PATH
@@ -82,6 +83,8 @@ def _frame_column(key: str, entry: dict[str, Any]) -> list[str]:
         unit, meaning = LEROBOTS[key]
     else:
         known = {feature.key: feature for feature in FEATURES.values()}
+        if key == "action":
+            known[key] = action_feature(mode_of(entry["shape"][0]))
         is_image = key.startswith(IMAGE_PREFIX)
         feature = image_feature(key.removeprefix(IMAGE_PREFIX), entry["shape"][0]) if is_image else known[key]
         unit, meaning = feature.unit, feature.meaning

@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
+from dynahoi_lerobot.core.control_mode import mode_of
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, image_feature
+from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, action_feature, image_feature
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.video import Encoding
 
@@ -38,7 +39,8 @@ SUBTASKS = ("watch the target", "reach and intercept the target", "close the han
 def dataset_features(episode: Episode) -> tuple[Feature, ...]:
     """Return the columns that a dataset of such episodes has, in its order: of the frame table, or of the episode's."""
     images = (image_feature(view, frames.shape[1]) for view, frames in episode.images.items())
-    arrays = (feature for feature in FEATURES.values() if not feature.on_request)
+    told = FEATURES | {"action": action_feature(mode_of(episode.action.shape[1]))}
+    arrays = (feature for feature in told.values() if not feature.on_request)
     return (*images, *(feature for feature in arrays if getattr(episode, feature.name) is not None))
 
 
@@ -88,7 +90,7 @@ def content_values(table: pa.Table, known: Container[str]) -> dict[str, Any]:
     """
     stored = (f for f in FEATURES.values() if not (f.in_episode_table or f.derived or f.name in known))
     held = (f for f in stored if f.key in table.column_names or not f.optional)
-    return {f.name: column_array(table, f.key).reshape(-1, *f.shape) for f in held}
+    return {f.name: column_array(table, f.key)[:, ... if f.shape else 0] for f in held}
 
 
 def bookkeeping_arrays(frames: int, episode_index: int, first_index: int, task_index: int) -> dict[str, np.ndarray]:

@@ -108,6 +108,8 @@ def out_of_limits(episode: Episode, limits: TrajectoryLimits) -> str | None:
     least, most = limits.joint_range_rad
     for name in ("state", "action", "executed_action"):
         values = getattr(episode, name)
+        if values.shape[1] != HAND_DOF:  # a displacement, not a place
+            continue
         palm, joints = values[:, :PALM_DOF], values[:, PALM_DOF:]
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
@@ -149,9 +151,9 @@ def teleports(episode: Episode, limits: TrajectoryLimits) -> str | None:
 
 
 def saturation(episode: Episode, limits: TrajectoryLimits) -> str | None:
-    """Find labels that have the palm at a limit of its slides through the control phase."""
+    """Find catches whose labels have the palm at a limit of its slides; what was missed may well lie beyond it."""
     palm = episode.action[is_acting(episode.phase), :PALM_DOF]
-    if not len(palm):
+    if not episode.success or not len(palm) or episode.action.shape[1] != HAND_DOF:
         return None
     low, high = np.array(limits.palm_range_m).T
     share = ((palm < low + 1e-3) | (palm > high - 1e-3)).mean(axis=0)  # (3,)

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW, PALM_DOF, SEED_LIMIT, UNIT_M
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import Feature, as_gym
@@ -65,7 +66,8 @@ class DynahoiVectorEnv(VectorEnv):
         slides the home lies is not told. Clipped to the joint ranges and, in the world, to the slides; cut to the speed
         of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``, ``late``) or 2 m/s
         (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It takes effect at once,
-        or after 150 ms (``late``).
+        or after 150 ms (``late``). With ``control_mode="grasp"`` (4,): the palm's displacement from where it is now
+        [m], and how far the hand should be closed, 0 to 1.
     Reward:
         One of ``REWARDS``: 1 at the frame at which the episode ends in success, else 0 (``sparse``), or progress
         towards the target as well (``dense``).
@@ -131,11 +133,13 @@ class DynahoiVectorEnv(VectorEnv):
         self.num_envs, self.kind, self.reward, self.render_mode = num_envs, kind, reward, render_mode
         played = recipe.changed(**fields)
         self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
+        if inference is not None and self.recipe.control_mode != JOINTS:
+            raise ValueError(f"inference async needs control_mode {JOINTS!r}, got {self.recipe.control_mode!r}")
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
         self._batch = WorldBatch(self.recipe, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
         self.single_observation_space = observation_space(self.recipe.features())
-        self.single_action_space = spaces.Box(*self._batch.command_limits(), dtype=np.float32)
+        self.single_action_space = spaces.Box(*self._batch.action_limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._numbers = np.zeros(num_envs, int)  # of the episodes, within split and kind
@@ -183,6 +187,8 @@ class DynahoiVectorEnv(VectorEnv):
             ClosedEnvironmentError: after ``close``.
         """
         before = self._observed()
+        if np.shape(actions)[1:] != self.single_action_space.shape:
+            raise ValueError(f"action must have shape {self.action_space.shape}, got {np.shape(actions)}")
         if self._inference is not None:
             actions = self._batch.check(actions)
             commands = self._inference.answer(actions, before.state.astype(np.float64))

@@ -20,7 +20,7 @@ from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 VLM = "vlm"
 """Name of the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
 
-TRAINED_FOR = ("control_class", "protocol", "image_size")
+TRAINED_FOR = ("control_class", "protocol", "control_mode", "image_size")
 """Fields of a recipe that a policy may say it was trained for."""
 
 EXPERT_ALIAS = "expert"

@@ -18,6 +18,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.features import CAMERA_KEY
 from dynahoi_lerobot.core.files import printable, sha256
 from dynahoi_lerobot.dataset.manifest import Manifest
@@ -153,10 +154,11 @@ def folder_weights(folder: Path) -> dict[str, str]:
 
 
 def trained_for(folder: Path) -> dict[str, Any]:
-    """Return ``control_class``, ``protocol`` and ``image_size`` [px], as far as a checkpoint tells what it trained for.
+    """Return what a checkpoint tells of the rules it was trained for: the values of some fields of `Recipe`.
 
-    The image size is that of the config's camera. The others come from the ``env`` of ``train_config.json``, or else
-    from the recipe of the dataset that it names, if that is on this machine.
+    ``image_size`` [px] is that of the config's camera, ``control_mode`` follows from the size of its actions.
+    ``control_class`` and ``protocol`` come from the ``env`` of ``train_config.json``, or else from the recipe of the
+    dataset that it names, if that is on this machine.
     """
     config, training = (_read_object(file) if (file := folder / name).is_file() else {} for name in (CONFIG, TRAINING))
     env, root = _inner(training, "env"), _inner(training, "dataset").get("root")
@@ -164,6 +166,8 @@ def trained_for(folder: Path) -> dict[str, Any]:
     told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
     shape = _inner(config, "input_features", CAMERA_KEY).get("shape")
     size = shape[-1] if isinstance(shape, list) and shape else None
+    if _inner(config, "output_features", "action").get("shape") == [len(CONTROL_MODES[GRASP])]:
+        told["control_mode"] = GRASP
     return told | ({"image_size": size} if isinstance(size, int) else {})
 
 

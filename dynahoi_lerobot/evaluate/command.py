@@ -14,6 +14,7 @@ from tqdm import tqdm
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
 from dynahoi_lerobot.core.arguments import given_fields
+from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.core.rules import control_class_of, protocol_of
@@ -59,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
     inference = Inference(args.inference, args.inference_ms)
     actor = _real_time(_actor(args), inference)
     recipe = _recipe(args, actor)
+    if inference.mode != SYNC and recipe.control_mode != JOINTS:
+        raise ValueError(f"--inference {inference.mode} needs control_mode {JOINTS!r}, got {recipe.control_mode!r}")
     info = RunInfo(
         actor.name if args.policy == VLM else args.policy,
         stream_label(args.split, recipe.salt),

@@ -23,7 +23,7 @@ from dynahoi_lerobot.evaluate.checkpoint import (
     reason,
     trained_for,
 )
-from dynahoi_lerobot.renderers.views import EXTRA_VIEWS
+from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 
 
 def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
@@ -75,7 +75,7 @@ class PolicyAgent(ChunkAgent):
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
         self.package = type(self._policy).__module__.partition(".")[0]
-        self.views = tuple(view for view in EXTRA_VIEWS if IMAGE_PREFIX + view in inputs)
+        self.views = tuple(view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs)
 
     def reset(self, count: int) -> None:
         """Forget queued actions and history."""

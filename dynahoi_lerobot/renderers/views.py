@@ -52,7 +52,13 @@ VIEWS = {camera + suffix: (camera, draw) for camera in CAMERAS for suffix, draw 
 """Camera and rendering function of every view, by name."""
 
 EXTRA_VIEWS = tuple(name for name in VIEWS if name != EGO_CAMERA)
-"""Views that are recorded only if asked for."""
+"""Views that are rendered only if asked for."""
+
+MOTION_VIEW = EGO_CAMERA + "_motion"
+"""Grey images of the hand's camera now, two and four frames ago in the three channels, for policies that take one
+frame; it is composed from ``ego`` and costs no rendering."""
+OPTIONAL_VIEWS = (*EXTRA_VIEWS, MOTION_VIEW)
+"""Views that episodes have only if asked for."""
 
 
 def check_views(names: tuple[str, ...]) -> None:
@@ -62,8 +68,8 @@ def check_views(names: tuple[str, ...]) -> None:
         ValueError: naming the view received and the ones there are.
     """
     for name in names:
-        if name not in EXTRA_VIEWS:
-            raise ValueError(f"unknown view {name!r}; known besides {EGO_CAMERA!r}: {', '.join(EXTRA_VIEWS)}")
+        if name not in OPTIONAL_VIEWS:
+            raise ValueError(f"unknown view {name!r}; known besides {EGO_CAMERA!r}: {', '.join(OPTIONAL_VIEWS)}")
     if len(set(names)) < len(names):
         raise ValueError(f"each view may be named once, got {', '.join(names)}")
 

@@ -81,7 +81,8 @@ class Session:
         """Record what was observed, move the worlds that play by one frame, and tell which have ended.
 
         Args:
-            commands: (N, 18) of all worlds; those of worlds that do not play are ignored.
+            commands: (N, 18), or (N, 4) in control mode ``grasp``, of all worlds; those of worlds that do not play are
+                ignored.
             labels: (N, 18) what a teacher wants from this frame; None without a teacher.
 
         Raises:
@@ -90,18 +91,22 @@ class Session:
         """
         if self.observation is None:
             raise RuntimeError("observe before the first step")
-        checked, ids = self.batch.check(commands), self.playing
+        checked, ids = self.batch.as_commands(commands, self.observation), self.playing
         columns = frame_columns(self.batch, self.observation)
         images = self.observation.images if self.record_images else {}
         for i, recorder in self._recorders.items():
             recorder.add_frame(columns, i, images)
         self.batch.step(checked[ids], ids)
-        wanted = None if labels is None else self.batch.within_workspace(labels)
+        wanted = None if labels is None else self._actions(labels, self.observation)
         for i, recorder in self._recorders.items():
             recorder.add_action(self.batch.commanded[i], None if wanted is None else wanted[i])
         terminated = [i for i in ids if self._recorders[i].settled(self.batch.rule)]
         truncated = [i for i in ids if self._recorders[i].full and i not in terminated]
         return Ended(np.array(terminated, int), np.array(truncated, int))
+
+    def _actions(self, labels: np.ndarray, observation: Observation) -> np.ndarray:
+        """(N, 18) or (N, 4) the labels as actions of the recipe's control mode."""
+        return self.batch.as_actions(self.batch.within_workspace(labels), observation)
 
     def success(self, i: int) -> bool:
         """Return the verdict on what world ``i`` has played so far."""

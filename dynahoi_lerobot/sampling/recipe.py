@@ -14,6 +14,7 @@ from typing import Any
 import draccus
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import Feature, frame_features
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, DEFAULT_PROTOCOL, PROTOCOLS
@@ -52,6 +53,8 @@ class Recipe:
         path_speed: traverse the target's path so many times as fast, where the split has such twins: 1 or 1.6 in twins.
         protocol: what the hand may see and when: observe_before_act, direct_act, observe_then_blind or occluded.
         control_class: limits of the hand and latency of its commands: unlimited, standard or late.
+        control_mode: what an action is: joints, the palm's position and 15 joint angles, or grasp, the palm's
+            displacement and one closing number.
         capture: capture rule: attach, attach_lenient or contact.
         hand: hand model; the capture rule's own by default.
         expert: expert that demonstrates; the capture rule's own by default.
@@ -76,6 +79,7 @@ class Recipe:
     path_speed: float = 1.0
     protocol: str = DEFAULT_PROTOCOL
     control_class: str = DEFAULT_CONTROL_CLASS
+    control_mode: str = JOINTS
     capture: str = "attach"
     hand: str = ""
     expert: str = ""
@@ -101,6 +105,7 @@ class Recipe:
             (self.split, tuple(BENCHMARK.splits), "split"),
             (self.protocol, tuple(PROTOCOLS), "protocol"),
             (self.control_class, tuple(CONTROL_CLASSES), "control class"),
+            (self.control_mode, tuple(CONTROL_MODES), "control mode"),
             (self.instructions, INSTRUCTION_STYLES, "instructions"),
         ):
             if value not in allowed:
@@ -184,6 +189,7 @@ class Recipe:
         return frame_features(
             self.image_size,
             self.views,
+            control_mode=self.control_mode,
             contact_sensors=CAPTURES[self.capture].uses_contact_sensors,
             environment_state=self.environment_state,
         )

@@ -79,8 +79,8 @@ class Servo:
         return previous[:, None] + progress * change + self._lead_s * change / CONTROL_DT
 
 
-def check_command(command: np.ndarray, count: int) -> np.ndarray:
-    """Return ``command`` as (count, 18) float64.
+def check_command(command: np.ndarray, count: int, size: int = HAND_DOF) -> np.ndarray:
+    """Return ``command`` as (count, size) float64.
 
     Raises:
         ValueError: if the shape is wrong, or a value is not a real number or not finite; the message names the world,
@@ -90,8 +90,8 @@ def check_command(command: np.ndarray, count: int) -> np.ndarray:
     if given.dtype.kind not in "fiu":
         raise ValueError(f"action must hold real numbers, got dtype {given.dtype}")
     values = given.astype(np.float64)
-    if values.shape != (count, HAND_DOF):
-        raise ValueError(f"action must have shape ({count}, {HAND_DOF}), got {values.shape}")
+    if values.shape != (count, size):
+        raise ValueError(f"action must have shape ({count}, {size}), got {values.shape}")
     bad = np.argwhere(~np.isfinite(values))
     if bad.size:
         world, dof = bad[0]

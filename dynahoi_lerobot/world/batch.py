@@ -11,17 +11,19 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Observation, WorldState
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS, from_grasp, to_grasp
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.rules import control_class_of, one_hot_phase, protocol_of
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import PrescribedMotion
+from dynahoi_lerobot.renderers.views import MOTION_VIEW
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, SpeedLimits, check_command
 from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
 from dynahoi_lerobot.world.commands import CommandLatency
 from dynahoi_lerobot.world.physics import Physics, Targets
-from dynahoi_lerobot.world.sensors import Cameras, Fingertips, with_render_noise
+from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, with_render_noise
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.sampling.recipe import Recipe
@@ -84,6 +86,7 @@ class WorldBatch:
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
         self.cameras = Cameras(self.scene, self._batch, recipe.image_size, recipe.renderer, self._update_kinematics)
+        self._history = ImageHistory(size, recipe.image_size)
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self.commanded, self.executed = np.zeros((2, size, HAND_DOF))
@@ -101,6 +104,7 @@ class WorldBatch:
         """
         chosen = np.asarray(ids, int)
         self.frame[chosen], self.attempt[chosen] = 0, attempt
+        self._history.forget(chosen)
         self._fields.reset(chosen)
         for i, spec in zip(chosen, specs, strict=True):
             self._write(int(i), spec)
@@ -156,6 +160,33 @@ class WorldBatch:
         """
         return self._accepted(self.check(commands), np.arange(self.size))
 
+    def as_commands(self, actions: np.ndarray, observation: Observation) -> np.ndarray:
+        """Return (N, 18) the commands of actions given on an observation; experts' commands stay what they are.
+
+        Args:
+            actions: (N, 4) in control mode ``grasp``, or (N, 18) commands.
+            observation: of all worlds, from which displacements are counted.
+
+        Raises:
+            ValueError: as ``step``.
+        """
+        actions = np.asarray(actions)
+        if self.recipe.control_mode == JOINTS or actions.shape[1:] == (HAND_DOF,):
+            return self.check(actions)
+        given = check_command(actions, self.size, len(CONTROL_MODES[GRASP]))
+        return from_grasp(given, observation.state.astype(np.float64), *self._open_and_closed)
+
+    def as_actions(self, commands: np.ndarray, observation: Observation) -> np.ndarray:
+        """Return (N, 18) or (N, 4) the actions, in the recipe's control mode, of commands (N, 18)."""
+        if self.recipe.control_mode == JOINTS:
+            return commands
+        return to_grasp(commands, observation.state.astype(np.float64), *self._open_and_closed)
+
+    @property
+    def _open_and_closed(self) -> tuple[np.ndarray, np.ndarray]:
+        """(15,) joint angles of the open and of the closed hand [rad]."""
+        return self.scene.hand.open_joints(), self.scene.hand.closed_joints()
+
     def within_workspace(self, commands: np.ndarray) -> np.ndarray:
         """Return (N, 18) commands to all worlds, cut to their slides and joint ranges, however far away, [m] and [rad].
 
@@ -166,6 +197,16 @@ class WorldBatch:
     def check(self, commands: np.ndarray) -> np.ndarray:
         """Return (N, 18) float64 commands for all worlds; raise ValueError as ``step`` would."""
         return check_command(commands, self.size)
+
+    def action_limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the (18,) or (4,) least and greatest actions in the recipe's control mode, float32.
+
+        The palm's are the whole length of each slide either way [m]: where on them the home lies is not told.
+        """
+        low, high = self.command_limits()
+        if self.recipe.control_mode == JOINTS:
+            return low, high
+        return np.append(low[:PALM_DOF], np.float32(0)), np.append(high[:PALM_DOF], np.float32(1))
 
     def command_limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (18,) least and greatest commands, float32, in any episode: palm [m] and joint ranges [rad].
@@ -247,9 +288,8 @@ class WorldBatch:
                 control phase of a protocol with ``blind_control``.
         """
         sensed = self.rule.uses_contact_sensors
-        views = (EGO_VIEW, *self.recipe.views) if images and self.recipe.image_size else ()
         return Observation(
-            images={view: self._render(view, self._seeing(ids)) for view in views},
+            images=self._images(self._seeing(ids)) if images and self.recipe.image_size else {},
             state=self.state.astype(np.float32),
             phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
@@ -306,6 +346,14 @@ class WorldBatch:
     def _windows(self) -> np.ndarray:
         """(N,) int, length of each world's observation window [frames]."""
         return np.array([0 if spec is None else spec.window_frames for spec in self.specs])
+
+    def _images(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+        """(N, H, W, 3) uint8 of each of the recipe's views; only worlds ``ids`` (n,) are drawn, others are black."""
+        views = [EGO_VIEW, *self.recipe.views]
+        images = {view: self._render(view, ids) for view in views if view != MOTION_VIEW}
+        if MOTION_VIEW in views:
+            images[MOTION_VIEW] = self._history.add(images[EGO_VIEW], ids, self.frame)
+        return {view: images[view] for view in views}
 
     def _render(self, view: str, ids: np.ndarray) -> np.ndarray:
         """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are drawn."""

@@ -20,6 +20,11 @@ from dynahoi_lerobot.scene.world_fields import WorldFields
 RENDER_NOISE = 0x0153
 """Distinguishes the random numbers of the render noise from others of the same seed."""
 
+MOTION_FRAMES = [0, 2, 4]
+"""How many frames ago the channels of ``ego_motion`` were seen."""
+LUMINANCE = np.array([299, 587, 114], np.uint32)
+"""Thousandths of red, green and blue (ITU-R BT.601)."""
+
 
 def with_render_noise(image: np.ndarray, levels: int, seed: int, frame: int, view: str) -> np.ndarray:
     """Return an image (H, W, 3) uint8 whose values have changed by at most ``levels``, as from renderer to renderer.
@@ -29,6 +34,44 @@ def with_render_noise(image: np.ndarray, levels: int, seed: int, frame: int, vie
     rng = np.random.default_rng([RENDER_NOISE, seed, frame, zlib.crc32(view.encode())])
     change = rng.integers(-levels, levels, image.shape, np.int16, endpoint=True)
     return np.clip(image + change, 0, 255).astype(np.uint8)
+
+
+class ImageHistory:
+    """The last grey images of N worlds, for ``ego_motion``; before an episode's start its first image stands."""
+
+    def __init__(self, size: int, image_size: int) -> None:
+        """Remember square images of ``image_size`` [px] of ``size`` worlds."""
+        self._grey = np.zeros((MOTION_FRAMES[-1] + 1, size, image_size, image_size), np.uint8)  # newest first
+        self._frame = np.full(size, -1)  # of each world's newest image
+
+    def forget(self, ids: np.ndarray) -> None:
+        """Forget the images of worlds ``ids`` (n,), whose episodes begin."""
+        self._frame[ids] = -1
+
+    def add(self, images: np.ndarray, ids: np.ndarray, frames: np.ndarray) -> np.ndarray:
+        """Add what worlds ``ids`` see, and return (N, H, W, 3) uint8 now, two and four frames ago; others are black.
+
+        Args:
+            images: (N, H, W, 3) uint8 RGB.
+            ids: (n,) worlds that see.
+            frames: (N,) of their episodes.
+        """
+        motion = np.zeros_like(images)
+        for i in ids:
+            passed, grey = int(frames[i] - self._frame[i]), _grey(images[i])
+            if self._frame[i] < 0:
+                self._grey[:, i] = grey
+            elif passed:
+                self._grey[passed:, i] = self._grey[:-passed, i].copy()
+            self._grey[: max(passed, 1), i] = grey
+            self._frame[i] = frames[i]
+            motion[i] = np.moveaxis(self._grey[MOTION_FRAMES, i], 0, -1)
+        return motion
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    """(H, W) uint8 luminance of an RGB image, in whole numbers, which round alike everywhere."""
+    return ((image.astype(np.uint32) @ LUMINANCE + 500) // 1000).astype(np.uint8)
 
 
 class Cameras:

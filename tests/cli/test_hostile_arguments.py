@@ -89,10 +89,8 @@ def forms(number: str) -> list[str]:
 HARMLESS = {
     "generate --image-size": ("0",),
     "generate --seed": ("0",),
-    "generate --teacher-share": ("0",),
     "generate --crf": ("0",),
-    "generate --disturbance-m": ("0",),
-    "generate --hold-frames": (str(10**30),),
+    "generate --perturbed-share": ("0",),
     "generate --render-noise": ("0",),
     "evaluate --image-size": ("0",),
     "view --render-noise": ("0",),

@@ -22,31 +22,33 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.benchmark import MOTIONS
 from tests.report.example_runs import example_run
 
-STANDARD = Path(__file__).parents[2] / "recipes" / "dagger" / "standard.yaml"
+STANDARD = Path(__file__).parents[2] / "recipes" / "train" / "obact.yaml"
 """What the quickstart shortens; wheels hold only the copy."""
 
 
-def test_it_trains_the_standard_recipe_shortened() -> None:
-    original = yaml.safe_load(STANDARD.read_text().replace("96", "64"))  # smaller images render faster
-    copy = yaml.safe_load(quickstart.TRAINING.read_text())
+def test_it_trains_the_recipe_shortened() -> None:
+    original, copy = (yaml.safe_load(path.read_text()) for path in (STANDARD, quickstart.TRAINING))
     differs = {key for key in copy.keys() | original.keys() if copy.get(key) != original.get(key)}
-    assert differs == {"out", "rounds", "n_episodes", "validation_episodes", "updates"}
+    assert differs <= {"dataset", "output_dir", "env", "eval", "env_eval_freq"}
 
 
 def test_it_trains_on_the_device_it_is_evaluated_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[list[str]] = []
     monkeypatch.setattr(quickstart, "_device", lambda: "cuda")
-    monkeypatch.setattr(quickstart.cli, "main", lambda _: 0)
-    quickstart._train(tmp_path, quickstart.TINY)
-    assert yaml.safe_load((tmp_path / "training.yaml").read_text())["policy"]["device"] == "cuda"
+    monkeypatch.setattr(quickstart, "run_lerobot", lambda _, words, *__: said.append(words) or 1)
+    for stage in (quickstart._train, quickstart._evaluate):
+        with pytest.raises(quickstart.StageError):
+            stage(tmp_path, quickstart.TINY)
+    assert all("--policy.device=cuda" in words for words in said)
 
 
 def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sizes: list[quickstart.Size] = []
     monkeypatch.setattr(quickstart, "_run_stages", lambda _, size, __: sizes.append(size))
     monkeypatch.setattr(quickstart, "_conclude", lambda *_, **__: None)
-    for words in ([], ["--episodes", "4", "--rounds", "2", "--evaluation-episodes", "3"], ["--tiny"]):
+    for words in ([], ["--episodes", "4", "--steps", "10", "--evaluation-episodes", "3"], ["--tiny"]):
         assert main(["quickstart", "--out", str(tmp_path / str(len(words))), *words]) == 0
-    assert sizes == [quickstart.FULL, quickstart.Size(4, 2, 3), quickstart.TINY]
+    assert sizes == [quickstart.FULL, quickstart.Size(4, 10, 3), quickstart.TINY]
     assert sorted(quickstart.KINDS[: quickstart.FULL.kinds]) == sorted(MOTIONS)
 
 
@@ -81,7 +83,7 @@ def test_a_run_shows_its_progress_and_leaves_everything(tmp_path: Path, capsys: 
 def check_what_it_said(said: str, out: Path) -> None:
     """Every stage shows a bar with the time left, nothing else speaks, and the last line opens the report."""
     stages = said.split("[1/4]")[1].replace("[2/4]", "[3/4]").replace("[4/4]", "[3/4]").split("[3/4]")
-    for stage, unit in zip(stages, ("generating", "training", "evaluating", "hold on test_small"), strict=True):
+    for stage, unit in zip(stages, ("generating", "encoding and training", "evaluating", "hold on test_small"), strict=True):
         bars = [part for part in stage.replace("\n", "\r").split("\r") if part.strip().startswith(unit)]
         assert any("100%|" in bar for bar in bars), (unit, stage)
         assert all("<" in bar for bar in bars), "elapsed<remaining"
@@ -93,28 +95,29 @@ def check_what_it_left(out: Path) -> None:
     """A dataset, a checkpoint, results and a report."""
     assert main(["verify", str(out / "dataset")]) == 0
     config = json.loads((out / "training/pretrained_model/config.json").read_text())
-    assert config["type"] == "tracker"
+    assert config["type"] == "obact"
     kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
-    for name in ("tracker", *quickstart.BASELINES):
+    for name in ("obact", *quickstart.BASELINES):
         assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
     page = (out / "report.html").read_text()
-    assert all(name in page for name in ("tracker", *quickstart.BASELINES))
+    assert all(name in page for name in ("obact", *quickstart.BASELINES))
     assert "S_loc" in (out / "table.txt").read_text()
 
 
 def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment writes results after every kind of motion, so a folder with some of them is not all."""
-    partial, results = tmp_path / "results" / "tracker.partial", tmp_path / "results" / "tracker"
+    partial, results = tmp_path / "results" / "obact.partial", tmp_path / "results" / "obact"
     codes = iter((1, 0))
 
     def run_lerobot(_: str, words: list[str], *__: object) -> int:
         (made,) = (Path(word.partition("=")[2]) for word in words if word.startswith("--env.results_dir="))
         assert partial in made.parents
         assert not made.exists(), "what an earlier run left is not mixed in"
-        example_run(made, "tracker", skill=0.5)
+        example_run(made, "obact", skill=0.5)
         return next(codes)
 
     monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
+    monkeypatch.setattr(quickstart, "_film", lambda *_: None)
     with pytest.raises(quickstart.StageError, match="code 1"):
         quickstart._evaluate(tmp_path, quickstart.TINY)
     assert not results.exists()
@@ -124,18 +127,18 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkey
 
 
 def test_a_partial_folder_of_somebody_else_stays(tmp_path: Path) -> None:
-    (tmp_path / "results" / "tracker.partial").mkdir(parents=True)
-    (tmp_path / "results" / "tracker.partial" / "thesis.tex").write_text("mine")
+    (tmp_path / "results" / "obact.partial").mkdir(parents=True)
+    (tmp_path / "results" / "obact.partial" / "thesis.tex").write_text("mine")
     with pytest.raises(FileExistsError, match=r"thesis\.tex"):
         quickstart._evaluate(tmp_path, quickstart.TINY)
-    assert (tmp_path / "results" / "tracker.partial" / "thesis.tex").exists()
+    assert (tmp_path / "results" / "obact.partial" / "thesis.tex").exists()
 
 
 def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
     for name in ("_generate", "_train", "_evaluate", "_baselines"):
         monkeypatch.setattr(quickstart, name, lambda *_, name=name: ran.append(name))
-    for folder in ("dataset", "training/pretrained_model", "results/tracker", "results/hold"):
+    for folder in ("dataset", "training/pretrained_model", "results/obact", "results/hold"):
         (tmp_path / folder).mkdir(parents=True)
     quickstart._run_stages(tmp_path, quickstart.TINY, 0.0)
     assert ran == ["_train", "_baselines"], "an empty folder is no checkpoint"
@@ -160,7 +163,7 @@ def test_open_opens_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     opened: list[str] = []
 
     def play(out: Path, *_: object) -> None:
-        for name in ("tracker", *quickstart.BASELINES):
+        for name in ("obact", *quickstart.BASELINES):
             example_run(out / "results" / name, name, skill=0.5)
 
     monkeypatch.setattr(quickstart.webbrowser, "open", opened.append)

@@ -102,7 +102,7 @@ def test_a_recording_plays_again_from_its_executed_commands(capture: str):
         log = ActionLog(episode.meta.seed, episode.executed_action, episode.meta.attempts)
         (again,) = replay(recipe, [log], images=False)
         np.testing.assert_allclose(again.state, episode.state, atol=1e-6)
-        assert np.abs(episode.action - episode.executed_action).max() > 0.01
+        assert capture == "contact" or np.abs(episode.action - episode.executed_action).max() > 0.01
 
 
 def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(specs: list[EpisodeSpec]):

@@ -16,7 +16,7 @@ from torch import Tensor
 
 LONGEST_FRAMES = 100
 """The teacher looks this far ahead."""
-CLOSED_FRAMES, CLOSING_FRAMES = 16, 8
+CLOSED_FRAMES, CLOSING_FRAMES = 24, 8
 """Fingers are closed this long before the meeting, and take this long to close."""
 NEAREST_M, FARTHEST_M = 0.01, 0.15
 """Least and greatest standard deviation by which a virtual palm is moved, along each axis."""

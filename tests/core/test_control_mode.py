@@ -1,0 +1,126 @@
+"""Four numbers of a grasp stand for 18, in the world, in the environment and in datasets alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.policies.act.configuration_act import ACTConfig
+from lerobot_env_dynahoi import DynahoiEnvConfig
+
+import dynahoi_lerobot.env  # noqa: F401 - registers the ids
+from dynahoi_lerobot.core.agent import Agent, Observation
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, from_grasp, to_grasp
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
+from dynahoi_lerobot.dataset import open_dataset, read_episodes
+from dynahoi_lerobot.env.single_env import DynahoiEnv
+from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
+from dynahoi_lerobot.evaluate.checkpoint import trained_for
+from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.generate.pipeline import generate
+from dynahoi_lerobot.generate.plan import GenerationPlan
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.verify.command import verify
+from dynahoi_lerobot.world.batch import WorldBatch
+
+RECIPE = Recipe(control_mode="grasp", image_size=0, motions=("constant", "lob"))
+
+
+def test_the_two_ways_are_inverse():
+    rng, hand = np.random.default_rng(0), HANDS["capsule"]()
+    pose, state = (hand.open_joints(), hand.closed_joints()), rng.normal(size=(5, 18))
+    action = np.column_stack([rng.normal(size=(5, 3)), rng.random(5)])
+    np.testing.assert_allclose(to_grasp(from_grasp(action, state, *pose), state, *pose), action, atol=1e-12)
+    np.testing.assert_allclose(from_grasp(np.array([[0, 0, 0, 9.0]]), state[:1], *pose)[0, 3:], pose[1])
+
+
+def test_labels_of_both_modes_are_the_same_goals():
+    hand = HANDS[RECIPE.hand]()
+    poses = hand.open_joints(), hand.closed_joints()
+    pairs = zip(record(RECIPE, range(4)), record(RECIPE.changed(control_mode="joints"), range(4)), strict=True)
+    for grasp, joints in pairs:
+        assert grasp.action.shape == (len(grasp), 4)
+        np.testing.assert_array_equal(grasp.executed_action, joints.executed_action)
+        np.testing.assert_allclose(from_grasp(grasp.action, grasp.state, *poses), joints.action, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("grasp") / "d"
+    generate(GenerationPlan(RECIPE, 4), root, record=record)
+    return root
+
+
+def test_a_dataset_holds_and_replays_them(dataset: Path):
+    feature = open_dataset(dataset).meta.features["action"]
+    assert tuple(feature["shape"]) == (4,)
+    assert tuple(feature["names"]) == CONTROL_MODES["grasp"]
+    item: Any = open_dataset(dataset)[0]
+    assert item["action"].shape == (4,)
+    assert all(episode.action.shape[1] == 4 for episode in read_episodes(dataset))
+    assert "palm_dx" in (dataset / "meta/info.json").read_text()
+    assert verify(dataset, replayed=2) == []
+
+
+class Reaching(Agent):
+    """Repeats the teacher's grasp actions of one recording."""
+
+    name = "reaching"
+
+    def __init__(self, actions: np.ndarray) -> None:
+        self._actions = iter(actions)
+
+    def act(self, observation: Observation) -> np.ndarray:
+        return next(self._actions)[None].astype(np.float64)
+
+
+def test_an_agent_that_gives_them_catches():
+    (episode,) = record(RECIPE.changed(perturbed_share=0.0), [0])
+    (again,) = evaluate(WorldBatch(RECIPE, 1), Reaching(episode.action), sample_specs(RECIPE, [0]))
+    assert again.success
+    np.testing.assert_allclose(again.state, episode.state, atol=1e-4)
+
+
+def test_experts_play_by_their_own_commands():
+    specs = sample_specs(RECIPE, range(2))
+    assert all(episode.success for episode in evaluate(WorldBatch(RECIPE, 2), Intercept(), specs))
+
+
+def test_environments_take_four_numbers():
+    env = DynahoiVectorEnv(2, image_size=0, control_mode="grasp")
+    assert env.action_space.shape == (2, 4)
+    observation, _ = env.reset(seed=0)
+    forward = np.tile(np.array([0.02, 0.0, 0.0, 1.0], np.float32), (2, 1))
+    while not observation["phase"][:, 1].all():
+        observation, *_ = env.step(forward)
+    start = observation["agent_pos"]
+    for _ in range(4):
+        observation, *_ = env.step(forward)
+    moved = observation["agent_pos"] - start
+    np.testing.assert_allclose(moved[:, :3], [[0.08, 0, 0]] * 2, atol=5e-3)
+    assert (observation["agent_pos"][:, 3:].max(axis=1) > 0.5).all()
+    with pytest.raises(ValueError, match=r"action must have shape \(2, 4\), got \(2, 18\)"):
+        env.step(np.zeros((2, 18)))
+    assert DynahoiEnv(image_size=0, control_mode="grasp").action_space.shape == (4,)
+    assert gym.make("dynahoi/all-v0", image_size=0, control_mode="grasp").action_space.shape == (4,)
+    assert DynahoiEnvConfig(control_mode="grasp").features["action"].shape == (4,)
+
+
+def test_a_checkpoint_tells_by_the_size_of_its_actions(tmp_path: Path):
+    state = {ENVIRONMENT_STATE: PolicyFeature(FeatureType.ENV, (13,))}
+    for size, told in ((4, {"control_mode": "grasp"}), (18, {})):
+        output = {"action": PolicyFeature(FeatureType.ACTION, (size,))}
+        ACTConfig(input_features=state, output_features=output, device="cpu").save_pretrained(tmp_path / str(size))
+        assert trained_for(tmp_path / str(size)) == told
+
+
+def test_an_unknown_mode_is_refused():
+    with pytest.raises(ValueError, match="unknown control mode 'wrist'; known: joints, grasp"):
+        Recipe(control_mode="wrist")
