@@ -2,8 +2,8 @@
 
 python benchmarks/load.py [--episodes 64] [--image-size 128] [--backend pyav] [--json FILE]
 
-The window is ObAct's by default: the current and five earlier frames, two frames apart, and sixteen actions. Rates are per
-second of processor time of one process, so that a busy machine does not blur them; ``--workers`` measures wall time
+The window is ObAct's by default: the current and five earlier frames, two frames apart, and sixteen actions. Rates are
+per second of processor time of one process, so that a busy machine does not blur them; ``--workers`` measures wall time
 instead.
 """
 

@@ -127,10 +127,8 @@ def _on_policy(args: argparse.Namespace, recipe: Recipe) -> tuple[Recipe, Record
     if recipe.actor not in ("", name):
         raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {args.actor} is {name}")
     views = tuple(dict.fromkeys((*recipe.views, *policy.views)))
-    changes = {"actor": name, "image_size": policy.image_size or recipe.image_size, "views": views}
-    if mode := policy.trained_for.get("control_mode"):
-        changes["control_mode"] = mode
-    recipe = replace(recipe, **changes)
+    trained = {key: policy.trained_for[key] for key in ("control_mode", "image_size") if key in policy.trained_for}
+    recipe = replace(recipe, actor=name, views=views, **trained)
     runs_on = runtime(policy)
     make = partial(make_actor, path=args.actor, name=name, on=runs_on, trust=args.trust)
     # one process uses all cores for physics

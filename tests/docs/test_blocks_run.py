@@ -190,7 +190,7 @@ def check_first_hour(folder: Path) -> None:
         assert "S_loc" in page.read_text()
     for results in (folder / "results").iterdir():
         assert len(read_results(results).rows) == 2
-    assert (folder / "outputs/train/obact/checkpoints/last/pretrained_model/model.safetensors").is_file()
+    assert (folder / "outputs/obact/checkpoints/last/pretrained_model/model.safetensors").is_file()
     for clip in ("lob.gif", "spiral.gif"):
         assert (folder / clip).read_bytes()[:4] == b"GIF8"
 
