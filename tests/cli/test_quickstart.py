@@ -83,7 +83,9 @@ def test_a_run_shows_its_progress_and_leaves_everything(tmp_path: Path, capsys: 
 def check_what_it_said(said: str, out: Path) -> None:
     """Every stage shows a bar with the time left, nothing else speaks, and the last line opens the report."""
     stages = said.split("[1/4]")[1].replace("[2/4]", "[3/4]").replace("[4/4]", "[3/4]").split("[3/4]")
-    for stage, unit in zip(stages, ("generating", "encoding and training", "evaluating", "hold on test_small"), strict=True):
+    for stage, unit in zip(
+        stages, ("generating", "encoding and training", "evaluating", "hold on test_small"), strict=True
+    ):
         bars = [part for part in stage.replace("\n", "\r").split("\r") if part.strip().startswith(unit)]
         assert any("100%|" in bar for bar in bars), (unit, stage)
         assert all("<" in bar for bar in bars), "elapsed<remaining"
