@@ -39,7 +39,8 @@ def main() -> None:
     split = sample_specs(Recipe(split=args.split), range(args.episodes), threads=0)
     targets = relative_paths(split, FRAMES)
     table = {f"regressor, {name}": regression(*inputs, train, split) for name, inputs in variants(train, split).items()}
-    table["blind_path"] = rate(hits_along(fixed_path(), targets))
+    table["blind_path"] = rate(hits_along(fixed_path("standard"), targets))
+    table["blind_path, unlimited"] = rate(hits_along(fixed_path("unlimited"), targets))
     table["paths by motion"] = rate(paths_by_motion(train, split))
     for name, row in table.items():
         told = f"  R2 {np.round(row['R2'], 2)}" if "R2" in row else ""
@@ -74,7 +75,7 @@ def regression(seen: np.ndarray, asked: np.ndarray, train: list[EpisodeSpec], sp
 def paths_by_motion(train: list[EpisodeSpec], split: list[EpisodeSpec]) -> np.ndarray:
     """Return (M,) bool: what the best path of its kind meets, or the fixed path where no instruction names the kind."""
     targets, searched = relative_paths(split, FRAMES), relative_paths(train, FRAMES)
-    met = hits_along(fixed_path(), targets)
+    met = hits_along(fixed_path("standard"), targets)
     kinds = np.array([spec.motion.name for spec in train])
     for kind in sorted(set(kinds)):
         path = search_path(searched[kinds == kind], SPEED_M_S, WIDTH, FINENESS)

@@ -1,7 +1,7 @@
 """Can the benchmark be solved without predicting? Baselines that do not, in the simulator, beside the expert.
 
 python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand opposed] [--json FILE]
-python benchmarks/validity.py --search 1760 [--homes 8] [--save FILE]
+python benchmarks/validity.py --search 1760 [--search-class unlimited] [--homes 8] [--save FILE]
 
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
 what it would score on as many episodes that it has not seen and on the split. --homes K looks for K paths instead, one
@@ -46,6 +46,7 @@ def main() -> None:
     parser.add_argument("--baselines", nargs="+", choices=EXPERTS.names(), default=list(BASELINES))
     parser.add_argument("--hand", choices=HANDS.names(), default="capsule", help="that plays the baselines")
     parser.add_argument("--search", type=int, default=0, help="episodes of train to search a fixed path on; 0 for none")
+    parser.add_argument("--search-class", choices=list(CONTROL_CLASSES), default="standard", help="whose speed it has")
     parser.add_argument("--homes", type=int, default=1, help="search a path for each of so many clusters of homes")
     parser.add_argument("--save", type=Path, help="file for what was found")
     args = parser.parse_args()
@@ -88,7 +89,8 @@ def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, 
     """
     train = sample_specs(Recipe(split="train"), range(2 * args.search), threads=0)
     parts = {"searched": train[: args.search], "other train": train[args.search :], args.split: specs}
-    table = search_paths(parts["searched"], args.homes)
+    speed_m_s = CONTROL_CLASSES[args.search_class].palm_speed_m_s
+    table = search_paths(parts["searched"], args.homes, speed_m_s)
     rates = {}
     for label, part in parts.items():
         met = hits_by_cluster(homes_of(part), relative_paths(part, SEARCHED_FRAMES), table)
@@ -101,12 +103,12 @@ def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, 
     return rates
 
 
-def search_paths(specs: Sequence[EpisodeSpec], clusters: int) -> tuple[np.ndarray, np.ndarray]:
+def search_paths(specs: Sequence[EpisodeSpec], clusters: int, speed_m_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (C, 3) the centres of clusters of homes [m], world, and (C, K, 3) the path found for each."""
     targets, homes_w = relative_paths(specs, SEARCHED_FRAMES), homes_of(specs)
     centres = cluster(homes_w, clusters)
-    labels, speed = nearest(homes_w, centres), CONTROL_CLASSES["standard"].palm_speed_m_s
-    return centres, np.stack([search_path(targets[labels == k], speed, WIDTH, FINENESS) for k in range(clusters)])
+    labels = nearest(homes_w, centres)
+    return centres, np.stack([search_path(targets[labels == k], speed_m_s, WIDTH, FINENESS) for k in range(clusters)])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""``dynahoi view``: one episode, newly played, from a dataset or from results, as GIF, MP4 or a web page."""
+"""``dynahoi view``: one episode, newly played, from a dataset or from results, as GIF, MP4 or a web page.
+
+With ``--sample`` a page of several episodes of a dataset.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
+from dynahoi_lerobot.cli.sample_page import write_sample
 from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, path, whole
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
@@ -37,6 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--results", type=path, help="replay an evaluated episode of this result folder")
     parser.add_argument("--episode", type=int, default=0, help="with --dataset: index of the episode")
     parser.add_argument(
+        "--sample",
+        type=whole(1, 100),
+        metavar="N",
+        help="with --dataset: one page with N episodes of every motion, to inspect frames, actions and target",
+    )
+    parser.add_argument(
         "--seed",
         type=whole(0, SEED_LIMIT - 1),
         default=0,
@@ -58,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
         ValueError: for an unknown suffix, source, motion, view or episode, or an unreadable dataset or result folder.
     """
     check_suffix(args.out)
+    if args.sample is not None:
+        return _sample(args)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
     chosen = [make_clip for name, make_clip in sources.items() if getattr(args, name) is not None]
     if len(chosen) != 1:
@@ -65,6 +78,22 @@ def run(args: argparse.Namespace) -> int:
     clip = chosen[0](args)
     write_clip(args.out, clip)
     print(f"{clip.caption}: {args.out}")
+    return 0
+
+
+def _sample(args: argparse.Namespace) -> int:
+    """Write the page of a sample; return the exit code."""
+    if args.dataset is None or args.motion is not None or args.results is not None:
+        raise ValueError("--sample takes its episodes from --dataset DIR")
+    if args.out.suffix != ".html":
+        raise ValueError(f"--sample writes a web page, so --out must end in .html, got {args.out}")
+    dataset = _open_dataset(args.dataset)
+    if "motion" not in dataset.meta.episodes.column_names:
+        raise ValueError(
+            f"{args.dataset} does not name the motions of its episodes, so there is nothing to stratify by"
+        )
+    shown = write_sample(args.out, dataset, _camera_key(args, dataset), args.sample)
+    print(f"{shown} episodes of {args.dataset}: {args.out}; mark some, and it prints the command that removes them")
     return 0
 
 
@@ -111,18 +140,22 @@ def _clip(episode: Episode, view: str, agent: str) -> Clip:
 
 def _from_dataset(args: argparse.Namespace) -> Clip:
     """Read an episode of a dataset with LeRobot."""
-    from dynahoi_lerobot.core.features import IMAGE_PREFIX
-
     dataset = _open_dataset(args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
-    if (key := IMAGE_PREFIX + args.view) not in dataset.meta.camera_keys:
-        cameras = ", ".join(dataset.meta.camera_keys) or "none at all"
-        raise ValueError(f"{args.dataset} has no view {args.view!r}, only {cameras}")
+    key = _camera_key(args, dataset)
     row: dict[str, Any] = dataset.meta.episodes[args.episode]
     items = [dataset[i] for i in range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))]
     frames = np.stack([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
     return Clip(frames, str(items[0]["task"]), _stored_phases(args, items), dataset.fps)
+
+
+def _camera_key(args: argparse.Namespace, dataset: Any) -> str:
+    """Return the key of the chosen view's images."""
+    if (key := IMAGE_PREFIX + args.view) not in dataset.meta.camera_keys:
+        cameras = ", ".join(dataset.meta.camera_keys) or "none at all"
+        raise ValueError(f"{args.dataset} has no view {args.view!r}, only {cameras}")
+    return key
 
 
 def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:

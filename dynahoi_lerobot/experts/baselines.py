@@ -13,9 +13,9 @@ from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 from dynahoi_lerobot.experts.intercept import EXTRAPOLATED_FRAMES, approach
 from dynahoi_lerobot.hands import HANDS
 
-PATH_FILE = Path(__file__).with_name("blind_path.csv")
-"""Palm positions relative to home [m], one line per frame from the first control step on; it is what
-``benchmarks/validity.py --search`` finds."""
+PATH_FILES = {"standard": "blind_path.csv", "late": "blind_path.csv", "unlimited": "blind_path_unlimited.csv"}
+"""By control class: palm positions relative to home [m], one line per frame from the first control step on; it is what
+``benchmarks/validity.py --search`` finds at the speed of the class."""
 TABLE_FILE = Path(__file__).with_name("nearest_home.csv")
 """One line for each home: its position [m], world, then palm positions relative to it [m], one for each frame from the
 first control step on; it is what ``benchmarks/validity.py --search --homes`` finds."""
@@ -71,14 +71,17 @@ class ConstantAcceleration(SingleWorldExpert):
 
 @EXPERTS.register("blind_path")
 class BlindPath(SingleWorldExpert):
-    """Goes along a fixed path from home with closed fingers; what it scores needs neither perception nor prediction."""
+    """Goes along a fixed path from home with closed fingers; what it scores needs neither perception nor prediction.
+
+    The path is the best one found for the speed of the control class.
+    """
 
     name = "blind_path"
     privileged = False
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        path = fixed_path()
+        path = fixed_path(world.control.name)
         step = min(world.due_frame - world.spec.window_frames, len(path) - 1)
         return np.concatenate([world.spec.home_pos_w + path[step], fist(world.spec.hand)])
 
@@ -108,9 +111,9 @@ def _acceleration(world: WorldView) -> np.ndarray:
 
 
 @functools.cache
-def fixed_path() -> np.ndarray:
+def fixed_path(control_class: str) -> np.ndarray:
     """Return (K, 3) palm positions relative to home [m] after 1, 2, ... control steps."""
-    return np.loadtxt(PATH_FILE, delimiter=",", ndmin=2)
+    return np.loadtxt(Path(__file__).with_name(PATH_FILES[control_class]), delimiter=",", ndmin=2)
 
 
 @functools.cache

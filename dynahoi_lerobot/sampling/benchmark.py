@@ -141,7 +141,7 @@ class Benchmark:
 
 
 BENCHMARK = Benchmark(
-    version="v1",
+    version="v2",
     rules=Rules(),
     look=1,
     splits={

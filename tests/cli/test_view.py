@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 from pathlib import Path
 
@@ -12,6 +14,8 @@ from PIL import Image, ImageSequence
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.clip import Clip, write_clip
+from dynahoi_lerobot.cli.sample_page import stratified
+from dynahoi_lerobot.dataset import frame_column
 from dynahoi_lerobot.evaluate.gif import BORDERS
 
 CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_standard"
@@ -52,9 +56,31 @@ def test_an_episode_of_a_dataset(dataset: Path, tmp_path: Path, capsys: pytest.C
         assert np.abs(np.array(gif.convert("RGB").getpixel((0, 0))) - BORDERS["localized"]).max() < 12
 
 
+def test_a_sample_shows_what_the_dataset_holds_in_step(dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "sample.html"
+    assert view("--dataset", dataset, "--sample", 2, "--out", out) == 0
+    page = json.loads(out.read_text().split('id="data">')[1].split("</script>")[0])
+    assert [episode["index"] for episode in page["episodes"]] == [0, 5], "spread over the six of the only kind"
+    assert page["command"].endswith("--operation.type=delete_episodes --operation.episode_indices")
+    last = page["episodes"][1]
+    pose, action = (frame_column(dataset, key)[-last["frames"] :] for key in ("target.pose", "action"))
+    np.testing.assert_allclose(last["target"], pose[:, :3], atol=1e-4)
+    np.testing.assert_allclose(last["action"], action[:, :3], atol=1e-4)
+    sheet = Image.open(io.BytesIO(base64.b64decode(last["sheet"].split(",")[1])))
+    side = sheet.width // page["columns"]
+    assert sheet.height // side == -(-last["frames"] // page["columns"])
+
+
+def test_a_sample_has_as_many_of_each_kind() -> None:
+    assert stratified(["lob", "ramp", "lob", "lob", "ramp"], 2) == [0, 3, 1, 4]
+    assert stratified(["lob", "ramp", "lob"], 9) == [0, 2, 1]
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
+        (["--sample", "1", "--out", "x.gif"], "--out must end in .html, got x.gif"),
+        (["--sample", "1", "--view", "side", "--out", "x.html"], "has no view 'side'"),
         (["--episode", "6"], "--episode must be 0 to 5, got 6"),
         (["--episode", "-1"], "--episode must be 0 to 5, got -1"),
         (["--view", "side"], "has no view 'side', only observation.images.ego"),
@@ -63,7 +89,7 @@ def test_an_episode_of_a_dataset(dataset: Path, tmp_path: Path, capsys: pytest.C
 def test_what_a_dataset_does_not_hold(
     words: list[str], sentence: str, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert view("--dataset", dataset, *words, "--out", tmp_path / "x.gif") == cli.BAD_INPUT
+    assert view("--dataset", dataset, "--out", tmp_path / "x.gif", *words) == cli.BAD_INPUT
     assert sentence in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 

@@ -11,6 +11,7 @@ from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.core.registry import UnknownNameError
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, mcnemar, paired_values
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 IDENTITY = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40}
 RULES = {"protocol": "observe_before_act", "control_class": "standard"}
@@ -20,7 +21,7 @@ def results(values: list, metric: str = "S_loc", first_seed: int = 0, folder: st
     """Results with one row a value; ``changes`` go into the rows, or where the condition of that name is."""
     recipe = {"render_noise": changes.pop("render_noise", 0), "path_speed": changes.pop("path_speed", 1.0)}
     extra = {"inference": changes.pop("inference", ""), "recipe": recipe}
-    benchmark, capture = changes.pop("benchmark", "v1"), changes.pop("capture", "attach")
+    benchmark, capture = changes.pop("benchmark", BENCHMARK.version), changes.pop("capture", "attach")
     info = RunInfo("p", changes.pop("stream", "test"), capture, "cmd", "f", extra, benchmark)
     base = {**IDENTITY, **RULES, "window_frames": 8, **changes}
     rows = tuple({**base, "seed": first_seed + i, metric: value} for i, value in enumerate(values))

@@ -18,6 +18,7 @@ import pytest
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.evaluate.results import ResultsError, read_results
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.report.example_runs import example_run
 
 EVIL = "\x1b]0;evil\x07"
@@ -122,7 +123,7 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_head(metrics={"S_loc\r": {}}), r"printable, got 'S_loc\r'"),
     (set_head(policy="x" * 5000), "4096 characters, got 5000"),
     (set_head(surplus=1), "unknown key 'surplus'"),
-    (set_head(benchmark="v0"), "episodes of benchmark 'v0' and 'v1'"),
+    (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK.version}'"),
     (compressed_rows, "must not be compressed"),
     (compressed_actions, "must not be compressed"),
     (surplus_column, "its column surplus"),

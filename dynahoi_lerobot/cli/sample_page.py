@@ -1,0 +1,122 @@
+"""``dynahoi view --sample``: a few episodes of every kind of motion on one page, with what they hold frame by frame."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import shlex
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+from PIL import Image
+
+from dynahoi_lerobot.core.control_mode import GRASP, mode_of
+from dynahoi_lerobot.core.conventions import PALM_DOF
+from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.dataset.store import frame_column
+
+TEMPLATE = Path(__file__).with_suffix(".html")
+SHEET_COLUMNS = 12
+"""Images in a row of an episode's sheet."""
+JPEG_QUALITY = 80
+
+
+def write_sample(out: Path, dataset: Any, key: str, per_kind: int) -> int:
+    """Write the page; return how many episodes it shows.
+
+    Args:
+        out: its file.
+        dataset: LeRobot's dataset, whose episode table has the column ``motion``.
+        key: of the images to show.
+        per_kind: episodes of each kind of motion, spread evenly over the dataset.
+    """
+    chosen = stratified(list(dataset.meta.episodes["motion"]), per_kind)
+    columns = {name: _column(dataset.root, name) for name in ("target.pose", "observation.phase")}
+    episodes = [_episode(dataset, index, key, columns) for index in chosen]
+    _scale_closing(episodes)
+    data = {"episodes": episodes, "columns": SHEET_COLUMNS, "command": removal_command(dataset.root)}
+    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(TEMPLATE.read_text("utf-8"))
+    text = template.render(
+        title=f"{len(chosen)} of the {dataset.num_episodes} episodes of {dataset.root}",
+        has_target=any("target" in episode for episode in episodes),
+        data=_script_json(data),
+    )
+    write_atomically({out: lambda draft: draft.write_text(text, encoding="utf-8")})
+    return len(chosen)
+
+
+def stratified(kinds: list[str], per_kind: int) -> list[int]:
+    """Return up to ``per_kind`` indices of each kind, spread evenly over its indices; kinds in alphabetical order."""
+    found = defaultdict(list)
+    for index, kind in enumerate(kinds):
+        found[kind].append(index)
+    spread = {kind: np.linspace(0, len(known) - 1, min(per_kind, len(known))) for kind, known in found.items()}
+    return [found[kind][round(place)] for kind in sorted(found) for place in spread[kind]]
+
+
+def removal_command(root: Path) -> str:
+    """Return the command that writes the dataset without some episodes, up to their list."""
+    kept = root.with_name(f"{root.name}_kept")
+    words = ["lerobot-edit-dataset", f"--repo_id=local/{root.name}", f"--root={root}"]
+    words += [f"--new_repo_id=local/{kept.name}", f"--new_root={kept}", "--operation.type=delete_episodes"]
+    return f"{shlex.join(words)} --operation.episode_indices"
+
+
+def _column(root: Path, name: str) -> np.ndarray | None:
+    """Return a column of all frames, None if the dataset lacks it."""
+    try:
+        return frame_column(root, name)
+    except ValueError:
+        return None
+
+
+def _episode(dataset: Any, index: int, key: str, columns: dict[str, np.ndarray | None]) -> dict[str, Any]:
+    """Return what the page shows of an episode; positions are (T, 3) lists [m], home frame."""
+    row = dataset.meta.episodes[index]
+    frames = range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))
+    items = [dataset[i] for i in frames]
+    state, action = (np.stack([item[name].numpy() for item in items]) for name in ("observation.state", "action"))
+    grasp = mode_of(action.shape[1]) == GRASP
+    goal = action[:, :PALM_DOF] + (state[:, :PALM_DOF] if grasp else 0.0)
+    closing = {"palm": state[:, PALM_DOF:].mean(axis=1), "action": action[:, PALM_DOF:].mean(axis=1)}
+    told = {"palm": state[:, :PALM_DOF], "action": goal}
+    if (pose := columns["target.pose"]) is not None:
+        told["target"] = pose[frames, :PALM_DOF]
+    phase = columns["observation.phase"]
+    window = 0 if phase is None else int((~is_acting(phase[frames])).sum())
+    return {
+        "index": index, "kind": row["motion"], "task": str(items[0]["task"]), "success": bool(row.get("success", True)),
+        "frames": len(items), "window": window, "grasp": grasp, "closing": closing,
+        "sheet": _sheet([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items]),
+    } | {name: np.round(values, 4).tolist() for name, values in told.items()}  # fmt: skip
+
+
+def _scale_closing(episodes: list[dict[str, Any]]) -> None:
+    """Express mean joint angles as shares of the greatest one shown; a grasp's closing number is one already."""
+    angles = [e["closing"][name] for e in episodes for name in ("palm", "action") if name == "palm" or not e["grasp"]]
+    most = max((float(values.max()) for values in angles), default=0.0) or 1.0
+    for episode in episodes:
+        for name, values in episode["closing"].items():
+            share = values if name == "action" and episode["grasp"] else values / most
+            episode["closing"][name] = np.round(np.clip(share, 0.0, 1.0), 3).tolist()
+
+
+def _sheet(images: list[np.ndarray]) -> str:
+    """Return a data URL of all images, row by row."""
+    height, width = images[0].shape[:2]
+    sheet = Image.new("RGB", (SHEET_COLUMNS * width, -(-len(images) // SHEET_COLUMNS) * height))
+    for i, image in enumerate(images):
+        sheet.paste(Image.fromarray(image), (i % SHEET_COLUMNS * width, i // SHEET_COLUMNS * height))
+    sheet.save(buffer := io.BytesIO(), "JPEG", quality=JPEG_QUALITY)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def _script_json(data: dict[str, Any]) -> Markup:
+    """Return JSON that cannot end the script element that holds it."""
+    return Markup(json.dumps(data).replace("<", "\\u003c"))
