@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights
+from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, trained_for
 from dynahoi_lerobot.evaluate.replay_results import changed_rules
 from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
 from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, read_results
@@ -359,7 +360,7 @@ CARD = """
 # {name}
 
 A `{type}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catching moving objects with a
-dexterous hand.
+dexterous hand. {rules}
 
 ```bash
 pip install {needed}   # in a checkout of dynahoi-lerobot
@@ -390,8 +391,16 @@ def checkpoint_card(folder: Path, repo: str) -> ModelCard:
         words.append(f"./policies/{PLUGINS[kind]}")
     elif (extra := EXTRAS.get(kind, kind)) in _extras_of_lerobot():
         words.append(f'"lerobot[{extra}]"')
-    body = CARD.format(name=repo.rpartition("/")[2], type=kind, repo=repo, needed=" ".join(words))
+    body = CARD.format(
+        name=repo.rpartition("/")[2], type=kind, repo=repo, needed=" ".join(words), rules=_rules_text(folder)
+    )
     return ModelCard(f"---\n{data.to_yaml()}\n---\n{body}")
+
+
+def _rules_text(folder: Path) -> str:
+    """Return a sentence with the rules that a checkpoint was trained for, as far as it tells them."""
+    told = {"control_mode": JOINTS} | trained_for(folder)
+    return "It was trained for " + ", ".join(f"{name} `{value}`" for name, value in sorted(told.items())) + "."
 
 
 def with_results(card: ModelCard, repo: str, results: Results, name: str) -> ModelCard:

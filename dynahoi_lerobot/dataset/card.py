@@ -53,9 +53,12 @@ def write_card(store: Store, manifest: Manifest) -> None:
         path.write_text(histogram_svg(frame_column(store.root, key), store.features[key]["names"]), encoding="utf-8")
     metadata = METADATA | {"size_categories": [_size_category(manifest.frames)]}
     template = Template(Path(__file__).with_suffix(".md").read_text(), undefined=StrictUndefined)
+    (action_size,) = store.features["action"]["shape"]
     text = template.render(
         metadata=yaml.safe_dump(metadata, sort_keys=False).rstrip(),
         manifest=manifest,
+        control_mode=mode_of(action_size),
+        action_size=action_size,
         recipe=manifest.provenance.get("recipe", {}),
         yields=manifest.yields,
         provenance=yaml.safe_dump(manifest.provenance, sort_keys=False),

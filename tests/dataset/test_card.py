@@ -36,6 +36,7 @@ def test_it_counts_and_describes_what_is_there(dataset: Path, card: str):
     manifest = Manifest.read(dataset)
     assert f"{manifest.episodes} episodes ({manifest.frames} frames" in card
     assert "| constant | 6 | 6 |" in card
+    assert "| control mode | `joints`, an action of 18 numbers |" in card
     assert "{{" not in card.replace("{{DynaHOI}", "")
     for key in [*Store(dataset).features, *(feature.key for feature in episode_features())]:
         assert f"| `{key}` |" in card

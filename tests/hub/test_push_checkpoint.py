@@ -27,6 +27,14 @@ def test_a_checkpoint_without_a_card_gets_one(checkpoint: Path, hub: Hub, push: 
     assert 'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi ./policies/lerobot_policy_obact ' in body
 
 
+@pytest.mark.parametrize(("size", "mode"), [(4, "grasp"), (18, "joints")])
+def test_a_card_names_the_control_mode(size: int, mode: str, checkpoint: Path, hub: Hub, push: Push):
+    config = {"type": "act", "output_features": {"action": {"type": "ACTION", "shape": [size]}}}
+    (checkpoint / "config.json").write_text(json.dumps(config))
+    push(checkpoint, "me/policy")
+    assert f"control_mode `{mode}`" in hub.repos[REPO].files["README.md"].decode()
+
+
 @pytest.mark.parametrize(
     ("kind", "needed"),
     [("actiontokens", " ./policies/lerobot_policy_actiontokens"), ("act", ""), ("smolvla", ' "lerobot[smolvla]"')],
