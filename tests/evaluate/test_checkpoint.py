@@ -295,7 +295,7 @@ def test_sizes_that_no_machine_has_are_refused(key: str, value: float, checkpoin
     ("setting", "told"),
     [
         ({"fps": 1e-300}, "action of world 0 must be finite, got nan"),
-        ({"head_options": {"n_steps": 0}}, "the policy cannot play: ZeroDivisionError"),
+        ({"head_options": {"n_steps": 0}}, "head_options.n_steps is 0, but must be 1 to 100"),
     ],
 )
 def test_a_policy_that_fails_while_it_plays_is_one_sentence(

@@ -31,7 +31,7 @@ def test_results_say_what_was_measured_and_how(checkpoint: Path, results: Path, 
     push(checkpoint, "me/policy")
     code, _, err = push(results, "me/policy")
     assert code == 0, err
-    name = "v1_ood_speed_attach_standard_async_150_ms"
+    name = "v2_ood_speed_attach_standard_async_150_ms"
     files = set(hub.repos[REPO].files)
     assert {"config.json", *(f"results/{name}/{file.name}" for file in results.iterdir())} <= files
 
@@ -50,7 +50,7 @@ def names(hub: Hub) -> set[str]:
     return {name.split("/")[1] for name in hub.repos[REPO].files if name.startswith("results/")}
 
 
-WHOLE = "v1_ood_speed_attach_standard"
+WHOLE = "v2_ood_speed_attach_standard"
 OTHERS: list[tuple[dict, str]] = [
     ({"protocol": "occluded"}, f"{WHOLE}_protocol_occluded"),
     ({"appearance": ("lights",)}, f"{WHOLE}_appearance_lights"),

@@ -63,7 +63,7 @@ def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(h
     files = hub.repos["models/me/obact"].files
     assert set(files) > {path.name for path in checkpoint.iterdir()}
     head = json.loads((results / METRICS_FILE).read_text())
-    name = f"v1_{head['split']}_attach_{head['extra']['recipe']['control_class']}_image_size_96_2_episodes"
+    name = f"v2_{head['split']}_attach_{head['extra']['recipe']['control_class']}_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
     assert push(checkpoint, "me/obact")[0] == 0, "results beside it are no obstacle"
 
@@ -108,7 +108,7 @@ def test_lerobot_trains_on_a_dataset_by_its_name_pushes_the_policy_and_plays_it_
     code, _, err = push(metrics.parent, "me/trained", "--policy", json.loads(metrics.read_text())["policy"])
     assert code == 0, err
     folders = {name.split("/")[1] for name in hub.repos["models/me/trained"].files if name.startswith("results/")}
-    assert [name.startswith("v1_test_small_attach_standard_image_size_32_1_episodes") for name in folders] == [True]
+    assert [name.startswith("v2_test_small_attach_standard_image_size_32_1_episodes") for name in folders] == [True]
     assert push(out / "checkpoints/last/pretrained_model", "me/trained")[0] == 0
 
 

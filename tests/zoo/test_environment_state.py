@@ -108,7 +108,7 @@ def test_a_policy_that_reads_it_gets_it_nowhere_else(checkpoint: str) -> None:
 
 def test_it_is_no_actor_of_recordings(checkpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", "--actor", checkpoint, "--episodes", "1", "--root", str(tmp_path / "d")]) == 2
-    assert f"reads {KEY}, the simulator's truth; an actor sees pictures and the hand" in capsys.readouterr().err
+    assert f"reads {KEY}, the simulator's truth; an actor sees images and the hand" in capsys.readouterr().err
     assert not (tmp_path / "d").exists()
 
 
