@@ -151,7 +151,7 @@ def check_results(folder: Path) -> None:
     from dynahoi_lerobot.evaluate.results import read_results
 
     trained = {path.parents[3].name for path in folder.glob("outputs/*/checkpoints/last/pretrained_model/config.json")}
-    assert trained == {"act", "act_val", "act_state", "act_2", "act_hub"}
+    assert trained == {"obact", "act", "act_val", "act_state", "act_2", "act_hub"}
     (played,) = folder.glob("outputs/act_val/dynahoi/*")
     results = {path.name: read_results(path) for path in [played, *(folder / "results").iterdir()]}
     assert results.pop(played.name).info.split == "val"
