@@ -60,7 +60,7 @@ def test_it_runs_and_writes_its_numbers(name: str, run: Callable[..., dict[str, 
 def test_an_eye_is_tested_on_what_a_policy_sees(run: Callable[..., dict[str, Any]]) -> None:
     checkpoint = BENCHMARKS.parent / "checkpoints" / "obact_standard"
     rows = run("eye", "--visited-by", str(checkpoint))["rows"]
-    assert 10 < sum(row["pictures"] for row in rows) < 60, "two episodes, from the window to the meeting"
+    assert 10 < sum(row["images"] for row in rows) < 60, "two episodes, from the window to the meeting"
 
 
 @pytest.mark.parametrize(("place", "sentence"), [("file/n.json", "file is a file"), (".", "is a folder; name a file")])

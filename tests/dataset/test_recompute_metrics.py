@@ -30,7 +30,7 @@ RECIPES = {
     "attach": Recipe(expert="pursuit", keep_failures=True),
     "attach_lenient": Recipe(capture="attach_lenient", expert="pursuit", keep_failures=True),
     "late": Recipe(expert="constant_velocity", control_class="late", protocol="direct_act", keep_failures=True),
-    "contact": Recipe(capture="contact", keep_failures=True),
+    "contact": Recipe(capture="contact", expert="pursuit", keep_failures=True),
 }
 POSITION_ERROR_M = 3e-6
 """Of distances from poses in float32; ellipsoids divide by a gradient that vanishes towards their middle."""
@@ -78,7 +78,8 @@ def test_fingertip_distances_follow_from_poses_and_solids(recorded) -> None:
     store = Store(root)
     for row in store.full_rows():
         computed = recompute_metrics.fingertip_distance(pd.Series(row), store.frames(row).to_pandas())
-        np.testing.assert_allclose(computed, row["stats/fingertip_distance"], rtol=0, atol=POSITION_ERROR_M)
+        # a target that was knocked away is metres off, where float32 keeps fewer digits
+        np.testing.assert_allclose(computed, row["stats/fingertip_distance"], rtol=1e-7, atol=POSITION_ERROR_M)
 
 
 @pytest.mark.parametrize("baseline", ["pursuit", "hold"])

@@ -141,7 +141,9 @@ def before_data(folder: Path) -> None:
     started = subprocess.Popen([sys.executable, "-m", "dynahoi_lerobot.cli.main", *command[1:]])
     while started.poll() is None and not (folder / "data/resumed.partial").exists():
         time.sleep(0.01)
-    started.send_signal(signal.SIGINT)
+    while started.poll() is None:  # Python drops an interrupt that arrives in a callback
+        started.send_signal(signal.SIGINT)
+        time.sleep(0.2)
     assert started.wait(), "it was over before it could be interrupted"
     run(command)
 
