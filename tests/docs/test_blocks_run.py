@@ -138,12 +138,12 @@ def before_data(folder: Path) -> None:
     run(["dynahoi", "generate", "--root", "data/one_worker", *size])
     run(["dynahoi", "generate", "--root", "data/plain", "--episodes", "2"])
     command = ["dynahoi", "generate", "--root", "data/resumed", *size]
-    started = subprocess.Popen([sys.executable, "-m", "dynahoi_lerobot.cli.main", *command[1:]])
+    program = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *command[1:]]
+    # what a shell starts in the background ignores interrupts, and so would its children
+    started = subprocess.Popen(program, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
     while started.poll() is None and not (folder / "data/resumed.partial").exists():
         time.sleep(0.01)
-    while started.poll() is None:  # Python drops an interrupt that arrives in a callback
-        started.send_signal(signal.SIGINT)
-        time.sleep(0.2)
+    started.send_signal(signal.SIGINT)
     assert started.wait(), "it was over before it could be interrupted"
     run(command)
 
