@@ -130,6 +130,11 @@ def digest(root: Path) -> str:
     return json.loads((root / "meta/manifest.json").read_text())["sha256"]
 
 
+def _heed_interrupts() -> None:
+    """What a shell starts in the background ignores interrupts, and so do its children unless told otherwise."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def before_data(folder: Path) -> None:
     """Generate what documented datasets are compared with: by one worker, interrupted and resumed, not by datatrove."""
     from tests.docs.playing import run
@@ -139,8 +144,7 @@ def before_data(folder: Path) -> None:
     run(["dynahoi", "generate", "--root", "data/plain", "--episodes", "2"])
     command = ["dynahoi", "generate", "--root", "data/resumed", *size]
     program = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *command[1:]]
-    # what a shell starts in the background ignores interrupts, and so would its children
-    started = subprocess.Popen(program, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
+    started = subprocess.Popen(program, preexec_fn=_heed_interrupts)  # noqa: PLW1509
     while started.poll() is None and not (folder / "data/resumed.partial").exists():
         time.sleep(0.01)
     started.send_signal(signal.SIGINT)
