@@ -11,9 +11,11 @@ import importlib.util
 import sys
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
@@ -138,39 +140,27 @@ def _checkpoint(out: Path) -> Path:
 
 
 def _train(out: Path, size: Size) -> None:
-    """Train into a temporary folder and keep the last checkpoint."""
-    partial, log = out / "training.partial", out / "lerobot_train.log"
-    task = {"quickstart": "lerobot-train"}
-    clear(partial, task)
-    run = partial / "run"
+    """Train, and keep the last checkpoint."""
+    checkpoint, partial = _checkpoint(out), out / "training.partial"
     words = [
         f"--config_path={TRAINING}",
         f"--dataset.root={out / 'dataset'}",
-        f"--output_dir={run}",
+        f"--output_dir={partial / 'run'}",
         f"--policy.device={_device()}",
         f"--steps={size.steps}",
         f"--save_freq={size.steps}",
         f"--log_freq={LOG_STEPS}",
         f"--batch_size={size.batch_size}",
     ]
-    print(f"lerobot-train {' '.join(words)}\noutput: {log}", flush=True)
-    with (
-        working_folder(partial, task),
-        tqdm(total=size.steps // LOG_STEPS, desc="encoding and training", disable=None, bar_format=BAR) as bar,
-    ):
-        if code := run_lerobot("lerobot_train", words, log, STEPS_DONE, bar):
-            raise StageError(f"lerobot-train exited with code {code}; see {log}")
-        checkpoint = _checkpoint(out)
+    bar = {"total": size.steps // LOG_STEPS, "desc": "encoding and training", "bar_format": BAR}
+    with _lerobot("train", words, out, partial, STEPS_DONE, **bar):
         checkpoint.parent.mkdir(exist_ok=True)
-        (run / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)
-    clear(partial, task)
+        (partial / "run" / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)
 
 
 def _evaluate(out: Path, size: Size) -> None:
-    """Evaluate into a temporary folder and rename it after all kinds have been played."""
+    """Evaluate, and keep the results once all kinds have been played."""
     kinds, results, partial = KINDS[: size.kinds], out / "results" / POLICY, out / "results" / f"{POLICY}.partial"
-    task = {"quickstart": "lerobot-eval"}
-    clear(partial, task)
     words = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
@@ -184,16 +174,27 @@ def _evaluate(out: Path, size: Size) -> None:
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     ]
-    log = out / "lerobot_eval.log"
-    print(f"lerobot-eval {' '.join(words)}\noutput: {log}", flush=True)
-    with (
-        working_folder(partial, task),
-        tqdm(total=len(kinds), desc="evaluating", unit="kind", disable=None) as bar,
-    ):
-        if code := run_lerobot("lerobot_eval", words, log, TASK_DONE, bar):
-            raise StageError(f"lerobot-eval exited with code {code}; see {log}")
+    with _lerobot("eval", words, out, partial, TASK_DONE, total=len(kinds), desc="evaluating", unit="kind"):
         _film(_checkpoint(out), partial / "film", partial / results.name)
         (partial / results.name).rename(results)
+
+
+@contextmanager
+def _lerobot(command: str, words: list[str], out: Path, partial: Path, step: str, **bar: Any) -> Iterator[None]:
+    """Run ``lerobot-train`` or ``lerobot-eval`` into ``partial``, which is gone at the end; the body keeps what counts.
+
+    Raises:
+        StageError: if the command fails.
+    """
+    task, log = {"quickstart": f"lerobot-{command}"}, out / f"lerobot_{command}.log"
+    clear(partial, task)
+    print(f"lerobot-{command} {' '.join(words)}\noutput: {log}", flush=True)
+    with working_folder(partial, task):
+        with tqdm(disable=None, **bar) as progress:
+            code = run_lerobot(f"lerobot_{command}", words, log, step, progress)
+        if code:
+            raise StageError(f"lerobot-{command} exited with code {code}; see {log}")
+        yield
     clear(partial, task)
 
 
@@ -229,7 +230,7 @@ def _conclude(out: Path, start: float, *, show: bool) -> None:
     page = render_report(folders, out / "report.html")
     table = results_table([read_results(folder) for folder in folders])
     (out / TABLE).write_text(table + "\n")
-    print(f"\n{table}\n\nThese scores follow minutes of training; docs/results.md lists those of hours.")
+    print(f"\n{table}\n\nThese scores follow a short training; docs/results.md lists those of the whole recipe.")
     print(f"done in {time.monotonic() - start:.0f} s; everything is in {out}. Open the report:")
     print(f"python -m webbrowser {page.resolve().as_uri()}")
     if show:

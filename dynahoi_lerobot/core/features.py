@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""
-NEXT_PREFIX = "next."
-"""LeRobot's own columns of what an action led to."""
 IMAGE_PREFIX = OBSERVATION_PREFIX + "images."
 EPISODE_TABLE_PREFIX = "stats/"
 """Columns of the episode table: LeRobot reads an episode's whole row for every sample, but for this prefix."""

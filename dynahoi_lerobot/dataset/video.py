@@ -221,10 +221,3 @@ def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.n
                 return
             if number >= start:
                 yield frame.to_ndarray(format="rgb24")
-
-
-def decode_packets(packets: Iterable[Packet], encoding: Encoding) -> np.ndarray:
-    """Return the images (T, H, W, 3) uint8 RGB of packets that ``encode`` returned."""
-    decoder = cast(VideoCodecContext, av.CodecContext.create(encoding.codec, "r"))
-    frames = [frame for packet in (*packets, None) for frame in decoder.decode(packet)]
-    return np.stack([frame.to_ndarray(format="rgb24") for frame in frames])

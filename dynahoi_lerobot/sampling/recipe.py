@@ -194,11 +194,6 @@ class Recipe:
             environment_state=self.environment_state,
         )
 
-    @property
-    def keeps_failures(self) -> bool:
-        """Whether failed episodes are stored."""
-        return self.keep_failures or bool(self.actor)
-
     def teacher(self) -> Teacher:
         """Return the expert as a teacher.
 

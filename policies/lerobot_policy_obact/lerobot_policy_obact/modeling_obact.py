@@ -90,6 +90,11 @@ class ObActModel(nn.Module):
             part.load_pretrained()
 
     @property
+    def device(self) -> torch.device:
+        """Where its weights are."""
+        return self.action_mean.device
+
+    @property
     def sees_motion(self) -> bool:
         """Whether the encoders take each image together with the one before."""
         return ENCODERS[self.config.encoder].sees_motion
@@ -228,7 +233,7 @@ class ObActPolicy(PreTrainedPolicy):
         from .virtual_episodes import VirtualEpisodes
 
         if self.recordings is None:
-            self.recordings = Recordings.encoded(self._meta, self.config, self.acting.sight)
+            self.recordings = Recordings.encoded(self._meta, self.config, self.acting)
             if self.recordings.targets is not None:
                 cameras = [camera_of(self.config, key) for key in self.config.cameras]
                 step_m = self.config.palm_speed_m_s / self.config.fps
@@ -237,8 +242,8 @@ class ObActPolicy(PreTrainedPolicy):
         others = torch.randint(len(self.recordings.frames), (len(named), self.config.episodes_per_sample - 1))
         chosen = torch.cat([named[:, None], others], dim=1).flatten()
         if self.virtual is not None and self.training and torch.rand(()) < self.config.virtual_share:
-            return self.virtual.lesson(len(chosen), self.config).to(self.model.action_mean.device)
-        return self.recordings.lesson(chosen, self.config).to(self.model.action_mean.device)
+            return self.virtual.lesson(len(chosen), self.config).to(self.model.device)
+        return self.recordings.lesson(chosen, self.config).to(self.model.device)
 
     def _observed(self, model: ObActModel, batch: Batch) -> Lesson:
         """Return one decision of each window of images."""

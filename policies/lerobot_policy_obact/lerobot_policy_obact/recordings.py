@@ -13,7 +13,6 @@ import json
 import logging
 import math
 import os
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,12 +30,12 @@ from torchvision.io import ImageReadMode, decode_image
 from tqdm import tqdm
 
 from .belief import FORECAST_FRAMES
-from .encoders import ENCODERS
 from .lessons import Frames, Future, Lesson
 from .teacher import answers, virtual_palms
 
 if TYPE_CHECKING:
     from .configuration_obact import ObActConfig
+    from .modeling_obact import ObActModel
 
 CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = "stats/{}_camera", "stats/{}_intrinsics", "stats/hand_limits"
 TARGET_PATH, LOCALIZED = "stats/target_path", "stats/localized"
@@ -46,8 +45,8 @@ EARLY_SHARE, EARLIEST_FRAME = 0.15, 3
 """Share of the decisions that are taken anywhere in the observation window, and the first frame at which."""
 CARRIED_VIEW = "ego"
 """The view of the camera that the palm carries."""
-Sight = Callable[[dict[str, Tensor]], Tensor]
-"""Encodes images of each camera, ``(T, 3 or 6, H, W)`` in [0, 1], to ``(T, C, 5 + E)``."""
+TAIL_BYTES = 65536
+"""Of a file that tell it from others: a video's index, a table's footer."""
 
 
 @dataclass(frozen=True)
@@ -152,20 +151,20 @@ class Recordings:
         )
 
     @classmethod
-    def encoded(cls, meta: Any, config: ObActConfig, sight: Sight) -> Recordings:
+    def encoded(cls, meta: Any, config: ObActConfig, model: ObActModel) -> Recordings:
         """Return a dataset with all its images encoded, or as an earlier run with the same images and weights found
         them.
 
         Args:
             meta: LeRobot's metadata of a dataset on this disk.
             config: of the policy.
-            sight: encodes images, as `ObActModel.sight` does.
+            model: whose encoders are used.
         """
-        table = episode_columns(meta)
+        table = episode_columns(meta, {"length", "window_frames", TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS})
         columns = _frame_columns(meta, [*config.state_keys, ACTION])
         count = torch.tensor(table["length"])
         recordings = cls(
-            sightings=_encoded_images(meta, config, sight, table["length"]),
+            sightings=_encoded_images(meta, config, model, table["length"]),
             state=torch.cat([columns[key] for key in config.state_keys], dim=-1),
             actions=columns[ACTION],
             first=count.cumsum(0) - count,
@@ -207,38 +206,33 @@ def _nearness(frames: Tensor, reachable: Tensor) -> Tensor:
     return (weight / weight.sum(-1, keepdim=True).clamp_min(1e-6) * reachable[..., None]).mean(2)
 
 
-def episode_columns(meta: Any) -> dict[str, list[Any]]:
-    """Return the columns of the episode table that training needs and the dataset has, in the order of episodes."""
-    wanted = {
-        "episode_index",
-        "length",
-        "window_frames",
-        TARGET_PATH,
-        LOCALIZED,
-        OPEN_JOINTS,
-        CLOSED_JOINTS,
-        HAND_LIMITS,
-    }
-    wanted |= {name.format(key.split(".")[-1]) for key in meta.camera_keys for name in (CAMERA_POSE, CAMERA_INTRINSICS)}
-    files = sorted(Path(meta.root).glob("meta/episodes/*/*.parquet"))
+def episode_columns(meta: Any, wanted: set[str]) -> dict[str, list[Any]]:
+    """Return those of the ``wanted`` columns of the episode table that the dataset has, in the order of episodes."""
+    files = _episode_files(meta)
     held = [name for name in pq.read_schema(files[0]).names if name in wanted]
-    table = pa.concat_tables([pq.read_table(file, columns=held) for file in files]).sort_by("episode_index")
+    columns = ["episode_index", *held]
+    table = pa.concat_tables([pq.read_table(file, columns=columns) for file in files]).sort_by("episode_index")
     return {name: table[name].to_pylist() for name in held}
+
+
+def _episode_files(meta: Any) -> list[Path]:
+    return sorted(Path(meta.root).glob("meta/episodes/*/*.parquet"))
 
 
 def describe(meta: Any, config: ObActConfig) -> None:
     """Write what a dataset says of its cameras, its clock, its hand and its target into the config."""
     config.fps = float(meta.fps)
-    table = episode_columns(meta)
-    for key in config.cameras:
-        view = key.split(".")[-1]
+    views = {key: key.split(".")[-1] for key in config.cameras}
+    of_cameras = {name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)}
+    table = episode_columns(meta, of_cameras | {HAND_LIMITS})
+    for key, view in views.items():
         if pose := table.get(CAMERA_POSE.format(view)):
             focal_px, _, centre_px, _ = table[CAMERA_INTRINSICS.format(view)][0]
             config.calibration[key] = [*pose[0], centre_px / focal_px, float(view == CARRIED_VIEW)]
     if limits := table.get(HAND_LIMITS):
         config.palm_speed_m_s = float(limits[0][0])
         config.delay_frames = math.ceil(limits[0][2] / 1000 * config.fps - 1e-6)
-    config.forecasts = config.encode_once and TARGET_PATH in table
+    config.forecasts = config.encode_once and TARGET_PATH in pq.read_schema(_episode_files(meta)[0]).names
 
 
 def _free_frames(localized: list[bool]) -> int:
@@ -253,18 +247,18 @@ def _frame_columns(meta: Any, keys: list[str]) -> dict[str, Tensor]:
     return {key: torch.from_numpy(np.array(table[key].to_pylist(), np.float32)).reshape(len(table), -1) for key in keys}
 
 
-def _encoded_images(meta: Any, config: ObActConfig, sight: Sight, lengths: list[int]) -> Tensor:
+def _encoded_images(meta: Any, config: ObActConfig, model: ObActModel, lengths: list[int]) -> Tensor:
     """Return the sightings of all frames, ``(N, C, 5 + E)``, kept beside LeRobot's datasets for the next run."""
-    place = HF_LEROBOT_HOME / "obact_sightings" / f"{_fingerprint(meta, config, sight)}.safetensors"
+    place = HF_LEROBOT_HOME / "obact_sightings" / f"{_fingerprint(meta, config, model)}.safetensors"
     if place.is_file():
         return load_file(place)["sightings"]
     logging.info("encoding %d frames once; the sightings are kept in %s", sum(lengths), place)
     found = []
     for episode, length in enumerate(tqdm(lengths, desc="encoding", unit="episode", disable=None)):
-        images = {key: _images(meta, key, episode, length) for key in config.cameras}
-        if ENCODERS[config.encoder].sees_motion:
+        images = {key: _images(meta, key, episode, length).to(model.device) for key in config.cameras}
+        if model.sees_motion:
             images = {key: torch.cat([x, torch.cat([x[:1], x[:-1]])], dim=1) for key, x in images.items()}
-        found.append(sight(images))
+        found.append(model.sight(images).cpu())
     sightings = torch.cat(found)
     place.parent.mkdir(parents=True, exist_ok=True)
     part = place.with_suffix(f".{os.getpid()}.part")
@@ -273,14 +267,17 @@ def _encoded_images(meta: Any, config: ObActConfig, sight: Sight, lengths: list[
     return sightings
 
 
-def _fingerprint(meta: Any, config: ObActConfig, sight: Sight) -> str:
+def _fingerprint(meta: Any, config: ObActConfig, model: ObActModel) -> str:
     """Return what the sightings follow from: the dataset's files and the encoder's weights."""
     digest = hashlib.sha256(json.dumps([config.encoder, config.encoder_options, config.cameras]).encode())
     for file in sorted(Path(meta.root).glob("**/*")):
         if file.suffix in (".mp4", ".parquet"):
-            digest.update(f"{file.relative_to(meta.root)} {file.stat().st_size}".encode())
-            digest.update(file.read_bytes()[-65536:])  # a video's index, a table's footer
-    for parameter in sight.__self__.encoders.state_dict().values():
+            size = file.stat().st_size
+            digest.update(f"{file.relative_to(meta.root)} {size}".encode())
+            with file.open("rb") as opened:
+                opened.seek(max(0, size - TAIL_BYTES))
+                digest.update(opened.read())
+    for parameter in model.encoders.state_dict().values():
         digest.update(parameter.cpu().numpy().tobytes())
     return digest.hexdigest()[:32]
 
