@@ -82,7 +82,7 @@ class Episode:
         target_pose: (T, 7) float32, position [m] and quaternion wxyz of the target.
         target_velocity: (T, 6) float32, linear [m/s] and angular [rad/s] velocity of the target.
         target_path: (F, 3) float32 [m], where the target would be in every frame had nothing touched it. F = window +
-            L + 1, as long as an evaluation may last, so it goes on after the recording of a catch has ended.
+            L + 1, as long as an evaluation may last, so it extends beyond the end of a recorded catch.
         target_contacts: (T, 5) float32, 1 where the finger touches the target.
         palm_distance: (T,) float32 [m], palm centre to target centre, the least within the control step that ends
             at the frame (so a fast target cannot pass between two frames unseen).

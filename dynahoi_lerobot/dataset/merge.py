@@ -2,7 +2,7 @@
 
 LeRobot's ``aggregate_datasets`` needs torch, which making data does not, averages quantiles, appends to ever longer
 videos, of which its reader reads the whole index for every sample, and rewrites a file for every source. Its
-``delete_episodes`` encodes videos anew and drops our columns of the episode table.
+``delete_episodes`` re-encodes videos and drops our columns of the episode table.
 """
 
 from __future__ import annotations

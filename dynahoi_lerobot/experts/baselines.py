@@ -46,7 +46,7 @@ class Pursuit(SingleWorldExpert):
 
 @EXPERTS.register("constant_velocity")
 class ConstantVelocity(SingleWorldExpert):
-    """Perfect perception without a model of the motion; it plans anew in every frame, at the class's full speed."""
+    """Perfect perception without a model of the motion; it replans in every frame, at the class's full speed."""
 
     name = "constant_velocity"
 
@@ -58,7 +58,7 @@ class ConstantVelocity(SingleWorldExpert):
 
 @EXPERTS.register("constant_acceleration")
 class ConstantAcceleration(SingleWorldExpert):
-    """Perfect perception and a second-order model of the motion; it plans anew in every frame, at full speed."""
+    """Perfect perception and a second-order model of the motion; it replans in every frame, at full speed."""
 
     name = "constant_acceleration"
 

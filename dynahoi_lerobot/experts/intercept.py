@@ -34,7 +34,7 @@ class Intercept(Teacher):
     """A constant-speed straight approach to the earliest point of the target's path that the hand can reach.
 
     Appendix "Data collection" lets the expert predict an intercept and wait for a planar tolerance; this one knows the
-    untouched target's path and plans anew in every frame from where the hand will be when the command takes effect. So
+    untouched target's path and replans in every frame from where the hand will be when the command takes effect. So
     it labels any state, also after a disturbance or a miss, and arrives together with the target: no wait is needed.
     """
 
@@ -64,7 +64,7 @@ class Intercept(Teacher):
 def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarray:
     """Return (18,) the command of a hand that goes straight to the earliest point of a path that it can reach in time.
 
-    A function of the state: a hand that was disturbed, or missed, goes on from where it is. It arrives no sooner than
+    A function of the state: a hand that was disturbed, or missed, continues from where it is. It arrives no sooner than
     its fingers can be closed, and closes them by time to go. A hand that can reach no point goes to the last one.
 
     Args:

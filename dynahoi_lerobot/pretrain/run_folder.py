@@ -1,4 +1,4 @@
-"""The folder of a training run: its log, and what a run that was killed goes on from."""
+"""The folder of a training run: its log, and what a killed run resumes from."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LOG, STATE, RECORD = "log.jsonl", "state.pt", "run.json"
 
 
 class RunFolder:
-    """Keeps log and saved state together: what was logged after the last save is dropped when a run goes on from it."""
+    """Keeps log and saved state together: what was logged after the last save is dropped when a run resumes from it."""
 
     def __init__(self, path: Path, task: dict[str, Any]) -> None:
         """Claim a folder for ``task`` as long as this object lives, see ``working_folder``.

@@ -69,7 +69,7 @@ class Snapshots:
 class ImageStream:
     """The images of an eye's recipe, a batch for each update, from any update on.
 
-    Each call seeds a stream anew from the recipe's seed and the update. Episodes are sampled at the first one.
+    Each call starts a stream seeded by the recipe's seed and the update. Episodes are sampled at the first one.
     """
 
     def __init__(self, recipe: EyeRecipe) -> None:
@@ -82,7 +82,7 @@ class ImageStream:
         return camera_pose(model, name), intrinsics(model, name, self._recipe.episodes.image_size)
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
-        """Yield images for ever, as a run shows them that goes on from ``update``."""
+        """Yield images forever, as a run that resumes from ``update`` sees them."""
         return _shown(self._batch, self.specs, self._recipe.camera, np.random.default_rng([self._recipe.seed, update]))
 
     @cached_property
@@ -101,7 +101,7 @@ class ImageStream:
 def snapshots(
     recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator, camera: str = EGO_VIEW
 ) -> Iterator[Snapshots]:
-    """Yield images for ever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
+    """Yield images forever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
 
     Args:
         recipe: of the episodes, for hand, renderer and image size.
@@ -116,7 +116,7 @@ def snapshots(
 def _shown(
     batch: WorldBatch, specs: Sequence[EpisodeSpec], camera: str, rng: np.random.Generator
 ) -> Iterator[Snapshots]:
-    """Yield images for ever, of all worlds of a batch together; see `snapshots`."""
+    """Yield images forever, of all worlds of a batch together; see `snapshots`."""
     size, everyone = batch.size, np.arange(batch.size)
     while True:
         chosen = [specs[i] for i in rng.choice(len(specs), size)]

@@ -3,7 +3,7 @@
 `dynahoi evaluate` asks an agent for whole chunks: `RealTimeAgent`. LeRobot's evaluation loop asks a policy for one
 action a call: `StepwiseInference`. Both follow one timeline. An inference begins with the observation of frame t and
 its chunk, whose first action is for frame t, is ready d frames later: what is past is skipped. Meanwhile the old chunk
-goes on. The next inference begins when the last has ended. Until the first chunk is ready, a hand stays where it is;
+continues. The next inference begins when the last has ended. Until the first chunk is ready, a hand stays where it is;
 after the last action of a chunk, where that led.
 """
 
@@ -23,7 +23,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT
 SYNC, ASYNC, RTC = "sync", "async", "rtc"
 INFERENCE_MODES = {
     SYNC: "the world waits for every decision",
-    ASYNC: "one inference at a time; the old chunk goes on meanwhile, and what is past of the new one is skipped",
+    ASYNC: "one inference at a time; the old chunk continues meanwhile, and past actions of the new one are skipped",
     RTC: "as async, and the new chunk is guided by what the old one has committed to (real-time chunking)",
 }
 MAX_LATENCY_MS = 60_000.0
@@ -181,7 +181,7 @@ class RealTimeAgent(Agent):
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
 
     def _continued(self, worlds: np.ndarray) -> dict[str, np.ndarray]:
-        """What goes on in ``worlds`` (n,) meanwhile; an inference is expected to take as long as the last one."""
+        """The chunks that continue in ``worlds`` (n,); an inference is expected to take as long as the last one."""
         old = [chunk for i in worlds if (chunk := self._running[i]) is not None]
         if not old:
             return {}

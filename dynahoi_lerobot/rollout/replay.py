@@ -71,7 +71,7 @@ def simulator(recipe: dict[str, Any]) -> Resimulate:
 
 
 def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode]) -> Resimulate:
-    """Return a function that makes on-policy recordings again, by the executed commands; all else is computed anew.
+    """Return a function that makes on-policy recordings again, from the executed commands; all else is recomputed.
 
     Args:
         recipe: what was recorded.
@@ -94,7 +94,7 @@ def replay(
         recipe: what was played.
         logs: one an episode; all are played side by side.
         images: whether to record images.
-        as_evaluated: whether an episode ends when an evaluation ends it, before a log that goes on and after one that
+        as_evaluated: whether an episode ends when an evaluation ends it, before a log that continues and after one that
             stops; by default it ends with its log.
     """
     specs = sample_specs(recipe, [log.seed for log in logs])

@@ -38,7 +38,7 @@ def manifest_problems(store: Store) -> Iterator[str]:
 
 
 def rewritten(store: Store) -> str | None:
-    """Return a sentence if another tool has written the dataset anew and dropped what only we write, else None."""
+    """Return a sentence if another tool has rewritten the dataset and dropped what only we write, else None."""
     if (store.root / MANIFEST_PATH).exists():
         return None
     held = {name for path in store.row_files() for name in pq.read_schema(path).names}

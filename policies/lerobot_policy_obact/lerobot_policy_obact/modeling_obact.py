@@ -292,7 +292,7 @@ class ObActPolicy(PreTrainedPolicy):
 
         Args:
             batch: preprocessed observation of one step.
-            noise: start of the sampling, ``(B, H, A)``; drawn anew for every chunk if None.
+            noise: start of the sampling, ``(B, H, A)``; drawn for every chunk if None.
             **kwargs: unused.
         """
         self.eval()
@@ -326,8 +326,8 @@ class ObActPolicy(PreTrainedPolicy):
     ) -> Tensor:
         """Return a whole chunk, ``(B, H, A)``.
 
-        The history counts seconds: a frame is as old as its ``timestamp`` says, or, if the batch has none, as the clock
-        on the wall says. So a server that asks for one chunk after the other sees the past as it was.
+        The history counts seconds: a frame is as old as its ``timestamp`` says, or, if the batch has none, as the
+        wall clock says. So a server that asks for one chunk after the other sees the past as it was.
 
         Args:
             batch: preprocessed observation of one step.

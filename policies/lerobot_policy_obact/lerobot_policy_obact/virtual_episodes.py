@@ -32,7 +32,7 @@ OWN_CANDIDATES, CANDIDATES = 16, 64
 FOLLOWING_SHARE, FULL_SPEED_SHARE = 0.6, 0.6
 """Shares of the hands that go where the teacher would go, not after the target, and that move at full speed."""
 CHANGE_SHARE = 0.12
-"""Share of the frames in which a hand's offset from its goal is drawn anew."""
+"""Share of the frames in which a hand's offset from its goal is redrawn."""
 SPREAD_M = 0.15
 """Greatest standard deviation of that offset, along each axis."""
 LAG_FRAMES = (-3, 20)
