@@ -23,7 +23,7 @@ from support.options import benchmark_parser, write_numbers
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
-from dynahoi_lerobot.pretrain.recipe import EyeRecipe
+from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, Snapshots, snapshots
 from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
@@ -52,7 +52,7 @@ def main() -> None:
     specs = sample_specs(recipe, range(args.episodes))
     eye = Eye(weights=args.eye).eval()
     eye.load_pretrained()
-    eye_recipe = EyeRecipe(Path(), args.camera, episodes=recipe, n_episodes=1, batch_size=1, images=1)
+    eye_recipe = PretrainRecipe(Path(), args.camera, episodes=recipe, n_episodes=1, batch_size=1, images=1)
     pose, (focal_px, _, centre_px, _) = ImageStream(eye_recipe).camera
     camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=args.camera == EGO_VIEW)
     random = snapshots(recipe, specs, args.batch_size, np.random.default_rng(1), args.camera)

@@ -17,7 +17,7 @@ COMMANDS = {
     "generate": ("dynahoi_lerobot.generate.command", "write a LeRobotDataset of expert or on-policy episodes"),
     "verify": ("dynahoi_lerobot.verify.command", "check a dataset on disk, optionally by decoding and replaying it"),
     "filter": ("dynahoi_lerobot.verify.filter", "copy a dataset without what the paper calls outliers"),
-    "pretrain": ("dynahoi_lerobot.pretrain.command", "train a policy's eye on images of random poses"),
+    "pretrain": ("dynahoi_lerobot.pretrain.command", "train an eye or a backbone on images of random poses"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
     "report": ("dynahoi_lerobot.report.command", "write one HTML page with the tables and figures of result folders"),
     "push": ("dynahoi_lerobot.hub", "upload a dataset, a checkpoint, results or the environment to the Hub"),

@@ -1,4 +1,4 @@
-"""``dynahoi pretrain``: train an eye on images of random configurations, as a recipe says."""
+"""``dynahoi pretrain``: train an eye or a backbone on images of random configurations, as a recipe says."""
 
 from __future__ import annotations
 
@@ -21,10 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, print a line at each save, and return the exit code: 0 done, 1 the loss was not finite."""
-    from lerobot_policy_obact.eye_training import EyeTraining
+    from lerobot_policy_obact.eye_training import EyeLearner
+
+    from dynahoi_lerobot.pretrain.act_backbone import BackboneLearner
+    from dynahoi_lerobot.pretrain.training import Training
 
     recipe = read_recipe(args.recipe, **({} if args.out is None else {"out": args.out}))
-    training = EyeTraining(recipe, ImageStream(recipe))
+    training = Training(recipe, ImageStream(recipe), EyeLearner if recipe.policy is None else BackboneLearner)
     if training.finished:
         print(f"{recipe.out}: already trained on all {recipe.images} images")
     try:

@@ -1,4 +1,4 @@
-"""How an eye is pretrained, as a YAML file that draccus reads."""
+"""What is pretrained and how, as a YAML file that draccus reads."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 
 
 @dataclass(frozen=True)
-class EyeRecipe:
-    """How an eye is trained on random configurations.
+class PretrainRecipe:
+    """How an eye or a backbone is trained on random configurations.
 
     Attributes:
-        out: folder that receives ``eye.safetensors``, ``log.jsonl`` and what a killed run resumes from.
+        out: folder that receives the weights, ``log.jsonl`` and what a killed run resumes from.
         camera: whose images it sees, ``ego`` or ``side``.
         eye: options of ObAct's ``Eye``, such as ``weights`` to start from.
+        policy: training recipe of an ACT, whose backbone is trained instead of an eye.
         device: of the training.
         episodes: what the images show.
         n_episodes: how many different episodes they show.
@@ -36,6 +37,7 @@ class EyeRecipe:
     out: Path
     camera: str = EGO_VIEW
     eye: dict[str, Any] = field(default_factory=dict)
+    policy: Path | None = None
     device: str = "cpu"
     episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
     n_episodes: int = 1024
@@ -61,7 +63,7 @@ class EyeRecipe:
             raise ValueError(f"images must be at least batch_size, {self.batch_size}, got {self.images}")
 
 
-def read_recipe(path: Path, **changes: Any) -> EyeRecipe:
+def read_recipe(path: Path, **changes: Any) -> PretrainRecipe:
     """Read a recipe from YAML, with some values changed.
 
     Raises:
@@ -71,6 +73,6 @@ def read_recipe(path: Path, **changes: Any) -> EyeRecipe:
     if not isinstance(values, dict):
         raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
     try:
-        return draccus.decode(EyeRecipe, values | {name: str(value) for name, value in changes.items()})
+        return draccus.decode(PretrainRecipe, values | {name: str(value) for name, value in changes.items()})
     except draccus.utils.DraccusException as error:
         raise ValueError(f"{path}: {error.__cause__ or error}") from error

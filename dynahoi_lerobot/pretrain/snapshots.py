@@ -11,7 +11,7 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.pretrain.recipe import EyeRecipe
+from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.rollout.recorder import camera_pose, intrinsics
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -72,7 +72,7 @@ class ImageStream:
     Each call starts a stream seeded by the recipe's seed and the update. Episodes are sampled at the first one.
     """
 
-    def __init__(self, recipe: EyeRecipe) -> None:
+    def __init__(self, recipe: PretrainRecipe) -> None:
         self._recipe = recipe
 
     @property

@@ -11,7 +11,7 @@ import pytest
 import torch
 from lerobot_policy_obact.camera import Pinhole
 
-from dynahoi_lerobot.pretrain.recipe import EyeRecipe
+from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, snapshots
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -39,7 +39,9 @@ def test_images_are_of_many_poses():
 @pytest.mark.parametrize("camera", ["ego", "side"])
 def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
     """A target that is posed where the calibration puts (u, v) is drawn around that point of the image."""
-    pose, (focal_px, _, centre_px, _) = ImageStream(EyeRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)).camera
+    pose, (focal_px, _, centre_px, _) = ImageStream(
+        PretrainRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)
+    ).camera
     eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
     batch = WorldBatch(RECIPE, len(wanted), threads=1)
@@ -74,7 +76,7 @@ def test_fingers_move_between_some_images_and_some_come_twice(monkeypatch: pytes
 def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
     def surroundings(share: float) -> int:
         """Return how many of four episodes have distractors."""
-        recipe = EyeRecipe(tmp_path, episodes=RECIPE, n_episodes=4, randomized_share=share)
+        recipe = PretrainRecipe(tmp_path, episodes=RECIPE, n_episodes=4, randomized_share=share)
         return sum(bool(spec.appearance.distractors) for spec in ImageStream(recipe).specs)
 
     assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
@@ -82,4 +84,4 @@ def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
 
 def test_a_share_beyond_one_is_refused(tmp_path: Path):
     with pytest.raises(ValueError, match=re.escape("randomized_share must be 0 to 1, got 1.5")):
-        EyeRecipe(tmp_path, randomized_share=1.5)
+        PretrainRecipe(tmp_path, randomized_share=1.5)

@@ -36,7 +36,8 @@ class ObActConfig(PreTrainedConfig):
         relative_dims: leading entries of an action that say where to go in the frame of the same entries of
             ``observation.state`` [m]; they are predicted as displacements. 0 for actions of another kind.
         encoder: one of `ENCODERS`.
-        encoder_options: keyword options of that encoder.
+        encoder_options: keyword options of that encoder. In a text, ``{view}`` stands for the last part of the key of
+            the image, so that each camera may start from weights of its own.
         freeze_encoder: whether training leaves its weights alone.
         encode_once: encode all frames of the dataset before training begins, which then reads no images. It takes a
             frozen encoder. With a dataset that holds the target's path, each decision is also taken from virtual palms.
@@ -165,6 +166,12 @@ class ObActConfig(PreTrainedConfig):
     def cameras(self) -> list[str]:
         """Keys of the images."""
         return list(self.image_features)
+
+    def options_of(self, camera: str) -> dict[str, Any]:
+        """Return the ``encoder_options`` for an image key."""
+        view = camera.rsplit(".", maxsplit=1)[-1]
+        options = self.encoder_options.items()
+        return {name: x.replace("{view}", view) if isinstance(x, str) else x for name, x in options}
 
     @property
     def state_keys(self) -> list[str]:

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 Batch = dict[str, Any]
 N_FEATURES = 64
 """Numbers of the belief that the head reads beside the forecast."""
+MISSED_WEIGHT = 10.0
+"""Weight in the loss of the distance from the place that attention picks from the forecast to the right one [1/m]."""
 
 
 class ObActModel(nn.Module):
@@ -53,8 +55,7 @@ class ObActModel(nn.Module):
     def __init__(self, config: ObActConfig) -> None:
         super().__init__()
         self.config = config
-        options = config.encoder_options
-        encoders = [ENCODERS[config.encoder](**options) for _ in config.cameras]
+        encoders = [ENCODERS[config.encoder](**config.options_of(key)) for key in config.cameras]
         self.encoders = nn.ModuleList(encoders).requires_grad_(not config.freeze_encoder)
         self.belief = Belief(
             [camera_of(config, key) for key in config.cameras],
@@ -69,6 +70,7 @@ class ObActModel(nn.Module):
         n_state, n_actions = config.n_state, config.n_actions
         n_inputs = 4 * len(FORECAST_FRAMES) if config.forecasts else n_state
         self.trunk = nn.Sequential(perceptron(n_inputs + N_FEATURES, config.width, config.width), nn.SiLU())
+        self.when = nn.Linear(config.width, config.horizon * len(FORECAST_FRAMES)) if config.forecasts else None
         groups = [size for size in (config.relative_dims, n_actions - config.relative_dims) if size]
         self.head = HEADS[config.head](config.width, config.horizon, groups, **config.head_options)
         self.register_buffer("action_mean", torch.zeros(n_actions))
@@ -120,8 +122,11 @@ class ObActModel(nn.Module):
         features, forecast = self.belief(frames.sightings[..., :N_SIGHTING], palm, extra, frames.time_s, rows)
         return features.reshape(n, q, -1), forecast.reshape(n, q, len(FORECAST_FRAMES), 3)
 
-    def context(self, features: Tensor, forecast: Tensor, palm: Tensor, state: Tensor) -> Tensor:
-        """Return what the head reads, ``(R, C)``.
+    def context(self, features: Tensor, forecast: Tensor, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what the head reads, ``(R, C)``, and the places from which its actions count [m], ``(R, H, 3)``.
+
+        Those are places of the forecast: attention over its times, whose values are positions, picks the one at which
+        to meet the target. Without a forecast they are where the palm is.
 
         Args:
             features: of the belief, ``(R, D)``.
@@ -131,24 +136,26 @@ class ObActModel(nn.Module):
         """
         told = nn.functional.silu(self.features(features))
         if not self.config.forecasts:
-            return self.trunk(torch.cat([(state - self.state_mean) / self.state_std, told], dim=-1))
+            context = self.trunk(torch.cat([(state - self.state_mean) / self.state_std, told], dim=-1))
+            return context, repeat(palm, "r i -> r h i", h=self.config.horizon)
         unit = 0.1 + 0.3 * self.belief.ahead_s
         offset = (forecast - palm[:, None]) / unit[:, None]  # (R, K, 3)
         distance = offset.norm(dim=-1).clamp_max(FAR)
-        return self.trunk(torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, told], dim=-1))
+        context = self.trunk(torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, told], dim=-1))
+        when = rearrange(self.when(context), "r (h k) -> r h k", h=self.config.horizon).softmax(-1)
+        return context, when @ forecast
 
-    def normalise(self, actions: Tensor, position: Tensor) -> Tensor:
-        """Map actions ``(R, H, A)`` to what the head predicts; ``position`` ``(R, A')`` is where the palm is."""
-        return (actions - self._origin(position, actions.shape[-1])) / self.action_std
+    def normalise(self, actions: Tensor, origin: Tensor) -> Tensor:
+        """Map actions ``(R, H, A)`` to what the head predicts; they count from ``origin`` ``(R, H, 3)``."""
+        return (actions - self._origin(origin)) / self.action_std
 
-    def unnormalise(self, predicted: Tensor, position: Tensor) -> Tensor:
+    def unnormalise(self, predicted: Tensor, origin: Tensor) -> Tensor:
         """Invert `normalise`."""
-        return predicted * self.action_std + self._origin(position, predicted.shape[-1])
+        return predicted * self.action_std + self._origin(origin)
 
-    def _origin(self, position: Tensor, size: int) -> Tensor:
-        n = self.config.relative_dims
-        padded = torch.nn.functional.pad(position[:, :n], (0, size - n))
-        return padded[:, None] + self.action_mean
+    def _origin(self, origin: Tensor) -> Tensor:
+        n, size = self.config.relative_dims, len(self.action_mean)
+        return torch.nn.functional.pad(origin[..., :n], (0, size - n)) + self.action_mean
 
 
 def camera_of(config: ObActConfig, key: str) -> Pinhole:
@@ -375,10 +382,11 @@ class ObActPolicy(PreTrainedPolicy):
         rows = torch.full((len(frames.state), 1), newest, device=frames.state.device)
         features, forecast = model.believe(frames, rows)
         due = self._due(frames)
-        context = model.context(features[:, 0], forecast[:, 0], due, frames.state[:, -1])
+        context, origin = model.context(features[:, 0], forecast[:, 0], due, frames.state[:, -1])
         if guidance is not None:
-            guidance = replace(guidance, leftover=model.normalise(guidance.leftover, due))
-        return model.unnormalise(model.head.sample(context, noise, guidance), due)
+            leftover = guidance.leftover[:, : self.config.horizon]
+            guidance = replace(guidance, leftover=model.normalise(leftover, origin[:, : leftover.shape[1]]))
+        return model.unnormalise(model.head.sample(context, noise, guidance), origin)
 
     def _due(self, frames: Frames) -> Tensor:
         """Return where the palm will be when the next command takes effect [m], ``(B, 3)``.
@@ -432,8 +440,11 @@ def lesson_losses(model: ObActModel, lesson: Lesson) -> dict[str, Tensor]:
     m = lesson.palm.shape[2]
     each = [repeat(x, "b q ... -> (b q m) ...", m=m) for x in (features, forecast)]
     palm, state, actions, weight = (x.flatten(0, 2) for x in (lesson.palm, lesson.state, lesson.actions, lesson.weight))
-    context = model.context(each[0], each[1], palm, state)
-    loss = model.head.loss(context, model.normalise(actions, palm), weight)  # (B * Q * M,)
+    context, origin = model.context(each[0], each[1], palm, state)
+    loss = model.head.loss(context, model.normalise(actions, origin.detach()), weight)  # (B * Q * M,)
+    if lesson.future is not None:
+        missed = ((actions[..., :3] - origin).square().sum(-1) + 1e-8).sqrt()  # by the place that was picked
+        loss = loss + MISSED_WEIGHT * (missed * weight).mean(-1)
     return losses | {"action": rearrange(loss, "(b n) -> b n", b=len(features)).mean(1)}
 
 

@@ -3,7 +3,7 @@
 A recorded episode shows one hand on its way to one target. The belief about the target does not depend on where the
 palm is, so each decision is taken from several palms at once: where the palm was, moved from there, and near the
 teacher's own way. For each the teacher's answer has a closed form: the earliest point of the target's path that a palm
-of limited speed can reach, and fingers that close by the time left until then.
+of limited speed reaches with a little time to spare, and fingers that close by the time left until then.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ CLOSED_FRAMES, CLOSING_FRAMES = 24, 8
 NEAREST_M, FARTHEST_M = 0.01, 0.15
 """Least and greatest standard deviation by which a virtual palm is moved, along each axis."""
 UNREACHABLE_WEIGHT = 0.1
+PLANNED_SPEED = 0.85
+"""Share of the palm's speed limit that the teacher plans with where that suffices: a palm that needs all of it comes
+too late whenever the forecast was wrong."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,10 @@ def answers(path: Tensor, length: Tensor, due: Tensor, palms: Tensor, step_m: fl
     frame = due[..., None] + ahead  # (B, Q, K)
     index = repeat(torch.minimum(frame, last), "b q k -> b (q k) i", i=3)
     future = rearrange(path.gather(1, index), "b (q k) i -> b q 1 k i", q=q)
-    near = (future - palms[:, :, :, None]).square().sum(-1) <= (step_m * ahead).square()  # (B, Q, M, K)
-    possible = near & (frame <= last)[:, :, None]
+    distance, known = (future - palms[:, :, :, None]).norm(dim=-1), (frame <= last)[:, :, None]  # (B, Q, M, K)
+    possible, planned = (known & (distance <= share * step_m * ahead) for share in (1.0, PLANNED_SPEED))
     reachable = possible.any(-1)
+    possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
     latest = repeat((last[..., 0] - due).clamp(1, LONGEST_FRAMES), "b q -> b q m", m=m)
     frames = torch.where(reachable, possible.int().argmax(-1) + 1, latest)
     chosen = repeat(frames - 1, "b q m -> b q m 1 i", i=3)

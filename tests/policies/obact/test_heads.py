@@ -6,7 +6,7 @@ import pytest
 import torch
 from lerobot.policies.rtc import RTCConfig, RTCProcessor
 from lerobot_policy_obact.configuration_obact import HEADS
-from lerobot_policy_obact.heads import ActionHead, Guidance
+from lerobot_policy_obact.heads import ActionHead, Guidance, most_central
 
 GENERATIVE = ["diffusion", "flow"]
 
@@ -35,9 +35,15 @@ def two_answers(n: int) -> torch.Tensor:
 def test_samples_cover_two_answers_and_nothing_between(name: str):
     with torch.enable_grad():
         head = trained(name, two_answers)
+    head.n_draws = 1
     samples = head.sample(torch.zeros(1000, 4))[:, 0, 0]
     assert 0.4 < (samples > 0.5).float().mean() < 0.6
     assert 0.4 < (samples < -0.5).float().mean() < 0.6
+
+
+def test_the_draw_nearest_to_the_others_is_taken():
+    draws = torch.tensor([[[-1.0, 0.0]], [[1.0, 9.0]], [[1.1, 0.0]]])[None]
+    assert torch.equal(most_central(draws, 1), draws[:, 1]), "the second entry does not count"
 
 
 @torch.no_grad()

@@ -21,7 +21,9 @@ from lerobot.datasets import LeRobotDataset
 from lerobot.policies import make_pre_post_processors
 from lerobot.scripts.lerobot_train import main
 from lerobot_policy_obact import ObActConfig, ObActPolicy
+from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.launch_policy_server import allow_obact
+from safetensors.torch import load_file
 
 from dynahoi_lerobot.cli.main import main as dynahoi
 
@@ -148,6 +150,14 @@ def test_the_loss_falls_on_recorded_and_on_virtual_episodes(
     assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
     one_each, _ = policy(batch, reduction="none")
     assert one_each.shape == (4,)
+
+
+def test_each_camera_starts_from_weights_of_its_own():
+    images = {f"observation.images.{view}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)) for view in ("ego", "side")}
+    state = {"observation.state": PolicyFeature(FeatureType.STATE, (18,))}
+    policy = hand_policy(input_features=images | state, encoder="eye", encoder_options={"weights": "{view}_96"})
+    for eye, name in zip(policy.acting.encoders, ("ego_96", "side_96"), strict=True):
+        torch.testing.assert_close(eye.attention.query.weight, load_file(SHIPPED[name])["attention.query.weight"])
 
 
 def test_acting_never_imports_what_labels_virtual_palms():
