@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from typing import Any
+
+import yaml
 
 from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.pretrain.recipe import read_recipe
@@ -17,6 +20,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi pretrain``."""
     parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/eye/ego_96.yaml")
     parser.add_argument("--out", type=path, help="folder of the run instead of the recipe's; resumed if it was stopped")
+    parser.add_argument(
+        "--set",
+        type=setting,
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a field of the recipe, such as images=100000; may be repeated",
+    )
+
+
+def setting(text: str) -> tuple[str, Any]:
+    """Parse ``KEY=VALUE``, the value as YAML."""
+    key, separator, value = text.partition("=")
+    if not separator:
+        raise argparse.ArgumentTypeError(f"must be KEY=VALUE, got {text!r}")
+    return key, yaml.safe_load(value)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -26,7 +45,8 @@ def run(args: argparse.Namespace) -> int:
     from dynahoi_lerobot.pretrain.act_backbone import BackboneLearner
     from dynahoi_lerobot.pretrain.training import Training
 
-    recipe = read_recipe(args.recipe, **({} if args.out is None else {"out": args.out}))
+    changes = dict(args.set) | ({} if args.out is None else {"out": str(args.out)})
+    recipe = read_recipe(args.recipe, **changes)
     training = Training(recipe, ImageStream(recipe), EyeLearner if recipe.policy is None else BackboneLearner)
     if training.finished:
         print(f"{recipe.out}: already trained on all {recipe.images} images")

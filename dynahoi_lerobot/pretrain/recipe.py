@@ -73,6 +73,6 @@ def read_recipe(path: Path, **changes: Any) -> PretrainRecipe:
     if not isinstance(values, dict):
         raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
     try:
-        return draccus.decode(PretrainRecipe, values | {name: str(value) for name, value in changes.items()})
+        return draccus.decode(PretrainRecipe, values | changes)
     except draccus.utils.DraccusException as error:
         raise ValueError(f"{path}: {error.__cause__ or error}") from error

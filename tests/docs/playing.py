@@ -32,6 +32,7 @@ COUNTS = {
 """What replaces the values of these options, where a command has them."""
 FEWER = {
     "dynahoi quickstart": ["--tiny"],
+    "dynahoi pretrain": ["--set=images=64", "--set=n_episodes=2"],
     "dynahoi evaluate": ["--episodes=2"],
     "lerobot-train": ["--steps=2", "--batch_size=2", "--num_workers=0", "--log_freq=1"],
     "lerobot-eval": ["--env.task=lob"],

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from lerobot_policy_obact.eye_training import EyeTraining
+from lerobot_policy_obact.eye_training import EyeLearner
 
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 from dynahoi_lerobot.pretrain.run_folder import RunFolder
 from dynahoi_lerobot.pretrain.snapshots import ImageStream
+from dynahoi_lerobot.pretrain.training import Training
 from tests.pretrain.stand_in_gpu import OnGpu, stand_in_gpu
 from tests.pretrain.test_pretrain import tiny_recipe
 
@@ -33,9 +34,9 @@ def test_the_stand_in_refuses_what_a_gpu_refuses(gpu: None):
 
 def test_an_eye_on_a_gpu_learns(tmp_path: Path, gpu: None):
     recipe = read_recipe(tiny_recipe(tmp_path, device="cuda"))
-    training = EyeTraining(recipe, ImageStream(recipe))
+    training = Training(recipe, ImageStream(recipe), EyeLearner)
     assert all(training.update(shown) > 0 for shown in islice(ImageStream(recipe)(0), 2))
-    assert all(isinstance(weight, OnGpu) for weight in training.eye.state_dict().values())
+    assert all(isinstance(weight, OnGpu) for weight in training.learner.module.state_dict().values())
 
 
 def test_a_run_saved_on_a_gpu_goes_on_without_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
