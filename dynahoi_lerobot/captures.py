@@ -210,7 +210,7 @@ class Attach(CaptureRule):
 
 @CAPTURES.register("attach_lenient")
 class AttachLenient(Attach):
-    """Localised means within 10 cm; the weld, the grasp's verdict and the clock of R_time follow (S_loc* of the paper).
+    """Localised means within 10 cm; weld, grasp check and R_time use the same threshold (S_loc* of the paper).
 
     Appendix "Evaluation Criteria" relaxes the threshold of localisation, and attaches the target "once the hand-object
     distance meets the localization criterion".
@@ -222,7 +222,7 @@ class AttachLenient(Attach):
 
 @CAPTURES.register("contact")
 class Contact(CaptureRule):
-    """Held: gripped by thumb and finger, or finger and palm, off everything else, for 0.5 s in which the hand moves.
+    """Held: gripped by thumb and finger, or finger and palm, clear of all else, for 0.5 s while the hand moves.
 
     Hand and target collide from the start. A prescribed target follows its path until the hand first touches it, and is
     a free body from that physics step on, at the velocity it had; a pendulum's string lets go likewise.

@@ -64,11 +64,11 @@ class Fact:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi doctor``."""
-    parser.add_argument("--folder", type=path, default=Path(), help="output folder, whose disk is checked")
+    parser.add_argument("--folder", type=path, default=Path(), help="output folder on the disk to check")
     parser.add_argument(
-        "--reference", action="store_true", help="also play 44 episodes and compare them bit by bit with ours"
+        "--reference", action="store_true", help="also run 44 episodes and compare them bit by bit with the reference"
     )
-    parser.add_argument("--json", type=path, help="also write the facts to this file")
+    parser.add_argument("--json", type=path, help="also write the findings to this file")
 
 
 def run(args: argparse.Namespace) -> int:

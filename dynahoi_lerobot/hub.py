@@ -63,15 +63,13 @@ class HubError(RuntimeError):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi push``."""
-    parser.add_argument(
-        "folder", type=path, help="a dataset, a pretrained_model folder, results of evaluate, or envs/hub"
-    )
-    parser.add_argument("repo", help="USER/NAME on the Hub; results go to their checkpoint's repository")
+    parser.add_argument("folder", type=path, help="a dataset, a pretrained_model folder, a result folder or envs/hub")
+    parser.add_argument("repo", help="USER/NAME on the Hub; for results, the repository of their checkpoint")
     parser.add_argument("--private", action="store_true", help="create a private repository")
     parser.add_argument(
-        "--replace", action="store_true", help="checkpoints only: replace other weights and remove their results"
+        "--replace", action="store_true", help="checkpoints only: overwrite different weights and delete their results"
     )
-    parser.add_argument("--policy", help="results only: the policy that was evaluated, if it had another name")
+    parser.add_argument("--policy", help="results only: name of the evaluated policy, if it differed")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -92,8 +92,8 @@ LISTS: dict[str, Callable[[], list[Row]]] = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi list``."""
-    parser.add_argument("what", choices=sorted(LISTS), help="which registry")
-    parser.add_argument("--json", action="store_true", help="machine-readable")
+    parser.add_argument("what", choices=sorted(LISTS), help="registry to print")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -13,15 +13,15 @@ from typing import Any, NoReturn
 from dynahoi_lerobot.core.files import check_output, printable
 
 COMMANDS = {
-    "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report, on a CPU in minutes"),
-    "generate": ("dynahoi_lerobot.generate.command", "write a LeRobotDataset of expert or on-policy episodes"),
-    "verify": ("dynahoi_lerobot.verify.command", "check a dataset on disk, optionally by decoding and replaying it"),
-    "filter": ("dynahoi_lerobot.verify.filter", "copy a dataset without what the paper calls outliers"),
-    "pretrain": ("dynahoi_lerobot.pretrain.command", "train an eye or a backbone on images of random poses"),
+    "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report on a CPU in minutes"),
+    "generate": ("dynahoi_lerobot.generate.command", "record a LeRobotDataset of expert or on-policy episodes"),
+    "verify": ("dynahoi_lerobot.verify.command", "check a dataset on disk, optionally by replaying episodes"),
+    "filter": ("dynahoi_lerobot.verify.filter", "copy a dataset without outliers as the paper defines them"),
+    "pretrain": ("dynahoi_lerobot.pretrain.command", "pretrain an image encoder on random poses"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
-    "report": ("dynahoi_lerobot.report.command", "write one HTML page with the tables and figures of result folders"),
+    "report": ("dynahoi_lerobot.report.command", "write an HTML report of result folders"),
     "push": ("dynahoi_lerobot.hub", "upload a dataset, a checkpoint, results or the environment to the Hub"),
-    "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or web page"),
+    "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or HTML"),
     "doctor": ("dynahoi_lerobot.doctor", "check this machine and installation"),
     "list": ("dynahoi_lerobot.cli.listing", "list registered motions, objects, metrics, ..."),
 }

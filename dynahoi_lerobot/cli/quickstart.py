@@ -78,8 +78,8 @@ TINY = Size(2, LOG_STEPS, 1, 2, 1)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi quickstart``."""
     parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="output folder")
-    parser.add_argument("--episodes", type=whole(1, 10**6), default=FULL.episodes, help="episodes of the dataset")
-    parser.add_argument("--steps", type=whole(1, 10**6), default=FULL.steps, help="steps of training")
+    parser.add_argument("--episodes", type=whole(1, 10**6), default=FULL.episodes, help="dataset episodes")
+    parser.add_argument("--steps", type=whole(1, 10**6), default=FULL.steps, help="training steps")
     parser.add_argument(
         "--evaluation-episodes",
         type=whole(1, 1000),

@@ -37,29 +37,31 @@ RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi view``."""
-    parser.add_argument("--motion", help="play an episode of this motion")
-    parser.add_argument("--dataset", type=path, help="show an episode of this dataset")
-    parser.add_argument("--results", type=path, help="replay an evaluated episode of this result folder")
-    parser.add_argument("--episode", type=int, default=0, help="with --dataset: index of the episode")
+    parser.add_argument("--motion", help="render a new episode of this motion")
+    parser.add_argument("--dataset", type=path, help="render an episode of this dataset")
+    parser.add_argument("--results", type=path, help="replay and render an episode of this result folder")
+    parser.add_argument("--episode", type=int, default=0, help="with --dataset: episode index")
     parser.add_argument(
         "--sample",
         type=whole(1, 100),
         metavar="N",
-        help="with --dataset: one page with N episodes of every motion, to inspect frames, actions and target",
+        help="with --dataset: a page with N episodes of each motion, to inspect frames, actions and target",
     )
     parser.add_argument(
         "--seed",
         type=whole(0, SEED_LIMIT - 1),
         default=0,
-        help="with --motion: episode number within split and motion; with --results: seed of the episode",
+        help="with --motion: episode number within split and motion; with --results: episode seed",
     )
-    parser.add_argument("--split", default="test", help="with --motion: train, val, test or one of the ood_ splits")
+    parser.add_argument(
+        "--split", default="test", help="with --motion: train, val, test, twins or one of the ood_ splits"
+    )
     parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint or a baseline")
     add_trust_argument(parser)
-    notes = dict.fromkeys(TRAINED_FOR, "what the policy was trained for by default")
+    notes = dict.fromkeys(TRAINED_FOR, "by default the setting that the policy was trained with")
     add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **notes)
     parser.add_argument("--view", default="ego", choices=VIEWS, help="camera and modality")
-    parser.add_argument("--out", type=path, default=Path("episode.gif"), help="output: .gif, .mp4 or .html")
+    parser.add_argument("--out", type=path, default=Path("episode.gif"), help="output file: .gif, .mp4 or .html")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -135,7 +135,7 @@ _TABLE = (
     ),
     Feature(
         "fingertips", "stats/fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
-        "position, home frame, and rotation vector of each fingertip; they follow from the state",
+        "position, home frame, and rotation vector of each fingertip; computable from the state",
     ),
     Feature(
         "phase", "observation.phase", (len(PHASES),), PHASES, "1",
@@ -143,66 +143,67 @@ _TABLE = (
     ),
     Feature(
         "touch", "observation.touch", (len(FINGERS),), FINGERS, "N",
-        "force of each finger on the target, mean of the last control step",
+        "force of each finger on the target, averaged over the last control step",
         gym_key="touch", low=0.0, high=1000.0, needs_contact_sensors=True,
     ),
     Feature(
         "environment_state", ENVIRONMENT_STATE, (13,), (*POSE_NAMES, *TWIST_NAMES), "m, 1, m/s, rad/s",
-        "the simulator's truth: target position, home frame, and quaternion wxyz, as stats/target.pose; linear and "
-        "angular velocity, along the world's axes, as stats/target.velocity", gym_key="environment_state", low=-1000.0,
+        "true state of the target: position, home frame, and quaternion wxyz, as stats/target.pose; linear and angular "
+        "velocity, world axes, as stats/target.velocity", gym_key="environment_state", low=-1000.0,
         high=1000.0, on_request=True, derived=True,
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "where the hand should get to: palm centre position, home frame, which may lie beyond the reach of one frame, "
-        "as the world cuts it to the limits of the hand; joint angles now. In datasets the teacher's goal, also in the "
-        "observation window, where commands are void", gym_key="action",
+        "goal pose: palm centre position, home frame, possibly farther than the hand can move in one frame, since the "
+        "environment clips it; joint angles for the next frame. In datasets the expert's goal, also in the observation "
+        "window, where commands are ignored", gym_key="action",
     ),
     Feature(
         "executed_action", "stats/executed_action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "the command for the next frame that was executed, whoever gave it, after clipping and perturbation",
+        "executed command for the next frame, from expert or policy, after clipping and disturbance",
     ),
     Feature(
         "target_pose", "stats/target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
     ),
     Feature(
         "target_velocity", "stats/target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
-        "target linear and angular velocity, along the world's axes",
+        "target linear and angular velocity, world axes",
     ),
     Feature(
         "target_path", "stats/target_path", (3,), POSITION_NAMES, "m",
-        "position of the target had nothing touched it, home frame, in every frame from the first to the last one of a "
-        "full-length evaluation", per="path frame",
+        "undisturbed position of the target, home frame, in every frame of a full-length evaluation", per="path frame",
     ),
-    Feature("target_contacts", "stats/target.contacts", (len(FINGERS),), FINGERS, "1", "1 where the finger touches it"),
+    Feature(
+        "target_contacts", "stats/target.contacts", (len(FINGERS),), FINGERS, "1", "1 if the finger touches the target"
+    ),
     Feature(
         "intercept_position", "stats/intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, home frame",
         constant=True,
     ),
     Feature(
-        "intercept_time", "stats/intercept.time", (), ("time",), "s", "time of the oracle intercept in the episode",
-        constant=True,
+        "intercept_time", "stats/intercept.time", (), ("time",), "s",
+        "time of the oracle intercept from the start of the episode", constant=True,
     ),
     Feature(
-        "localized", "stats/localized", (), ("localized",), "1", "the target is, or has been, localised", dtype="bool"
+        "localized", "stats/localized", (), ("localized",), "1", "the target is or was localised", dtype="bool"
     ),
     Feature(
-        "captured", "stats/captured", (), ("captured",), "1", "the capture rule regards it as captured", dtype="bool"
+        "captured", "stats/captured", (), ("captured",), "1", "the target is captured by the capture rule", dtype="bool"
     ),
     Feature(
         "reward", "next.reward", (), ("reward",), "1",
-        "1 where the action led to the first frame on which the episode is a success, else 0", derived=True,
+        "1 if the action led to the first successful frame, else 0", derived=True,
     ),
     Feature(
-        "done", "next.done", (), ("done",), "1", "the recording ends with this frame", dtype="bool", derived=True
+        "done", "next.done", (), ("done",), "1", "last frame of the recording", dtype="bool", derived=True
     ),
     Feature(
         "succeeded", "next.success", (), ("success",), "1",
-        "the frames up to the one the action led to make the episode a success", dtype="bool",
+        "the episode is a success by the frame the action led to", dtype="bool",
     ),
     Feature(
         "palm_distance", "stats/palm_distance", (), ("distance",), "m",
-        "palm centre to target centre, least of the last control step",
+        "least distance of palm centre and target centre in the last control step",
     ),
     Feature(
         "fingertip_distance", "stats/fingertip_distance", (), ("distance",), "m",
@@ -241,34 +242,34 @@ _TABLE = (
     ),
     Feature(
         "object_restitution", "stats/object_restitution", (), ("restitution",), "1",
-        "rebound speed over impact speed of the impacts of its motion; 0 if it has none", constant=True,
+        "ratio of rebound to impact speed in its motion; 0 without impacts", constant=True,
     ),
     Feature(
         "ego_camera", "stats/ego_camera", (7,), POSE_NAMES, "m, 1",
-        "pose of the hand's camera from the palm centre; it looks along its -z, y is up",
+        "pose of the hand's camera relative to the palm centre; it looks along -z, y is up",
         constant=True,
     ),
     Feature(
         "side_camera", "stats/side_camera", (7,), POSE_NAMES, "m, 1",
-        "pose of the side camera, home frame, likewise", constant=True,
+        "pose of the side camera, home frame, same convention", constant=True,
     ),
     Feature(
         "ego_intrinsics", "stats/ego_intrinsics", (4,), INTRINSICS_NAMES, "px",
-        "focal lengths and principal point of the views of the hand's camera", constant=True,
+        "focal lengths and principal point of the hand's camera", constant=True,
     ),
     Feature(
-        "side_intrinsics", "stats/side_intrinsics", (4,), INTRINSICS_NAMES, "px", "likewise of the side camera",
-        constant=True,
+        "side_intrinsics", "stats/side_intrinsics", (4,), INTRINSICS_NAMES, "px",
+        "focal lengths and principal point of the side camera", constant=True,
     ),
     Feature(
         "hand_limits", "stats/hand_limits", (3,), ("palm_speed", "joint_speed", "latency"), "m/s, rad/s, ms",
-        "greatest speed of the palm (under contact: along an axis) and of a joint; latency of commands",
+        "maximum speed of the palm (under contact, per axis) and of a joint; command latency",
         constant=True,
     ),
     Feature(
         "first_plan", "stats/first_plan", (2,), ("speed", "lead_time"), "m/s, s",
-        "the expert's plan at control start: the palm's straight way to the meeting over the time to it; this time; "
-        "0 if the actor plans none", constant=True,
+        "the expert's plan at control start: mean palm speed to the meeting with the target, and time to it; 0 for "
+        "actors without a plan", constant=True,
     ),
     Feature(
         "attempt_success", "stats/attempt_success", (), ("success",), "1",
@@ -302,8 +303,8 @@ def action_feature(control_mode: str) -> Feature:
     feature = FEATURES["action"]
     if control_mode == JOINTS:
         return feature
-    meaning = "the palm's displacement, from where it is now to where it should get to, along the axes of the home "
-    meaning += "frame, as action in control mode joints; how far closed the hand should be, 0 open to 1"
+    meaning = "displacement from the palm's current position to the goal of control mode joints, along the axes of the "
+    meaning += "home frame; closure of the hand, 0 (open) to 1"
     names = CONTROL_MODES[control_mode]
     return replace(feature, shape=(len(names),), names=names, unit="m, 1", meaning=meaning)
 

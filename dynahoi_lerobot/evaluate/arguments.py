@@ -62,7 +62,7 @@ def add_trust_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trust",
         action="store_true",
-        help="load the checkpoint even if that runs its own code, and print what (docs/notes/trust.md)",
+        help="load the checkpoint even if it can run code, and list the findings (docs/notes/trust.md)",
     )
 
 
@@ -79,35 +79,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi evaluate``."""
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument(
-        "--replay", type=path, metavar="RESULTS", help="replay the commands of a result folder and compare every number"
+        "--replay",
+        type=path,
+        metavar="RESULTS",
+        help="re-execute the commands of a result folder and compare all numbers",
     )
     task.add_argument(
         "--policy",
-        help=f"checkpoint folder, Hub repository, vlm, or privileged baseline: expert, {', '.join(EXPERTS.names())}",
+        help=f"checkpoint folder, Hub repository, vlm, or a privileged baseline: expert, {', '.join(EXPERTS.names())}",
     )
-    parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val or one of the ood_ splits")
-    parser.add_argument("--out", type=path, help="result folder; resumes where an earlier run stopped")
+    parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val, twins or one of the ood_ splits")
+    parser.add_argument("--out", type=path, help="result folder; an incomplete one is resumed")
     parser.add_argument(
         "--episodes",
         type=int,
-        help="number of episodes, from the first of the split, with --replay drawn at random; all by default",
+        help="number of episodes: the first of the split, or random ones with --replay; all by default",
     )
     parser.add_argument(
         "--replay-seed",
         type=whole(0, 2**32 - 1),
-        help="with --replay: draws the same episodes as the run that printed it",
+        help="with --replay: seed of the draw, as printed by an earlier replay",
     )
-    notes = dict.fromkeys(TRAINED_FOR, "what the policy was trained for by default")
-    notes |= {"environment_state": "results are then marked as privileged"}
+    notes = dict.fromkeys(TRAINED_FOR, "by default the setting that the policy was trained with")
+    notes |= {"environment_state": "marks the results as privileged"}
     add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **notes)
     parser.add_argument(
         "--batch-size",
         type=whole(1, 4096),
         default=32,
-        help="worlds simulated together; no influence on the result, and 1 for policies with --inference-ms measured",
+        help="worlds simulated in parallel, without effect on results; 1 for policies with --inference-ms measured",
     )
     parser.add_argument("--gifs", type=whole(0, 10**6), default=0, help="number of episodes to record as GIFs in --out")
-    parser.add_argument("--per-kind", action="store_true", help="also print a row for each motion")
+    parser.add_argument("--per-kind", action="store_true", help="also print a row for each kind of motion")
     _add_policy_arguments(parser)
 
 
@@ -120,7 +123,7 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="override a field of the policy's config, such as n_action_steps=2, a dictionary as JSON; may be repeated",
+        help="override a field of the policy's config, such as n_action_steps=2; dictionaries as JSON; may be repeated",
     )
     parser.add_argument(
         "--inference",
@@ -133,13 +136,13 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         type=_latency,
         default=0.0,
         metavar="MS",
-        help="with --inference async or rtc: how long an inference takes [ms]; or measured, on this machine",
+        help="with --inference async or rtc: inference time [ms], or measured for the time on this machine",
     )
-    parser.add_argument("--model", help="with --policy vlm: the model's name at the endpoint")
+    parser.add_argument("--model", help="with --policy vlm: model name at the endpoint")
     parser.add_argument(
         "--prompt",
         default=DEFAULT_PROMPT.name,
-        help=f"with --policy vlm: what the model is asked, {' or '.join(PROMPTS)}",
+        help=f"with --policy vlm: prompt, {' or '.join(PROMPTS)}",
     )
     parser.add_argument(
         "--base-url",
@@ -149,7 +152,7 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         "--request-timeout",
         type=number(0.001, 86_400.0),
         default=60.0,
-        help="with --policy vlm: time for a decision with all its requests [s]",
+        help="with --policy vlm: time limit of a decision with all its requests [s]",
     )
     parser.add_argument(
         "--prices",
@@ -157,7 +160,7 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=2,
         default=(0.0, 0.0),
         metavar=("PROMPT", "COMPLETION"),
-        help="with --policy vlm: prices of a million tokens",
+        help="with --policy vlm: prices per million tokens",
     )
 
 

@@ -23,7 +23,7 @@ first control step on; it is what ``benchmarks/validity.py --search --homes`` fi
 
 @EXPERTS.register("hold")
 class Hold(Expert):
-    """Commands the pose it is in."""
+    """Commands its current pose."""
 
     name = "hold"
     privileged = False
@@ -35,7 +35,7 @@ class Hold(Expert):
 
 @EXPERTS.register("pursuit")
 class Pursuit(SingleWorldExpert):
-    """Goes at full speed to the target's true position of this frame; what it scores needs no prediction."""
+    """Chases the target's current true position at full speed; its score needs no prediction."""
 
     name = "pursuit"
 
@@ -46,7 +46,7 @@ class Pursuit(SingleWorldExpert):
 
 @EXPERTS.register("constant_velocity")
 class ConstantVelocity(SingleWorldExpert):
-    """Perfect perception without a model of the motion; it replans in every frame, at the class's full speed."""
+    """Extrapolates the true velocity and replans in every frame, at the control class's full speed."""
 
     name = "constant_velocity"
 
@@ -58,7 +58,7 @@ class ConstantVelocity(SingleWorldExpert):
 
 @EXPERTS.register("constant_acceleration")
 class ConstantAcceleration(SingleWorldExpert):
-    """Perfect perception and a second-order model of the motion; it replans in every frame, at full speed."""
+    """Extrapolates the true velocity and acceleration and replans in every frame, at full speed."""
 
     name = "constant_acceleration"
 
@@ -71,7 +71,7 @@ class ConstantAcceleration(SingleWorldExpert):
 
 @EXPERTS.register("blind_path")
 class BlindPath(SingleWorldExpert):
-    """Goes along a fixed path from home with closed fingers; what it scores needs neither perception nor prediction.
+    """Follows a fixed path from home with closed fingers; its score needs neither perception nor prediction.
 
     The path is the best one found for the speed of the control class.
     """
@@ -88,7 +88,7 @@ class BlindPath(SingleWorldExpert):
 
 @EXPERTS.register("nearest_home")
 class NearestHome(SingleWorldExpert):
-    """Goes along the path of the tabled home that is nearest to its own; what it scores, the stage gives away.
+    """Follows the stored path of the nearest tabulated home; its score shows what the home gives away.
 
     Policies cannot do this: they observe positions from their home, wherever that is.
     """

@@ -36,7 +36,7 @@ LONGEST_VIDEO_S = 1e9
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi generate``."""
-    parser.add_argument("--root", type=path, required=True, help="folder of the dataset; an incomplete one is resumed")
+    parser.add_argument("--root", type=path, required=True, help="dataset folder; an incomplete one is resumed")
     parser.add_argument("--recipe", type=path, help="YAML file; the options below override it")
     parser.add_argument("--episodes", type=int, required=True, help="number of episodes")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
@@ -45,27 +45,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--subtasks", action="store_true", help="store the current subtask in LeRobot's language column"
     )
     parser.add_argument("--workers", type=int, default=1, help="number of processes")
-    parser.add_argument("--shard-episodes", type=int, help="episodes per shard; by default an eighth, at most 256")
+    parser.add_argument(
+        "--shard-episodes", type=int, help="episodes per shard; by default an eighth of all, at most 256"
+    )
     parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS)}")
-    parser.add_argument("--crf", type=int, help="rate factor; lower means better quality and larger files")
-    parser.add_argument("--preset", help="speed preset of the encoder")
-    parser.add_argument("--gop", type=int, help="frames between key frames")
+    parser.add_argument("--crf", type=int, help="constant rate factor; lower means better quality and larger files")
+    parser.add_argument("--preset", help="encoder speed preset")
+    parser.add_argument("--gop", type=int, help="key frame interval [frames]")
     parser.add_argument(
         "--video-seconds",
         type=number(1.0, LONGEST_VIDEO_S),
         default=FileLimits.video_s,
-        help="longest video file [s], at most 200 MB; LeRobot can only stream one file per view",
+        help="maximum length of a video file [s], and at most 200 MB; LeRobot can only stream one file per view",
     )
     parser.add_argument("--executor", choices=EXECUTORS, help="run the shards as datatrove tasks")
     parser.add_argument("--tasks", type=whole(1, 100_000), help="number of tasks; one per shard by default")
     parser.add_argument("--dry-run", action="store_true", help="print what --executor would do")
     parser.add_argument("--partition", default="cpu", help="Slurm partition")
     parser.add_argument("--time", default="24:00:00", help="Slurm time limit per task")
-    parser.add_argument("--cpus-per-task", type=whole(1, 4096), default=1)
-    parser.add_argument("--gpus-per-task", type=whole(0, 64), default=0)
+    parser.add_argument("--cpus-per-task", type=whole(1, 4096), default=1, help="Slurm CPUs per task")
+    parser.add_argument("--gpus-per-task", type=whole(0, 64), default=0, help="Slurm GPUs per task")
     parser.add_argument("--json", type=path, help="also write the summary to this file")
     parser.add_argument(
-        "--actor", metavar="CHECKPOINT", help="policy that moves the hand; the expert labels its states"
+        "--actor", metavar="CHECKPOINT", help="policy that moves the hand while the expert labels its states"
     )
     add_trust_argument(parser)
 

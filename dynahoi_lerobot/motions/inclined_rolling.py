@@ -111,7 +111,7 @@ def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
 @MOTIONS.register("ramp")
 @dataclass(frozen=True)
 class Ramp(RollingMotion):
-    """Met after 0.15 to 0.6 m of slope."""
+    """Intercepted after 0.15 to 0.6 m of slope."""
 
     name: ClassVar[str] = "ramp"
     phrase: ClassVar[str] = "rolling down a ramp"
@@ -128,7 +128,7 @@ RUNOUT_HALF_M = 0.6
 @MOTIONS.register("ramp_and_runout")
 @dataclass(frozen=True)
 class RampAndRunout(RollingMotion):
-    """Reaches the foot of 0.1 to 0.4 m of slope 0.15 to 0.5 s before it is met on the level."""
+    """Rolls down 0.1 to 0.4 m of slope and is intercepted on level ground 0.15 to 0.5 s later."""
 
     name: ClassVar[str] = "ramp_and_runout"
     phrase: ClassVar[str] = "rolling down a ramp and out onto a level track"

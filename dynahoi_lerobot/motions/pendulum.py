@@ -77,7 +77,7 @@ def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarra
 @MOTIONS.register("planar")
 @dataclass(frozen=True)
 class PlanarPendulum(SuspendedMotion):
-    """Let go at rest at 12 to 40 degrees."""
+    """Released at rest at 12 to 40 degrees."""
 
     name: ClassVar[str] = "planar"
     phrase: ClassVar[str] = "swinging on a string"
@@ -111,7 +111,7 @@ class ConicalPendulum(SuspendedMotion):
 @MOTIONS.register("damped")
 @dataclass(frozen=True)
 class DampedPendulum(SuspendedMotion):
-    """Let go at rest at 20 to 45 degrees; drag over mass 0.15 to 0.5 per second."""
+    """Released at rest at 20 to 45 degrees; drag over mass 0.15 to 0.5 per second."""
 
     name: ClassVar[str] = "damped"
     phrase: ClassVar[str] = "swinging on a string and slowly coming to rest"

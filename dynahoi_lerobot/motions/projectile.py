@@ -92,7 +92,7 @@ class CrossThrow(ThrowMotion):
 @MOTIONS.register("bounce")
 @dataclass(frozen=True)
 class Bounce(PhysicalMotion):
-    """Dropped from 0.5 to 0.9 m, coming at 0.4 to 1.0 m/s; restitution 0.75 to 0.9.
+    """Dropped from 0.5 to 0.9 m, approaching at 0.4 to 1.0 m/s; restitution 0.75 to 0.9.
 
     Attributes:
         start: point of release [m].

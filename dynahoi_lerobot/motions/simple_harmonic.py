@@ -81,7 +81,7 @@ class Lateral(HarmonicMotion):
 @MOTIONS.register("depth")
 @dataclass(frozen=True)
 class Depth(HarmonicMotion):
-    """Harmonic along x, where the palm faces."""
+    """Harmonic along x, the direction that the palm faces."""
 
     name: ClassVar[str] = "depth"
     phrase: ClassVar[str] = "oscillating towards and away from the hand"

@@ -66,7 +66,7 @@ class StraightMotion(PrescribedMotion):
 @MOTIONS.register("constant")
 @dataclass(frozen=True)
 class Constant(StraightMotion):
-    """Speed 0.2 to 0.9 m/s, kept."""
+    """Constant speed of 0.2 to 0.9 m/s."""
 
     name: ClassVar[str] = "constant"
     phrase: ClassVar[str] = "moving in a straight line at constant speed"
@@ -82,7 +82,7 @@ class Constant(StraightMotion):
 @MOTIONS.register("accelerating")
 @dataclass(frozen=True)
 class Accelerating(StraightMotion):
-    """Speed from 0.03 to 0.15 m/s at first, 0.6 to 1.4 m/s at the horizon, changing evenly."""
+    """Speed rises linearly from 0.03 to 0.15 m/s at the start to 0.6 to 1.4 m/s at the horizon."""
 
     name: ClassVar[str] = "accelerating"
     phrase: ClassVar[str] = "moving in a straight line and speeding up"
@@ -98,7 +98,7 @@ class Accelerating(StraightMotion):
 @MOTIONS.register("decelerating")
 @dataclass(frozen=True)
 class Decelerating(StraightMotion):
-    """Speed from 0.6 to 1.4 m/s at first, 0.03 to 0.12 m/s at the horizon, changing evenly."""
+    """Speed falls linearly from 0.6 to 1.4 m/s at the start to 0.03 to 0.12 m/s at the horizon."""
 
     name: ClassVar[str] = "decelerating"
     phrase: ClassVar[str] = "moving in a straight line and slowing down"

@@ -19,7 +19,7 @@ FAILED = 1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi pretrain``."""
     parser.add_argument("--recipe", type=path, required=True, help="YAML file, such as recipes/eye/ego_96.yaml")
-    parser.add_argument("--out", type=path, help="folder of the run instead of the recipe's; resumed if it was stopped")
+    parser.add_argument("--out", type=path, help="output folder instead of the recipe's; an incomplete run is resumed")
     parser.add_argument(
         "--set",
         type=setting,

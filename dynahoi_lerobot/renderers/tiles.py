@@ -41,7 +41,7 @@ POSE_FIELDS = {
 
 @RENDERERS.register("tiles")
 class TileRenderer(Renderer):
-    """All worlds in one call, on the CPU without OpenGL or on CUDA, from the same file.
+    """Renders all worlds in one call, on the CPU without OpenGL or on CUDA, from the same source.
 
     A directional light with soft shadows, light from the sky and from the ground, darker corners, textures that are as
     sharp as a pixel allows, highlights, one translucent layer, and four samples for pixels on edges. Geom ids and depth
@@ -101,7 +101,7 @@ class TileRenderer(Renderer):
 
 @RENDERERS.register("flat")
 class FlatRenderer(TileRenderer):
-    """What MuJoCo's other renderers draw: one sample per pixel, no shadows, sharp textures, a headlight.
+    """Draws as MuJoCo's other renderers do: one sample per pixel, no shadows, sharp textures, a headlight.
 
     It draws what ``warp`` does, an order of magnitude faster, and highlights and one translucent layer.
 

@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         choices=CROSSABLE,
         default=[],
-        help="compare evaluations that differ in this condition; may be repeated",
+        help="also pair evaluations that differ in this condition; may be repeated",
     )
     parser.add_argument("--out", type=path, default=Path("report.html"), help="output file")
 

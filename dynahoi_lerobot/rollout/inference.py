@@ -22,9 +22,9 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT
 
 SYNC, ASYNC, RTC = "sync", "async", "rtc"
 INFERENCE_MODES = {
-    SYNC: "the world waits for every decision",
-    ASYNC: "one inference at a time; the old chunk continues meanwhile, and past actions of the new one are skipped",
-    RTC: "as async, and the new chunk is guided by what the old one has committed to (real-time chunking)",
+    SYNC: "the simulation waits for the policy",
+    ASYNC: "one inference at a time, while the old chunk continues; past actions of the new chunk are skipped",
+    RTC: "as async, with the new chunk conditioned on actions already committed (real-time chunking)",
 }
 MAX_LATENCY_MS = 60_000.0
 LABEL = re.compile(r"(?P<mode>\w+) (?:(?P<ms>[\d.e+]+) ms|measured)")

@@ -41,34 +41,34 @@ ACTOR = re.compile(r"[a-z0-9_]+@[0-9a-f]{16}")
 
 @dataclass(frozen=True)
 class Recipe:
-    """What episodes to generate or to play: every rule of an episode, from the command line to the world.
+    """The rules by which episodes are generated or played.
 
-    The lines below are also the help of the command-line options that are named after the fields.
+    The lines below are also the help of the command-line options named after the fields.
 
     Attributes:
-        split: train, val, test, test_small or one of the ``ood_`` splits; it decides the seed stream.
-        motions: comma-separated kinds of motion that take turns; those of the split by default. A registered motion
-            that is not part of the benchmark is played only if it is named here.
-        objects: comma-separated objects to draw from; those of the split by default.
-        path_speed: traverse the target's path so many times as fast, where the split has such twins: 1 or 1.6 in twins.
-        protocol: what the hand may see and when: observe_before_act, direct_act, observe_then_blind or occluded.
-        control_class: limits of the hand and latency of its commands: unlimited, standard or late.
-        control_mode: what an action is: joints, the palm's position and 15 joint angles, or grasp, the palm's
-            displacement and one closing number.
+        split: train, val, test, test_small, twins or one of the ``ood_`` splits; selects the seed stream.
+        motions: comma-separated kinds of motion to cycle through; by default those of the split. Registered motions
+            outside the benchmark must be named here.
+        objects: comma-separated objects to sample from; by default those of the split.
+        path_speed: speed factor along the target's path: 1, or in split twins also 1.6.
+        protocol: observation protocol: observe_before_act, direct_act, observe_then_blind or occluded.
+        control_class: speed limits and command latency of the hand: standard, late or unlimited.
+        control_mode: action space: joints (palm position and 15 joint angles) or grasp (palm displacement and closure
+            of the hand).
         capture: capture rule: attach, attach_lenient or contact.
-        hand: hand model; the capture rule's own by default.
-        expert: expert that demonstrates; the capture rule's own by default.
-        instructions: whether instructions name the motion: reveal, neutral or mixed.
-        appearance: comma-separated randomizations beyond the training distribution: materials, lights, specular,
+        hand: hand model; by default that of the capture rule.
+        expert: demonstrating expert; by default that of the capture rule.
+        instructions: whether language instructions name the motion: reveal, neutral or mixed.
+        appearance: comma-separated visual randomizations beyond the training distribution: materials, lights, specular,
             transparency, distractors.
-        image_size: side of the square images [px]; 0 for no camera.
-        views: comma-separated views besides ego, the hand's camera, such as side or ego_depth.
-        renderer: renderer of the images.
-        perturbed_share: share of the recordings in which the palm of an expert that finds back is pulled away at times.
-        render_noise: change every value of every image by at most so many of 255 levels, as renderers differ.
-        salt: secret text that gives other episodes of the same benchmark; only a hash is stored.
-        environment_state: show the simulator's truth as observation.environment_state, the target's pose and velocity.
-        keep_failures: also store episodes that the expert fails, instead of drawing others in their place.
+        image_size: side of the square images [px]; 0 disables the cameras.
+        views: comma-separated views in addition to ego, the hand's camera, such as side or ego_depth.
+        renderer: image renderer.
+        perturbed_share: share of episodes in which the palm is pushed off course at times, if the expert can recover.
+        render_noise: largest random change of each image value, in levels of 255; imitates another renderer.
+        salt: secret text that selects hidden episodes of the same benchmark; only its hash is stored.
+        environment_state: add observation.environment_state, the target's true pose and velocity, to the observations.
+        keep_failures: also store episodes in which the expert fails, instead of replacing them.
         actor: policy that moves the hand while the expert labels its states, TYPE@HASH of its checkpoint; empty if the
             expert demonstrates. Its failures are always kept.
     """

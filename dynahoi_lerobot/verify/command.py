@@ -51,12 +51,12 @@ class Finding:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi verify``."""
-    parser.add_argument("root", type=path, help="the dataset's folder")
+    parser.add_argument("root", type=path, help="dataset folder")
     parser.add_argument(
         "--replay",
         type=whole(0, 10**9),
         default=0,
-        help="episodes, drawn at random, to make again from their seeds and compare, images included",
+        help="number of random episodes to regenerate from their seeds and compare, including images",
     )
     parser.add_argument("--json", type=path, help="also write the findings to this file")
 

@@ -29,14 +29,14 @@ ROUNDING = 1e-6
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi filter``."""
-    parser.add_argument("root", type=path, help="the dataset's folder; it is left as it is")
-    parser.add_argument("--out", type=path, help="folder of the new dataset; must not exist")
+    parser.add_argument("root", type=path, help="dataset folder; it is not changed")
+    parser.add_argument("--out", type=path, help="folder of the new dataset, which must not exist")
     parser.add_argument(
-        "--margin", type=float, default=MARGIN, help="allowed beyond [q01, q99] on either side, in widths of it"
+        "--margin", type=float, default=MARGIN, help="tolerance on either side of [q01, q99], in widths of that range"
     )
-    parser.add_argument("--column", default="action", help="the column that is looked at")
-    parser.add_argument("--drop", type=names, help="comma-separated episodes to leave out, in place of the outliers")
-    parser.add_argument("--dry-run", action="store_true", help="only print what would be left out")
+    parser.add_argument("--column", default="action", help="column to check")
+    parser.add_argument("--drop", type=names, help="comma-separated episodes to drop instead of the outliers")
+    parser.add_argument("--dry-run", action="store_true", help="only print what would be dropped")
     parser.add_argument("--json", type=path, help="also write the summary to this file")
 
 
