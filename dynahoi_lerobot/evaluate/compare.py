@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
 
 from dynahoi_lerobot.core.compatibility import refuse_to_mix
-from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.evaluate.summary import bootstrap_means
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
 
-CROSSABLE = ("protocol", "control_class", "inference", "render_noise", "path_speed")
-"""Conditions that may be what is compared: the same episodes, played under others."""
-
-CONDITIONS = ("capture", *CROSSABLE)
-"""What must be equal for two evaluations to be paired, unless it is what is compared."""
-
-COMMANDS = "commands"
-"""Compared beside the metrics: how far apart two evaluations command the palm."""
+CONDITIONS = ("capture", "protocol", "control_class", "inference", "render_noise", "path_speed")
+"""What must be equal for two evaluations to be paired."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +25,10 @@ class Comparison:
     Attributes:
         metric: the compared metric.
         n: paired episodes in which it applies to both.
-        difference: mean of A - B, in the metric's unit; of ``commands`` the mean distance [cm].
+        difference: mean of A - B, in the metric's unit.
         low: lower end of the paired bootstrap's 95 % interval of the difference.
         high: upper end of that interval.
-        p_value: exact McNemar for rates, paired bootstrap for means; two-sided. None for ``commands``.
+        p_value: exact McNemar for rates, paired bootstrap for means; two-sided.
     """
 
     metric: str
@@ -44,43 +36,39 @@ class Comparison:
     difference: float
     low: float
     high: float
-    p_value: float | None
+    p_value: float
 
 
-def unequal_conditions(a: Results, b: Results, across: Collection[str] = ()) -> list[str]:
-    """Return the conditions in which two evaluations differ, without those that are compared, ``across``."""
-    return [name for name in CONDITIONS if name not in across and getattr(a, name) != getattr(b, name)]
+def unequal_conditions(a: Results, b: Results) -> list[str]:
+    """Return the conditions in which two evaluations differ."""
+    return [name for name in CONDITIONS if getattr(a, name) != getattr(b, name)]
 
 
-def compare(
-    a: Results, b: Results, metric: str, *, across: Collection[str] = (), allow_version_mismatch: bool = False
-) -> Comparison | None:
+def compare(a: Results, b: Results, metric: str, *, allow_version_mismatch: bool = False) -> Comparison | None:
     """Compare two evaluations on one metric, episode by episode; None if no episode has a value of both.
 
     Args:
         a: evaluation A.
         b: evaluation B.
-        metric: name of a registered metric, or ``commands``.
-        across: conditions that may differ, of ``CROSSABLE``: what is compared.
+        metric: name of a registered metric.
         allow_version_mismatch: compare them even if they were played under different versions of the benchmark.
 
     Raises:
         UnknownNameError: if the metric is not registered.
-        MixedError: if another condition or the version differs, naming both values; always for different salts.
+        MixedError: if a condition or the version differs, naming both values; always for different salts.
     """
     refuse_mixed_streams((result.folder, result.info.split) for result in (a, b))
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in (a, b)]
         refuse_to_mix("benchmark", found, "evaluate both under one version, or allow the mismatch")
-    for name in unequal_conditions(a, b, across):
-        remedy = f"add --across {name} to compare exactly that" if name in CROSSABLE else "evaluate both under one"
-        refuse_to_mix(name, [(result.folder, getattr(result, name)) for result in (a, b)], remedy)
-    differences = command_distances_cm(a, b) if metric == COMMANDS else -np.diff(paired_values(a, b, metric))[:, 0]
+    for name in unequal_conditions(a, b):
+        refuse_to_mix(name, [(result.folder, getattr(result, name)) for result in (a, b)], "evaluate both under one")
+    differences = -np.diff(paired_values(a, b, metric))[:, 0]
     if len(differences) == 0:
         return None
     means = bootstrap_means(differences)
     low, high = np.percentile(means, [2.5, 97.5])
-    p_value = None if metric == COMMANDS else _p_value(METRICS[metric], differences, means)
+    p_value = _p_value(METRICS[metric], differences, means)
     return Comparison(metric, len(differences), float(differences.mean()), float(low), float(high), p_value)
 
 
@@ -89,21 +77,6 @@ def paired_values(a: Results, b: Results, metric: str) -> np.ndarray:
     other = {_identity(row): row[metric] for row in b.rows}
     pairs = ((row[metric], other.get(_identity(row))) for row in a.rows)
     return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
-
-
-def command_distances_cm(a: Results, b: Results) -> np.ndarray:
-    """Return (n,) distances of the palm positions that A and B commanded [cm], of every episode that both played.
-
-    Each is a mean over the control frames that both have: an episode ends once its target is localised.
-    """
-    other = {_identity(row): actions for row, actions in zip(b.rows, b.actions, strict=True)}
-    means = []
-    for row, actions in zip(a.rows, a.actions, strict=True):
-        if (paired := other.get(_identity(row))) is not None:
-            frames = slice(row["window_frames"], min(len(actions), len(paired)))
-            apart_m = np.linalg.norm(actions[frames, :PALM_DOF] - paired[frames, :PALM_DOF], axis=1)
-            means.append(100 * apart_m.mean())
-    return np.array(means, np.float64)
 
 
 def mcnemar(only_a: int, only_b: int) -> float:

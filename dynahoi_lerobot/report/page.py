@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.files import printable, write_atomically
-from dynahoi_lerobot.evaluate.compare import COMMANDS, compare, unequal_conditions
+from dynahoi_lerobot.evaluate.compare import compare, unequal_conditions
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import Cell, Table, columns_for, heading, metric_cell, metrics_table, stratum_table
 from dynahoi_lerobot.metrics import METRICS
@@ -17,11 +17,8 @@ from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entrie
 
 FILE_NAME = "report.html"
 
-COMPARED = {
-    **{name: f"{heading(name)}: row minus column." for name in ("S_hold", "S_loc", "S_joint", "E_loc")},
-    COMMANDS: "Mean distance of the palm positions that they commanded in the same frames [cm].",
-}
-"""What paired evaluations are compared by, with the captions; metrics without pairs are omitted."""
+COMPARED = ("S_hold", "S_loc", "S_joint", "E_loc")
+"""Metrics by which paired evaluations are compared; those without pairs are omitted."""
 SIGNIFICANT = 0.05
 MOST_CLIPS = 12
 """Clips shown per folder, the first by name; more would make the page too large."""
@@ -29,15 +26,12 @@ LARGEST_CLIP_BYTES = 5_000_000
 GIF_HEADERS = (b"GIF87a", b"GIF89a")
 
 
-def render_report(
-    folders: Sequence[Path], out: Path, *, across: Collection[str] = (), allow_version_mismatch: bool = False
-) -> Path:
+def render_report(folders: Sequence[Path], out: Path, *, allow_version_mismatch: bool = False) -> Path:
     """Write the report of ``folders`` as one self-contained HTML page.
 
     Args:
         folders: result folders; duplicates count once.
         out: the file to write, or an existing folder in which ``report.html`` is written.
-        across: conditions under which paired evaluations may differ, of ``CROSSABLE``.
         allow_version_mismatch: accept results of different benchmark versions.
 
     Returns:
@@ -50,23 +44,22 @@ def render_report(
     """
     if not folders:
         raise ValueError("a report needs at least one result folder, got none")
-    entries = read_entries(folders, allow_version_mismatch=allow_version_mismatch)
-    return write_page(entries, out, across)
+    return write_page(read_entries(folders, allow_version_mismatch=allow_version_mismatch), out)
 
 
-def write_page(entries: Sequence[Entry], out: Path, across: Collection[str] = ()) -> Path:
+def write_page(entries: Sequence[Entry], out: Path) -> Path:
     """Write the page of ``entries`` as ``render_report`` does, and return its path."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     loader = FileSystemLoader(Path(__file__).with_name("templates"))
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    html = environment.get_template("report.html.j2").render(**page_content(entries, across))
+    html = environment.get_template("report.html.j2").render(**page_content(entries))
     page = Path(out) / FILE_NAME if Path(out).is_dir() else Path(out)
     write_atomically({page: lambda path: path.write_text(html, encoding="utf-8")})
     return page
 
 
-def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict[str, Any]:
+def page_content(entries: Sequence[Entry]) -> dict[str, Any]:
     """Return the template's variables."""
     labels, results = [entry.label for entry in entries], [entry.results for entry in entries]
     main = columns_for(results)
@@ -78,7 +71,7 @@ def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict
         "episodes": len(distinct_episodes(entries)),
         "main_metrics": metrics_table(labels, results, main),
         "other_metrics": metrics_table(labels, results, other),
-        "comparisons": comparison_tables(entries, across),
+        "comparisons": comparison_tables(entries),
         "figures": [(figure, address) for figure, address in drawn if address],
         "per_kind": [stratum_table(entry.results, "kind", caption=entry.label) for entry in entries],
         "glossary": glossary(),
@@ -96,30 +89,28 @@ def glossary() -> Table:
     return Table("Definitions of all metrics.", ("metric", "unit", "better", "episodes", "definition"), rows)
 
 
-def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) -> list[Table]:
+def comparison_tables(entries: Sequence[Entry]) -> list[Table]:
     """Return a matrix for each of ``COMPARED`` on the episodes that row and column both played.
 
-    Only evaluations under equal conditions are paired, except for those that are compared, ``across``.
+    Only evaluations under equal conditions are paired.
     """
     tables = []
-    for name, caption in COMPARED.items():
-        cells = [[_compared(row, column, name, across) for column in entries] for row in entries]
+    for name in COMPARED:
+        cells = [[_compared(row, column, name) for column in entries] for row in entries]
         if any(cell.key is not None for line in cells for cell in line):
             rows = tuple((Cell(entry.label), *line) for entry, line in zip(entries, cells, strict=True))
-            tables.append(Table(caption, ("row, column", *(entry.label for entry in entries)), rows))
+            head = ("row, column", *(entry.label for entry in entries))
+            tables.append(Table(f"{heading(name)}: row minus column.", head, rows))
     return tables
 
 
-def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> Cell:
-    if unequal := unequal_conditions(row.results, column.results, across):
+def _compared(row: Entry, column: Entry, name: str) -> Cell:
+    if unequal := unequal_conditions(row.results, column.results):
         return Cell("–", f"other {' and '.join(unequal)}")
-    result = compare(row.results, column.results, name, across=across, allow_version_mismatch=True)
+    result = compare(row.results, column.results, name, allow_version_mismatch=True)
     if row is column or result is None:
         return Cell("–")
-    unit = "cm" if name == COMMANDS else METRICS[name].unit
-    cell = metric_cell(Estimate(result.difference, result.low, result.high, unit, result.n))
-    if result.p_value is None:
-        return Cell(cell.text, f"{cell.detail} n = {result.n}", cell.key)
+    cell = metric_cell(Estimate(result.difference, result.low, result.high, METRICS[name].unit, result.n))
     p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"
     better = (result.difference > 0) == (METRICS[name].direction == "higher")
     mark = ("better" if better else "worse") if result.p_value < SIGNIFICANT and result.difference else ""
