@@ -48,8 +48,8 @@ def make_actor(
         trust: load a policy even if that can run code of its own.
 
     Raises:
-        UntrustedCheckpointError: if loading the policy could run code of its own, unless ``trust`` allows that.
-        ValueError: if there is no such policy, or its config cannot be changed so.
+        ValueError: if there is no such policy, its config cannot be changed so, or loading it could run code of its
+            own, unless ``trust`` allows that.
     """
     key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
     if settings and key in (*EXPERTS.names(), VLM):

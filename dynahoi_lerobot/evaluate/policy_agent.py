@@ -60,13 +60,13 @@ class PolicyAgent(ChunkAgent):
             trust: load it even if that can run code of its own.
 
         Raises:
-            PolicyError: if there is no such policy, or its config cannot be changed so.
-            UntrustedCheckpointError: if loading it could run code of its own, unless ``trust`` allows that.
+            PolicyError: if there is no such policy, its config cannot be changed so, or loading it could run code of
+                its own, unless ``trust`` allows that.
         """
         self.name = path
         folder = checked_folder(path, trust=trust)
         _register_plugins()
-        self._policy, self._before, self._after = load_policy(folder, device, settings, trust=trust)
+        self._policy, self._before, self._after = load_policy(folder, device, settings)
         self.weights, self.trained_for = folder_weights(folder), trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
