@@ -14,7 +14,7 @@ import numpy as np
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate import result_files
-from dynahoi_lerobot.evaluate.result_files import LONGEST_TEXT, ResultsError
+from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, ResultsError
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
@@ -29,9 +29,8 @@ WEIGHTS = "weights"
 
 
 def command_line(words: Sequence[str]) -> str:
-    """Return a command line as results keep it: printable, its program without the folder, cut where it is too long."""
-    text = printable(" ".join([Path(words[0]).name, *words[1:]]))
-    return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 4] + " ..."
+    """Return a command line as results keep it: printable, its program without the folder."""
+    return printable(" ".join([Path(words[0]).name, *words[1:]]))
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,6 @@ class Results:
         rows: one row an episode, as ``episode_row`` makes them.
         actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint angles [rad].
         head: what ``metrics.json`` held; empty for results that were not read.
-        digests: sha256 of the bytes that were read, by file name.
     """
 
     folder: Path
@@ -82,7 +80,6 @@ class Results:
     rows: tuple[Row, ...]
     actions: tuple[np.ndarray, ...] = field(repr=False)
     head: dict[str, Any] = field(default_factory=dict, repr=False)
-    digests: dict[str, str] = field(default_factory=dict)
 
     @property
     def control_class(self) -> str:
@@ -127,7 +124,7 @@ class Results:
 
     def marked(self, name: str) -> str:
         """Return a name of the policy as tables and reports show it: marked if it is privileged."""
-        return f"{name} (privileged)" if self.privileged else name
+        return printable(f"{name} (privileged)" if self.privileged else name)
 
     def summary(self) -> Summary:
         """Return every metric with its interval over all episodes; computed once."""
@@ -195,10 +192,16 @@ class ResultsRecorder:
     def resume(cls, folder: Path) -> ResultsRecorder:
         """Return a recorder that resumes what an interrupted run of the same task has saved in ``folder``.
 
+        It may have ended before its first save, or between the renaming of two files, so that one of them holds more
+        episodes.
+
         Raises:
             ResultsError: if what it saved is damaged.
         """
-        return cls(*result_files.read_saved(folder))
+        if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
+            return cls()
+        rows, actions = result_files.read_saved(folder)
+        return cls(rows[: len(actions)], actions[: len(rows)])
 
     @property
     def seeds(self) -> set[int]:
@@ -263,10 +266,10 @@ def read_results(folder: Path) -> Results:
         ResultsError: one sentence that says what is missing or damaged.
     """
     folder = Path(folder)
-    head, rows, actions, digests = result_files.read(folder)
+    head, rows, actions = result_files.read(folder)
     names = ("policy", "split", "capture", "command", "fingerprint", "extra", "benchmark")
     info = RunInfo(**{name: head[name] for name in names})
-    return Results(folder, info, tuple(rows), tuple(actions), head, digests)
+    return Results(folder, info, tuple(rows), tuple(actions), head)
 
 
 def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
