@@ -180,34 +180,22 @@ OPTIONAL = {
     "torch": "comes with lerobot",
 }
 """Optional libraries and their purpose."""
-SHOWN = (*OURS, "mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL)
 
 
 def versions() -> Iterator[Fact]:
-    """Yield the versions of Python, the distributions and their requirements; report those out of bounds."""
+    """Yield the versions of Python and the distributions; report what one of ours requires and is not there."""
     yield Fact("Python", platform.python_version())
-    wanted: dict[str, list[Requirement]] = {}
-    for distribution in OURS:
-        needed = requires(distribution) or () if installed_version(distribution) else ()
-        for requirement in map(Requirement, needed):
-            if requirement.marker is None or requirement.marker.evaluate():
-                wanted.setdefault(requirement.name, []).append(requirement)
-    for name in [*SHOWN, *sorted(wanted.keys() - set(SHOWN))]:
-        if (fact := _library(name, wanted.get(name, []))) is not None:
-            yield fact
-
-
-def _library(name: str, wanted: list[Requirement]) -> Fact | None:
-    """Return the fact about a library; None if it is fine and not in ``SHOWN``."""
-    found = installed_version(name)
-    if found is None:
-        if wanted:
-            return Fact(name, "none", f"install it: pip install {str(wanted[0])!r}", problem=True)
-        return Fact(name, "none", OPTIONAL[name]) if name in OPTIONAL else None
-    if any(not requirement.specifier.contains(found, prereleases=True) for requirement in wanted):
-        bounds = ", ".join(str(requirement.specifier) for requirement in wanted if requirement.specifier)
-        return Fact(name, found, f"needs {bounds}: pip install {str(wanted[0])!r}", problem=True)
-    return Fact(name, found) if name in SHOWN else None
+    for name in (*OURS, "mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL):
+        found = installed_version(name)
+        yield Fact(name, found or "none", "" if found else OPTIONAL.get(name, ""))
+    for distribution in filter(installed_version, OURS):
+        for wanted in map(Requirement, requires(distribution) or ()):
+            if wanted.marker is not None and not wanted.marker.evaluate():
+                continue
+            found = installed_version(wanted.name)
+            if found is None or not wanted.specifier.contains(found, prereleases=True):
+                follows = f"{distribution} needs {wanted}: pip install {str(wanted)!r}"
+                yield Fact(wanted.name, found or "none", follows, problem=True)
 
 
 def installed_version(name: str) -> str | None:

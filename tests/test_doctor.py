@@ -13,7 +13,7 @@ import pytest
 
 from dynahoi_lerobot import doctor
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.doctor import EPISODES, REFERENCE, TOLERANCE, Fact, Reference, compare, play
+from dynahoi_lerobot.doctor import EPISODES, TOLERANCE, Fact, Reference, compare, play
 
 Usage = namedtuple("Usage", "free")
 
@@ -74,10 +74,8 @@ def test_without_the_encoder_only_images_can_be_written(monkeypatch: pytest.Monk
 
 
 def test_versions_out_of_bounds_and_absent_libraries_are_problems(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(doctor, "requires", lambda name: ["numpy>=99", "tqdm>=4", "nowhere"])
-    found = by_name(doctor.versions())
-    assert {name for name, fact in found.items() if fact.problem} == {"numpy", "nowhere"}
-    assert "tqdm" not in found, "what is as it should be is not worth a line"
+    monkeypatch.setattr(doctor, "requires", lambda name: ["numpy>=99", "tqdm>=4", "nowhere", "other; extra == 'x'"])
+    assert {fact.name for fact in doctor.versions() if fact.problem} == {"numpy", "nowhere"}
 
 
 def test_the_core_alone_is_no_problem(monkeypatch: pytest.MonkeyPatch):
@@ -103,11 +101,6 @@ def test_the_quickstart_takes_as_long_as_where_it_was_timed_by_pace(
     monkeypatch.setattr(doctor, "cores", lambda: cores)
     (fact,) = doctor.pace()
     assert f"{minutes} min" in fact.follows
-
-
-def test_the_reference_is_small_and_holds_every_kind_twice(ours: Reference):
-    assert REFERENCE.stat().st_size < 100_000
-    assert len(set(ours["motions"])) == len(set(ours["images"])) == len(ours["pixels"]) == EPISODES == 44
 
 
 @pytest.mark.slow

@@ -151,14 +151,6 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         default=60.0,
         help="with --policy vlm: time for a decision with all its requests [s]",
     )
-    parser.add_argument(
-        "--prices",
-        type=number(0.0, 1e6),
-        nargs=2,
-        default=(0.0, 0.0),
-        metavar=("PROMPT", "COMPLETION"),
-        help="with --policy vlm: prices of a million tokens",
-    )
 
 
 def _latency(text: str) -> float | None:

@@ -39,7 +39,6 @@ class VlmClient:
         base_url: str | None = None,
         *,
         timeout_s: float = 60.0,
-        prices: tuple[float, float] = (0.0, 0.0),
         prompt: Prompt = DEFAULT_PROMPT,
         log: Path | None = None,
     ) -> None:
@@ -49,7 +48,6 @@ class VlmClient:
             model: its name at the endpoint.
             base_url: of the endpoint, usually ending in ``/v1``; None is OpenAI's.
             timeout_s: for one decision [s], all its requests included.
-            prices: of a million prompt and completion tokens, in any currency.
             prompt: what is asked.
             log: a JSON-lines file to which a line is appended for every answer, or failure to get one.
 
@@ -57,7 +55,7 @@ class VlmClient:
             ValueError: for an invalid URL or key, if the endpoint is OpenAI's and there is no key, or if the ``openai``
                 package is not installed.
         """
-        self._model, self._timeout_s, self._prices, self._prompt, self._log = model, timeout_s, prices, prompt, log
+        self._model, self._timeout_s, self._prompt, self._log = model, timeout_s, prompt, log
         self._structured = True
         self._totals = dict.fromkeys(("decisions", "failed", "answers", "prompt_tokens", "completion_tokens"), 0)
         self._problems: Counter[str] = Counter()
@@ -83,16 +81,14 @@ class VlmClient:
     def report(self) -> dict[str, Any]:
         """Return the names of model and prompt and the account so far, as JSON values.
 
-        ``answers`` counts requests for an answer, ``problems`` those without a valid one by the name of the exception,
-        ``seconds`` is the time spent waiting, summed over decisions, and ``cost`` follows from the prices.
+        ``answers`` counts requests for an answer, ``problems`` those without a valid one by the exception's name, and
+        ``seconds`` is the time spent waiting, summed over decisions.
         """
-        tokens = (self._totals["prompt_tokens"], self._totals["completion_tokens"])
         return {
             "model": self._model,
             "prompt": self._prompt.name,
             "structured_output": self._structured,
             **self._totals,
-            "cost": float(np.dot(tokens, self._prices)) / 1e6,
             "seconds": self._seconds,
             "problems": dict(self._problems),
         }
