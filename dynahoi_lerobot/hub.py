@@ -129,13 +129,8 @@ class Repository:
             ValueError: if the name is none.
         """
         from huggingface_hub import HfApi, get_token
-        from huggingface_hub.utils import HFValidationError, validate_repo_id
 
-        try:
-            validate_repo_id(name)
-        except HFValidationError as error:
-            raise ValueError(f"the repository is {name!r}; it must be USER/NAME: {error}") from None
-        if name.count("/") != 1:
+        if not re.fullmatch(r"[\w.-]+/[\w.-]+", name):
             raise ValueError(f"the repository is {name!r}; it must be USER/NAME")
         if not get_token():
             raise HubError(f"no Hub token found; {LOG_IN}")

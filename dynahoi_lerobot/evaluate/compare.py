@@ -23,7 +23,6 @@ class Comparison:
     """Evaluation A against evaluation B on the episodes that both played.
 
     Attributes:
-        metric: the compared metric.
         n: paired episodes in which it applies to both.
         difference: mean of A - B, in the metric's unit.
         low: lower end of the paired bootstrap's 95 % interval of the difference.
@@ -31,7 +30,6 @@ class Comparison:
         p_value: exact McNemar for rates, paired bootstrap for means; two-sided.
     """
 
-    metric: str
     n: int
     difference: float
     low: float
@@ -69,7 +67,7 @@ def compare(a: Results, b: Results, metric: str, *, allow_version_mismatch: bool
     means = bootstrap_means(differences)
     low, high = np.percentile(means, [2.5, 97.5])
     p_value = _p_value(METRICS[metric], differences, means)
-    return Comparison(metric, len(differences), float(differences.mean()), float(low), float(high), p_value)
+    return Comparison(len(differences), float(differences.mean()), float(low), float(high), p_value)
 
 
 def paired_values(a: Results, b: Results, metric: str) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,13 @@ from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, ResultsError
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
-from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
+from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 
-__all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
+__all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "write_results"]
 
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
@@ -218,8 +218,7 @@ class ResultsRecorder:
         """Write the result folder, each file whole or not at all, and return what it holds.
 
         Raises:
-            ValueError: if nothing was recorded, or an episode was played under another capture rule or version of the
-                benchmark.
+            ValueError: if nothing was recorded.
         """
         results = self.results(info, Path(folder))
         result_files.write(results.folder, results.as_json(), results.rows, results.actions)
@@ -233,13 +232,6 @@ class ResultsRecorder:
         """
         if not self._rows:
             raise ValueError("no episode was recorded; results need at least one")
-        for noun, name in (("capture rule", "capture"), ("benchmark", "benchmark")):
-            wanted, stray = getattr(info, name), [row for row in self._rows if row[name] != getattr(info, name)]
-            if stray:
-                raise ValueError(
-                    f"seed {stray[0]['seed']} was played under the {noun} {stray[0][name]!r}, "
-                    f"the results say {wanted!r}; write one folder per {noun}"
-                )
         return Results(folder, info, tuple(self._rows), tuple(self._actions))
 
 
@@ -252,7 +244,7 @@ def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> R
         info: what was evaluated and how.
 
     Raises:
-        ValueError: if there is no episode, or one was played under another capture rule or version of the benchmark.
+        ValueError: if there is no episode.
     """
     recorder = ResultsRecorder()
     recorder.extend(episodes)
@@ -273,4 +265,4 @@ def read_results(folder: Path) -> Results:
 
 
 def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
-    return {name: estimate.as_json() for name, estimate in summary.items()}
+    return {name: asdict(estimate) for name, estimate in summary.items()}

@@ -21,7 +21,6 @@ from dynahoi_lerobot.evaluate.results import (
     RunInfo,
     command_line,
     read_results,
-    summarise,
     write_results,
 )
 from dynahoi_lerobot.evaluate.summary import wilson
@@ -82,7 +81,7 @@ def test_reading_gives_back_what_was_written(folder: Path):
     found = read_results(folder)
     assert found.info == expected.info
     assert found.rows == expected.rows
-    assert found.summary() == expected.summary() == summarise(episodes())
+    assert found.summary() == expected.summary()
     for mine, theirs in zip(found.actions, expected.actions, strict=True):
         np.testing.assert_array_equal(mine, theirs)
     for name in ("metrics.json", "episodes.parquet"):
@@ -134,8 +133,6 @@ def test_a_failed_write_leaves_the_earlier_results_alone(folder: Path, monkeypat
 def test_what_makes_no_results_is_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="at least one"):
         write_results(tmp_path, [], INFO)
-    with pytest.raises(ValueError, match="seed 0 was played under the capture rule 'attach'"):
-        write_results(tmp_path, episodes(), replace(INFO, capture="contact"))
     with pytest.raises(ResultsError, match=r"no result folder .*nowhere; run `dynahoi evaluate`"):
         read_results(tmp_path / "nowhere")
 

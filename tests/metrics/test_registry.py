@@ -78,9 +78,3 @@ def test_a_metric_does_not_depend_on_where_the_world_has_its_origin_or_heading(n
     velocity = np.hstack([episode.target_velocity[:, :3] @ turn.T, episode.target_velocity[:, 3:] @ turn.T])
     moved = replace(episode, state=state, action=action, target_pose=pose, target_velocity=velocity)
     assert METRICS[name](moved) == pytest.approx(METRICS[name](episode), abs=1e-4)
-
-
-def test_an_episode_without_control_frames_is_refused():
-    episode = synthetic_episode(image_size=None)
-    with pytest.raises(ValueError, match=r"seed 0 has 40 frames and a window of 40"):
-        measure(replace(episode, meta=replace(episode.meta, window_frames=40)))

@@ -78,41 +78,6 @@ def test_a_bad_answer_is_refused_with_the_reason(name: str):
     assert 0 < len(str(error.value)) < 300
 
 
-PAPER_PROMPT = """Task. Catch the ball.
-Input. RGB image + current hand state s_t ∈ R^18: [x, y, z, 15 joint angles (rad)] = STATE.
-Skill Set. {WAIT, APPROACH, INTERCEPT, GRASP, LIFT, ADJUST}.
-Output. Return (i) a parameterized skill program whose durations sum to 10, and (ii) an explicit low-level rollout of \
-the next 10 frames, each with 18 values in the same order.
-Return only the following JSON:
-{
-  "action_sequence": [
-    {
-      "skill": "APPROACH",
-      "params": {"target": "object",......},
-      "duration": 4,
-      "terminate_if": ...,
-    },
-    {
-      "skill": "GRASP",
-      "params": {...},
-      "duration": 6
-    }
-  ],
-  "predicted_motion": [
-    {"frame_index": 1, "hand_params": [18 values]},
-    ...,
-    {"frame_index": 10, "hand_params": [18 values]}
-  ]
-}"""
-
-
-def test_the_papers_prompt_is_literal():
-    system, user = Prompt("paper").messages("Catch the ball.", STATE, IMAGE)
-    assert system["content"] == "You are a Vision-Language-Action agent for dynamic hand-object interaction."
-    text = user["content"][0]["text"]
-    assert text == PAPER_PROMPT.replace("STATE", str(np.round(STATE.astype(float), 4).tolist()))
-
-
 @pytest.mark.parametrize("condition", ['"distance < 0.03"', "null", '{"contact": 5}'])
 def test_an_answer_may_say_when_a_skill_ends_and_its_rollout_is_played(condition: str):
     conditional = answer().replace('"duration": 4', f'"duration": 4, "terminate_if": {condition}')
