@@ -80,7 +80,9 @@ def run(args: argparse.Namespace) -> int:
         for option, wanted in (("policy", "results"), ("replace", "checkpoint")):
             if getattr(args, option) and kind != wanted:
                 raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
-        pushed = PUSHES[kind](args, Repository.open(args.repo, "dataset" if kind == "dataset" else "model"))
+        repository = Repository.open(args.repo, "dataset" if kind == "dataset" else "model")
+        with repository.explained():
+            pushed = PUSHES[kind](args, repository)
     except ModuleNotFoundError as error:
         return _say(f"it needs {error.name}, which the extra `lerobot` installs", BAD_INPUT)
     except HubError as error:
@@ -214,13 +216,12 @@ def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
     if findings := verify(args.folder):
         print(*findings, sep="\n", file=sys.stderr)
         raise HubError(f"{args.folder} was not pushed: `dynahoi verify` has findings")
-    with repository.explained():
-        repository.claim(args.folder, private=args.private)
-        repository.upload(args.folder)
-        versions = Manifest.read(args.folder).benchmark.split(", ")
-        tags = [CODEBASE_VERSION, *(f"dynahoi-{version}" for version in versions if version)]
-        for tag in tags:
-            repository.tag(tag)
+    repository.claim(args.folder, private=args.private)
+    repository.upload(args.folder)
+    versions = Manifest.read(args.folder).benchmark.split(", ")
+    tags = [CODEBASE_VERSION, *(f"dynahoi-{version}" for version in versions if version)]
+    for tag in tags:
+        repository.tag(tag)
     return f"{repository.address}, tagged {', '.join(tags)}"
 
 
@@ -234,18 +235,17 @@ def push_checkpoint(args: argparse.Namespace, repository: Repository) -> str:
     if pickles := sorted(p.name for p in folder.rglob("*") if p.suffix.lower() in PICKLES):
         raise ValueError(f"{folder} holds the pickle {pickles[0]}, which nobody should load; save it as safetensors")
     card = checkpoint_card(folder, repository.name)
-    with repository.explained():
-        held = repository.claim(folder, private=args.private)
-        there = repository.weights()
-        other = [name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256]
-        if other and not args.replace:
-            raise HubError(
-                f"{repository.name} holds other weights ({other[0]}); choose another name, or add --replace, which "
-                "also removes the results of the old ones"
-            )
-        repository.upload(folder, delete_patterns=[f"{RESULTS}/*"] if other else None)
-        if CARD_PATH not in held and not (folder / CARD_PATH).is_file():
-            repository.upload_card(card)
+    held = repository.claim(folder, private=args.private)
+    there = repository.weights()
+    other = [name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256]
+    if other and not args.replace:
+        raise HubError(
+            f"{repository.name} holds other weights ({other[0]}); choose another name, or add --replace, which "
+            "also removes the results of the old ones"
+        )
+    repository.upload(folder, delete_patterns=[f"{RESULTS}/*"] if other else None)
+    if CARD_PATH not in held and not (folder / CARD_PATH).is_file():
+        repository.upload_card(card)
     return repository.address
 
 
@@ -260,23 +260,21 @@ def push_results(args: argparse.Namespace, repository: Repository) -> str:
 
     results = read_results(args.folder)
     name, played = variant(results), [METRICS_FILE, EPISODES_FILE, ACTIONS_FILE]
-    with repository.explained():
-        if not repository.api.repo_exists(repository.name) or CONFIG not in (held := repository.files()):
-            raise HubError(f"{repository.name} holds no checkpoint; push it before its results")
-        _check_policy(results, repository, args.policy or "")
-        repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
-        if CARD_PATH in held:
-            there = repository.api.hf_hub_download(repository.name, CARD_PATH)
-            card = ModelCard.load(there, ignore_metadata_errors=True)
-            repository.upload_card(with_results(card, repository.name, results, name))
+    if not repository.api.repo_exists(repository.name) or CONFIG not in (held := repository.files()):
+        raise HubError(f"{repository.name} holds no checkpoint; push it before its results")
+    _check_policy(results, repository, args.policy or "")
+    repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
+    if CARD_PATH in held:
+        there = repository.api.hf_hub_download(repository.name, CARD_PATH)
+        card = ModelCard.load(there, ignore_metadata_errors=True)
+        repository.upload_card(with_results(card, repository.name, results, name))
     return repository.address
 
 
 def push_environment(args: argparse.Namespace, repository: Repository) -> str:
     """Push an environment of LeRobot's EnvHub, which lies in a repository like a checkpoint's."""
-    with repository.explained():
-        repository.claim(args.folder, private=args.private)
-        repository.upload(args.folder)
+    repository.claim(args.folder, private=args.private)
+    repository.upload(args.folder)
     return repository.address
 
 

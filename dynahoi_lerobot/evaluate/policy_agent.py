@@ -130,16 +130,13 @@ class PolicyAgent(ChunkAgent):
 
         start, batch, guidance = time.perf_counter(), self._batch(observation), {}
         if executed is not None and delays is not None:
-            left_over = self._left_over(int(executed[0]))
+            # the normalised actions that are not executed yet; of a chunk that is over, where it led
+            left_over = self._chunk[:, min(int(executed[0]), self._chunk.shape[1] - 1) :]  # (N, n, 18)
             guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
         return Plan(actions, np.full(len(worlds), time.perf_counter() - start))
-
-    def _left_over(self, executed: int) -> Any:
-        """The (N, n, 18) normalised actions that are not executed yet; of a chunk that is over, where it led."""
-        return self._chunk[:, min(executed, self._chunk.shape[1] - 1) :]
 
     def _predicted(self, batch: dict[str, Any], guidance: dict[str, Any]) -> Any:
         """The (N, H, 18) normalised chunks."""
