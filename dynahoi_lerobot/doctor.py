@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, distributions, entry_points, requires, version
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from packaging.requirements import Requirement
@@ -322,4 +323,5 @@ def _counted(same: np.ndarray) -> str:
 
 
 if __name__ == "__main__":  # rewrites the file on the reference machine
-    np.savez_compressed(REFERENCE, **play(EPISODES))
+    arrays: dict[str, Any] = dict(play(EPISODES))
+    np.savez_compressed(REFERENCE, **arrays)
