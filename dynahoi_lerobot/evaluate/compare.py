@@ -8,14 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.core.compatibility import refuse_to_mix
-from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.evaluate.results import RULES, Results
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.evaluate.summary import bootstrap_means
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
-
-CONDITIONS = ("capture", "protocol", "control_class", "inference", "render_noise", "path_speed")
-"""What must be equal for two evaluations to be paired."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class Comparison:
 
 def unequal_conditions(a: Results, b: Results) -> list[str]:
     """Return the conditions in which two evaluations differ."""
-    return [name for name in CONDITIONS if getattr(a, name) != getattr(b, name)]
+    return [name for name in RULES.values() if getattr(a, name) != getattr(b, name)]
 
 
 def compare(a: Results, b: Results, metric: str, *, allow_version_mismatch: bool = False) -> Comparison | None:

@@ -24,6 +24,16 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 
 __all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "write_results"]
 
+RULES = {
+    "protocol": "protocol",
+    "capture": "capture",
+    "control": "control_class",
+    "inference": "inference",
+    "noise": "render_noise",
+    "speed": "path_speed",
+}
+"""Attributes of `Results` that must be equal for two evaluations to be compared, by their titles in tables."""
+
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
 
