@@ -55,7 +55,8 @@ def main() -> None:
     eye_recipe = PretrainRecipe(Path(), args.camera, episodes=recipe, n_episodes=1, batch_size=1, images=1)
     pose, (focal_px, _, centre_px, _) = ImageStream(eye_recipe).camera
     camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=args.camera == EGO_VIEW)
-    random = snapshots(recipe, specs, args.batch_size, np.random.default_rng(1), args.camera)
+    batch = WorldBatch(recipe, args.batch_size, threads=1)
+    random = snapshots(batch, specs, np.random.default_rng(1), args.camera)
     stream = islice(random, args.images // args.batch_size)
     if args.visited_by is not None:
         stream = _visited(PolicyAgent(str(args.visited_by)), recipe, specs, args.camera)

@@ -10,9 +10,6 @@ import json
 import os
 import platform
 import shutil
-import subprocess
-import sys
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -20,6 +17,7 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, distributions, entry_points, requires, version
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from packaging.requirements import Requirement
@@ -81,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         check_output(args.json)
     facts = []
-    for fact in chain(examine(args.folder), compare(play(EPISODES), Reference.read()) if args.reference else ()):
+    for fact in chain(examine(args.folder), compare(play(EPISODES), read_reference()) if args.reference else ()):
         print(fact, flush=True)
         facts.append(fact)
     if args.json:
@@ -98,7 +96,7 @@ def examine(folder: Path) -> Iterator[Fact]:
         folder: output folder.
     """
     parts: tuple[tuple[str, Callable[[], Iterator[Fact]]], ...] = (
-        ("processor", processor), ("disk", lambda: disk(folder)), ("gpu", gpu), ("opengl", opengl), ("codecs", codecs),
+        ("processor", processor), ("disk", lambda: disk(folder)), ("gpu", gpu), ("codecs", codecs),
         ("versions", versions), ("plugins", plugins), ("pace", pace),
     )  # fmt: skip
     for name, look in parts:
@@ -126,26 +124,19 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-WRITTEN_MB, EPISODE_MB = 64, 0.13
-"""Of the test of speed; of an episode at 128 px (docs/notes/scale.md)."""
+EPISODE_MB = 0.13
+"""Size of an episode at 128 px (docs/notes/scale.md)."""
 LEAST_GB = 0.5
 """What the quickstart and the compiled kernels need."""
 
 
 def disk(folder: Path) -> Iterator[Fact]:
-    """Yield free space and sequential write speed (with fsync) of the nearest existing folder."""
+    """Yield the free space of the nearest existing folder."""
     place = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir())
     free_gb = shutil.disk_usage(place).free / 1e9
     enough = free_gb >= LEAST_GB
     room = f"room for about {free_gb / EPISODE_MB:.0f} thousand episodes at 128 px"
     yield Fact("disk", f"{free_gb:.1f} GB free in {place}", room if enough else "0.5 GB are needed", problem=not enough)
-    if enough:
-        with tempfile.TemporaryFile(dir=place) as file:
-            start = time.perf_counter()
-            file.write(os.urandom(WRITTEN_MB * 10**6))
-            file.flush()
-            os.fsync(file.fileno())
-            yield Fact("write speed", f"{WRITTEN_MB / (time.perf_counter() - start):.0f} MB/s")
 
 
 def gpu() -> Iterator[Fact]:
@@ -164,25 +155,6 @@ def gpu() -> Iterator[Fact]:
     else:
         wanted = "; install a torch with CUDA to use the GPU" if found else ""
         yield Fact("torch device", "CPU", f"policies run on the CPU{wanted}")
-
-
-TIMEOUT_S = 60.0
-PROBE = """
-import mujoco
-from dynahoi_lerobot.renderers.opengl import open_context
-open_context(mujoco.MjModel.from_xml_string("<mujoco/>"), 16)
-"""
-
-
-def opengl() -> Iterator[Fact]:
-    """Yield whether a context can be opened; a subprocess tries, because a broken driver may crash it."""
-    try:
-        done = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=TIMEOUT_S, check=False)
-        works = done.returncode == 0
-    except subprocess.TimeoutExpired:
-        works = False
-    follows = "the renderer `opengl` works" if works else "all renderers but `opengl` work"
-    yield Fact("OpenGL", "works" if works else "none", follows)
 
 
 def codecs() -> Iterator[Fact]:
@@ -209,34 +181,22 @@ OPTIONAL = {
     "torch": "comes with lerobot",
 }
 """Optional libraries and their purpose."""
-SHOWN = (*OURS, "mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL)
 
 
 def versions() -> Iterator[Fact]:
-    """Yield the versions of Python, the distributions and their requirements; report those out of bounds."""
+    """Yield the versions of Python and the distributions; report what one of ours requires and is not there."""
     yield Fact("Python", platform.python_version())
-    wanted: dict[str, list[Requirement]] = {}
-    for distribution in OURS:
-        needed = requires(distribution) or () if installed_version(distribution) else ()
-        for requirement in map(Requirement, needed):
-            if requirement.marker is None or requirement.marker.evaluate():
-                wanted.setdefault(requirement.name, []).append(requirement)
-    for name in [*SHOWN, *sorted(wanted.keys() - set(SHOWN))]:
-        if (fact := _library(name, wanted.get(name, []))) is not None:
-            yield fact
-
-
-def _library(name: str, wanted: list[Requirement]) -> Fact | None:
-    """Return the fact about a library; None if it is fine and not in ``SHOWN``."""
-    found = installed_version(name)
-    if found is None:
-        if wanted:
-            return Fact(name, "none", f"install it: pip install {str(wanted[0])!r}", problem=True)
-        return Fact(name, "none", OPTIONAL[name]) if name in OPTIONAL else None
-    if any(not requirement.specifier.contains(found, prereleases=True) for requirement in wanted):
-        bounds = ", ".join(str(requirement.specifier) for requirement in wanted if requirement.specifier)
-        return Fact(name, found, f"needs {bounds}: pip install {str(wanted[0])!r}", problem=True)
-    return Fact(name, found) if name in SHOWN else None
+    for name in (*OURS, "mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL):
+        found = installed_version(name)
+        yield Fact(name, found or "none", "" if found else OPTIONAL.get(name, ""))
+    for distribution in filter(installed_version, OURS):
+        for wanted in map(Requirement, requires(distribution) or ()):
+            if wanted.marker is not None and not wanted.marker.evaluate():
+                continue
+            found = installed_version(wanted.name)
+            if found is None or not wanted.specifier.contains(found, prereleases=True):
+                follows = f"{distribution} needs {wanted}: pip install {str(wanted)!r}"
+                yield Fact(wanted.name, found or "none", follows, problem=True)
 
 
 def installed_version(name: str) -> str | None:
@@ -299,34 +259,19 @@ TOLERANCE = 1e-5
 """Greatest difference [m, rad] with which `dynahoi evaluate --replay` confirms results of another machine."""
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """What the expert's first ``n`` episodes of ``test`` were on some machine.
+Reference = dict[str, np.ndarray]
+"""What the expert's first ``n`` episodes of ``test`` were on some machine.
 
-    Attributes:
-        machine: processor and library versions, in words.
-        motions: (n,) digests of states, commands and target poses, all frames.
-        images: (n,) digests of all images.
-        poses: (K, 25) float32, hand state [m, rad] and target pose [m, 1] at every tenth frame of all episodes.
-        pixels: (n, 32, 32, 3) uint8 RGB at control start.
-    """
+``machine``: processor and library versions, in words. ``motions`` and ``images``: (n,) digests of states, commands and
+target poses, and of all images. ``poses``: (K, 25) float32, hand state [m, rad] and target pose [m, 1] at every tenth
+frame of all episodes. ``pixels``: (n, 32, 32, 3) uint8 RGB at control start.
+"""
 
-    machine: str
-    motions: np.ndarray
-    images: np.ndarray
-    poses: np.ndarray
-    pixels: np.ndarray
 
-    def write(self) -> None:
-        """Write it to the packaged file."""
-        np.savez_compressed(REFERENCE, **vars(self))
-
-    @classmethod
-    def read(cls) -> Reference:
-        """Read the packaged file."""
-        with np.load(REFERENCE, allow_pickle=False) as held:
-            arrays = {name: held[name] for name in ("motions", "images", "poses", "pixels")}
-            return cls(str(held["machine"]), **arrays)
+def read_reference() -> Reference:
+    """Read the packaged file."""
+    with np.load(REFERENCE, allow_pickle=False) as held:
+        return dict(held)
 
 
 def play(count: int) -> Reference:
@@ -334,14 +279,14 @@ def play(count: int) -> Reference:
     specs = sample_specs(PLAYED, range(count), threads=0)
     played = evaluate(WorldBatch(PLAYED, min(count, 22)), EXPERTS[PLAYED.expert](), specs, images=True)
     episodes = sorted(played, key=lambda episode: episode.meta.seed)
-    poses = [np.concatenate([e.state, e.target_pose], axis=1)[::STRIDE] for e in episodes]
-    return Reference(
-        machine=", ".join([platform.machine(), *(f"{library} {version(library)}" for library in LIBRARIES[:4])]),
-        motions=np.array([digest([e.state, e.action, e.target_pose]) for e in episodes]),
-        images=np.array([digest([e.images[EGO_VIEW]]) for e in episodes]),
-        poses=np.concatenate(poses),
-        pixels=np.stack([e.images[EGO_VIEW][e.meta.window_frames] for e in episodes]),
-    )
+    machine = ", ".join([platform.machine(), *(f"{library} {version(library)}" for library in LIBRARIES[:4])])
+    return {
+        "machine": np.array(machine),
+        "motions": np.array([digest([e.state, e.action, e.target_pose]) for e in episodes]),
+        "images": np.array([digest([e.images[EGO_VIEW]]) for e in episodes]),
+        "poses": np.concatenate([np.concatenate([e.state, e.target_pose], axis=1)[::STRIDE] for e in episodes]),
+        "pixels": np.stack([e.images[EGO_VIEW][e.meta.window_frames] for e in episodes]),
+    }
 
 
 def digest(arrays: Iterable[np.ndarray]) -> str:
@@ -351,23 +296,25 @@ def digest(arrays: Iterable[np.ndarray]) -> str:
 
 def compare(found: Reference, wanted: Reference) -> Iterator[Fact]:
     """Yield how this machine's episodes differ from the reference."""
-    yield Fact("reference", f"benchmark {BENCHMARK.version}, {wanted.machine}", f"here {found.machine}")
-    told = _counted(found.motions == wanted.motions)
-    if (found.motions == wanted.motions).all():
+    yield Fact("reference", f"benchmark {BENCHMARK.version}, {wanted['machine']}", f"here {found['machine']}")
+    same = found["motions"] == wanted["motions"]
+    told = _counted(same)
+    if same.all():
         yield Fact("motion", told, "results agree with ours to the last digit")
-    elif found.poses.shape != wanted.poses.shape:
+    elif found["poses"].shape != wanted["poses"].shape:
         yield Fact("motion", f"{told}; some lengths differ", "results differ from ours", problem=True)
     else:
-        off = np.abs(found.poses - wanted.poses).max(axis=0)
+        off = np.abs(found["poses"] - wanted["poses"]).max(axis=0)
         told += f"; palm off by at most {off[:3].max():.2g} m, target by {off[HAND_DOF:][:3].max():.2g} m"
         close = bool(off.max() <= TOLERANCE)
         confirmed = "`dynahoi evaluate --replay` confirms results across both, with the same library versions"
         yield Fact("motion", told, confirmed if close else "results differ from ours", problem=not close)
-    told = _counted(found.images == wanted.images)
-    if (found.images == wanted.images).all():
+    same = found["images"] == wanted["images"]
+    told = _counted(same)
+    if same.all():
         yield Fact("images", told, "policies see identical images")
     else:
-        off = np.abs(found.pixels.astype(int) - wanted.pixels)
+        off = np.abs(found["pixels"].astype(int) - wanted["pixels"])
         yield Fact("images", f"{told}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average")
 
 
@@ -376,4 +323,5 @@ def _counted(same: np.ndarray) -> str:
 
 
 if __name__ == "__main__":  # rewrites the file on the reference machine
-    play(EPISODES).write()
+    arrays: dict[str, Any] = dict(play(EPISODES))
+    np.savez_compressed(REFERENCE, **arrays)

@@ -14,14 +14,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
+from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH
 from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, trained_for
 from dynahoi_lerobot.evaluate.replay_results import changed_rules
 from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
@@ -41,7 +40,7 @@ HUB_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
 RESULTS = "results"
 """Folder of a checkpoint's repository with the result folders, for ``dynahoi evaluate --replay``."""
 IGNORED = [".cache/**", "training_state/**", "**/__pycache__/**", "__pycache__/**"]
-NAME_LENGTH, DIGITS = 120, 8
+NAME_LENGTH = 120
 """Characters of the longest name of a result folder; a longer one is cut and ends with digits of a hash."""
 SHOWN_METRICS = ("S_loc", "S_joint", "S_hold")
 """Metrics of results that a model card lists."""
@@ -58,7 +57,7 @@ ANSWERS = {
 
 
 class HubError(RuntimeError):
-    """A push that cannot be done; the message is one sentence without the token."""
+    """A push that cannot be done; the message is one sentence."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -73,20 +72,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the folder, push it and print its address.
-
-    Args:
-        args: the parsed arguments of ``add_arguments``.
-
-    Returns:
-        The exit code: 0 success, 1 refused or failed, 2 bad input, 130 interrupted.
-    """
+    """Push the folder and print its address; return the exit code: 0, 1 refused, 2 bad input, 130 interrupted."""
     try:
         kind = kind_of(args.folder)
         for option, wanted in (("policy", "results"), ("replace", "checkpoint")):
             if getattr(args, option) and kind != wanted:
                 raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
-        pushed = PUSHES[kind](args, Repository.open(args.repo, "dataset" if kind == "dataset" else "model"))
+        repository = Repository.open(args.repo, "dataset" if kind == "dataset" else "model")
+        with repository.explained():
+            pushed = PUSHES[kind](args, repository)
     except ModuleNotFoundError as error:
         return _say(f"it needs {error.name}, which the extra `lerobot` installs", BAD_INPUT)
     except HubError as error:
@@ -120,13 +114,11 @@ class Repository:
         api: the Hub's client.
         name: ``user/name``.
         kind: ``dataset`` or ``model``.
-        token: of the account.
     """
 
     api: HfApi
     name: str
     kind: str
-    token: str
 
     @classmethod
     def open(cls, name: str, kind: str) -> Repository:
@@ -137,17 +129,12 @@ class Repository:
             ValueError: if the name is none.
         """
         from huggingface_hub import HfApi, get_token
-        from huggingface_hub.utils import HFValidationError, validate_repo_id
 
-        try:
-            validate_repo_id(name)
-        except HFValidationError as error:
-            raise ValueError(f"the repository is {name!r}; it must be USER/NAME: {error}") from None
-        if name.count("/") != 1:
+        if not re.fullmatch(r"[\w.-]+/[\w.-]+", name):
             raise ValueError(f"the repository is {name!r}; it must be USER/NAME")
-        if not (token := get_token()):
+        if not get_token():
             raise HubError(f"no Hub token found; {LOG_IN}")
-        repository = cls(HfApi(token=token), name, kind, token)
+        repository = cls(HfApi(), name, kind)
         with repository.explained():
             repository.api.whoami()
         return repository
@@ -159,7 +146,7 @@ class Repository:
 
     @contextmanager
     def explained(self) -> Iterator[None]:
-        """Turn the exceptions of the Hub's client into one sentence without the token.
+        """Turn what goes wrong on the Hub or on the way to it into one sentence.
 
         Raises:
             HubError: instead of it.
@@ -169,8 +156,7 @@ class Repository:
         except (HubError, ValueError):
             raise
         except Exception as error:
-            sentence = _sentence(error, self.api.endpoint).replace(self.token, "[REDACTED]")
-            raise HubError(f"{self.name}: {sentence}") from None
+            raise HubError(f"{self.name}: {_sentence(error, self.api.endpoint)}") from error
 
     def files(self) -> set[str]:
         """Return the paths of its files."""
@@ -183,16 +169,12 @@ class Repository:
         tree = self.api.list_repo_tree(self.name, recursive=True, repo_type=self.kind)
         return {entry.path: entry.lfs.sha256 for entry in tree if isinstance(entry, RepoFile) and entry.lfs}
 
-    def claim(
-        self, folder: Path, *, private: bool, identity: tuple[str, str] = ("", ""), others: str = "\n"
-    ) -> set[str]:
+    def claim(self, folder: Path, *, private: bool) -> set[str]:
         """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``, and return its files.
 
         Args:
             folder: what is pushed.
             private: make a private repository.
-            identity: JSON file that tells this content from another one under the same file names, and its key.
-            others: folder of the repository that belongs to this content, but comes with other pushes.
 
         Raises:
             HubError: if it holds other content, or is public where a private one is asked for.
@@ -201,14 +183,8 @@ class Repository:
         if private and not self.api.repo_info(self.name, repo_type=self.kind).private:
             raise HubError(f"{self.name} exists and is public; make it private in its settings, or choose another name")
         held, ours = self.files(), {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-        if foreign := sorted(name for name in held - ours - set(HUB_FILES) if not name.startswith(others)):
+        if foreign := sorted(name for name in held - ours - set(HUB_FILES) if not name.startswith(f"{RESULTS}/")):
             raise HubError(f"{self.name} holds other content ({foreign[0]}); choose another name")
-        file, key = identity
-        if file in held & ours:
-            there = _json_value(Path(self.api.hf_hub_download(self.name, file, repo_type=self.kind)), key)
-            if there != (here := _json_value(folder / file, key)):
-                told = f"the {key} in {file} is {there}, not {here}"
-                raise HubError(f"{self.name} holds other content ({told}); choose another name")
         return held
 
     def upload(self, folder: Path, **options: Any) -> None:
@@ -218,14 +194,9 @@ class Repository:
         self.api.upload_folder(repo_id=self.name, folder_path=folder, repo_type=self.kind, **defaults | options)
 
     def upload_card(self, card: ModelCard) -> None:
-        """Replace the card, unless it says the same."""
-        content = str(card)
-        if CARD_PATH in self.files():
-            held = Path(self.api.hf_hub_download(self.name, CARD_PATH, repo_type=self.kind)).read_text(encoding="utf-8")
-            if held == content:
-                return
+        """Replace the card; the client makes no commit if it says the same."""
         self.api.upload_file(
-            repo_id=self.name, path_or_fileobj=content.encode(), path_in_repo=CARD_PATH, repo_type=self.kind,
+            repo_id=self.name, path_or_fileobj=str(card).encode(), path_in_repo=CARD_PATH, repo_type=self.kind,
             commit_message="Write the card with dynahoi",
         )  # fmt: skip
 
@@ -243,13 +214,12 @@ def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
     if findings := verify(args.folder):
         print(*findings, sep="\n", file=sys.stderr)
         raise HubError(f"{args.folder} was not pushed: `dynahoi verify` has findings")
-    with repository.explained():
-        repository.claim(args.folder, private=args.private, identity=(MANIFEST_PATH, "sha256"))
-        repository.upload(args.folder)
-        versions = Manifest.read(args.folder).benchmark.split(", ")
-        tags = [CODEBASE_VERSION, *(f"dynahoi-{version}" for version in versions if version)]
-        for tag in tags:
-            repository.tag(tag)
+    repository.claim(args.folder, private=args.private)
+    repository.upload(args.folder)
+    versions = Manifest.read(args.folder).benchmark.split(", ")
+    tags = [CODEBASE_VERSION, *(f"dynahoi-{version}" for version in versions if version)]
+    for tag in tags:
+        repository.tag(tag)
     return f"{repository.address}, tagged {', '.join(tags)}"
 
 
@@ -263,18 +233,17 @@ def push_checkpoint(args: argparse.Namespace, repository: Repository) -> str:
     if pickles := sorted(p.name for p in folder.rglob("*") if p.suffix.lower() in PICKLES):
         raise ValueError(f"{folder} holds the pickle {pickles[0]}, which nobody should load; save it as safetensors")
     card = checkpoint_card(folder, repository.name)
-    with repository.explained():
-        held = repository.claim(folder, private=args.private, identity=(CONFIG, "type"), others=f"{RESULTS}/")
-        there = repository.weights()
-        other = [name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256]
-        if other and not args.replace:
-            raise HubError(
-                f"{repository.name} holds other weights ({other[0]}); choose another name, or add --replace, which "
-                "also removes the results of the old ones"
-            )
-        repository.upload(folder, delete_patterns=[f"{RESULTS}/*"] if other else None)
-        if CARD_PATH not in held and not (folder / CARD_PATH).is_file():
-            repository.upload_card(card)
+    held = repository.claim(folder, private=args.private)
+    there = repository.weights()
+    other = [name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256]
+    if other and not args.replace:
+        raise HubError(
+            f"{repository.name} holds other weights ({other[0]}); choose another name, or add --replace, which "
+            "also removes the results of the old ones"
+        )
+    repository.upload(folder, delete_patterns=[f"{RESULTS}/*"] if other else None)
+    if CARD_PATH not in held and not (folder / CARD_PATH).is_file():
+        repository.upload_card(card)
     return repository.address
 
 
@@ -289,23 +258,21 @@ def push_results(args: argparse.Namespace, repository: Repository) -> str:
 
     results = read_results(args.folder)
     name, played = variant(results), [METRICS_FILE, EPISODES_FILE, ACTIONS_FILE]
-    with repository.explained():
-        if not repository.api.repo_exists(repository.name) or CONFIG not in (held := repository.files()):
-            raise HubError(f"{repository.name} holds no checkpoint; push it before its results")
-        _check_policy(results, repository, args.policy or "")
-        repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
-        if CARD_PATH in held:
-            there = repository.api.hf_hub_download(repository.name, CARD_PATH)
-            card = ModelCard.load(there, ignore_metadata_errors=True)
-            repository.upload_card(with_results(card, repository.name, results, name))
+    if not repository.api.repo_exists(repository.name) or CONFIG not in (held := repository.files()):
+        raise HubError(f"{repository.name} holds no checkpoint; push it before its results")
+    _check_policy(results, repository, args.policy or "")
+    repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
+    if CARD_PATH in held:
+        there = repository.api.hf_hub_download(repository.name, CARD_PATH)
+        card = ModelCard.load(there, ignore_metadata_errors=True)
+        repository.upload_card(with_results(card, repository.name, results, name))
     return repository.address
 
 
 def push_environment(args: argparse.Namespace, repository: Repository) -> str:
     """Push an environment of LeRobot's EnvHub, which lies in a repository like a checkpoint's."""
-    with repository.explained():
-        repository.claim(args.folder, private=args.private)
-        repository.upload(args.folder)
+    repository.claim(args.folder, private=args.private)
+    repository.upload(args.folder)
     return repository.address
 
 
@@ -342,18 +309,15 @@ def variant(results: Results) -> str:
     words = [info.benchmark, info.split, info.capture, results.control_class]
     words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
     words += [f"{name}_{_text(value)}" for name, (value, _) in changed_rules(results).items() if name != "salt"]
-    seeds = sorted(row["seed"] for row in results.rows)
-    if len(seeds) != BENCHMARK.splits[split_of(info.split)].size:
-        words += [f"{len(seeds)}_episodes", *([] if seeds == list(range(len(seeds))) else [_digest(str(seeds))])]
-    text = "_".join(words)
-    name = re.sub(r"[^A-Za-z0-9.-]+", "_", text).strip("_.")
-    return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - DIGITS - 1]}_{_digest(text)}"
+    if len(results.rows) != BENCHMARK.splits[split_of(info.split)].size:
+        words.append(f"{len(results.rows)}_episodes")
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", "_".join(words)).strip("_.")
+    digest = hashlib.sha256(name.encode()).hexdigest()[:8]
+    return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 9]}_{digest}"
 
 
-PLUGINS = {name: f"lerobot_policy_{name}" for name in ("obact", "actiontokens")}
-"""Distribution that provides a policy type."""
-EXTRAS = {"pi0": "pi", "pi0_fast": "pi", "pi05": "pi", "multi_task_dit": "multi-task-dit", "vla_jepa": "vla-jepa"}
-"""Extra of LeRobot that a policy type needs, where the names differ."""
+PLUGINS = ("obact", "actiontokens")
+"""Policy types with a distribution of their own in this repository."""
 CARD = """
 # {name}
 
@@ -361,7 +325,7 @@ A `{type}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catch
 dexterous hand. {rules}
 
 ```bash
-pip install {needed}   # in a checkout of dynahoi-lerobot
+pip install ".[lerobot]" ./envs/lerobot_env_dynahoi{needed}   # in a checkout of dynahoi-lerobot
 dynahoi evaluate --policy {repo} --split test --out results/{name}
 ```
 """
@@ -384,21 +348,11 @@ def checkpoint_card(folder: Path, repo: str) -> ModelCard:
         pipeline_tag="robotics", tags=["lerobot", "robotics", "dynahoi", kind],
         datasets=[dataset] if "/" in dataset else None,
     )  # fmt: skip
-    words = ['".[lerobot]"', "./envs/lerobot_env_dynahoi"]
-    if kind in PLUGINS:
-        words.append(f"./policies/{PLUGINS[kind]}")
-    elif (extra := EXTRAS.get(kind, kind)) in _extras_of_lerobot():
-        words.append(f'"lerobot[{extra}]"')
-    body = CARD.format(
-        name=repo.rpartition("/")[2], type=kind, repo=repo, needed=" ".join(words), rules=_rules_text(folder)
-    )
-    return ModelCard(f"---\n{data.to_yaml()}\n---\n{body}")
-
-
-def _rules_text(folder: Path) -> str:
-    """Return a sentence with the rules that a checkpoint was trained for, as far as it tells them."""
+    needed = f" ./policies/lerobot_policy_{kind}" if kind in PLUGINS else ""
     told = {"control_mode": JOINTS} | trained_for(folder)
-    return "It was trained for " + ", ".join(f"{name} `{value}`" for name, value in sorted(told.items())) + "."
+    rules = "It was trained for " + ", ".join(f"{name} `{value}`" for name, value in sorted(told.items())) + "."
+    body = CARD.format(name=repo.rpartition("/")[2], type=kind, repo=repo, needed=needed, rules=rules)
+    return ModelCard(f"---\n{data.to_yaml()}\n---\n{body}")
 
 
 def with_results(card: ModelCard, repo: str, results: Results, name: str) -> ModelCard:
@@ -420,27 +374,19 @@ def with_results(card: ModelCard, repo: str, results: Results, name: str) -> Mod
     return card
 
 
-def _extras_of_lerobot() -> list[str]:
-    try:
-        return metadata("lerobot").get_all("Provides-Extra") or []
-    except PackageNotFoundError:
-        return []
-
-
-def _sentence(error: Exception, endpoint: str) -> str:
+def _sentence(error: BaseException, endpoint: str) -> str:
+    """Say what stopped an upload: the client names the Hub's answer, or the broken connection, as a cause."""
     import httpx
     from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
 
-    cause: BaseException | None = error
-    while cause is not None:
-        if isinstance(cause, HfHubHTTPError):
-            status = cause.response.status_code
-            said = " ".join((cause.server_message or "no reason").split())
-            return ANSWERS.get(status, f"the Hub answered {status} ({said}); {RESUME}")
-        if isinstance(cause, httpx.TransportError | OfflineModeIsEnabled):
-            return f"cannot reach {endpoint} ({type(cause).__name__}); {RESUME}"
-        cause = cause.__cause__ or cause.__context__
-    return f"the upload failed ({type(error).__name__}: {' '.join(str(error).split())}); {RESUME}"
+    if isinstance(error, HfHubHTTPError):
+        status, said = error.response.status_code, error.server_message or "no reason"
+        return ANSWERS.get(status, f"the Hub answered {status} ({said}); {RESUME}")
+    if isinstance(error, httpx.TransportError | OfflineModeIsEnabled):
+        return f"cannot reach {endpoint} ({type(error).__name__}); {RESUME}"
+    if cause := error.__cause__ or error.__context__:
+        return _sentence(cause, endpoint)
+    return f"the upload failed ({type(error).__name__}: {error}); {RESUME}"
 
 
 def _json_value(path: Path, key: str) -> Any:
@@ -453,10 +399,6 @@ def _json_value(path: Path, key: str) -> Any:
 
 def _text(value: Any) -> str:
     return "_".join(map(str, value)) if isinstance(value, Sequence) and not isinstance(value, str) else str(value)
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:DIGITS]
 
 
 def _say(problem: object, code: int) -> int:

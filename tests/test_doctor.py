@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 from collections import namedtuple
-from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -15,7 +13,7 @@ import pytest
 
 from dynahoi_lerobot import doctor
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.doctor import EPISODES, REFERENCE, TOLERANCE, Fact, Reference, compare, play
+from dynahoi_lerobot.doctor import EPISODES, TOLERANCE, Fact, Reference, compare, play
 
 Usage = namedtuple("Usage", "free")
 
@@ -26,13 +24,13 @@ def by_name(facts) -> dict[str, Fact]:
 
 @pytest.fixture(scope="module")
 def ours() -> Reference:
-    return Reference.read()
+    return doctor.read_reference()
 
 
 def test_this_machine_has_no_problems(tmp_path: Path):
     facts = list(doctor.examine(tmp_path))
     assert not [fact for fact in facts if fact.problem]
-    assert {"cores", "disk", "GPU", "OpenGL", "PyAV", "Python", "pace"} <= {fact.name for fact in facts}
+    assert {"cores", "disk", "GPU", "PyAV", "Python", "pace"} <= {fact.name for fact in facts}
 
 
 def test_the_command_writes_every_fact_and_fails_with_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -76,10 +74,8 @@ def test_without_the_encoder_only_images_can_be_written(monkeypatch: pytest.Monk
 
 
 def test_versions_out_of_bounds_and_absent_libraries_are_problems(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(doctor, "requires", lambda name: ["numpy>=99", "tqdm>=4", "nowhere"])
-    found = by_name(doctor.versions())
-    assert {name for name, fact in found.items() if fact.problem} == {"numpy", "nowhere"}
-    assert "tqdm" not in found, "what is as it should be is not worth a line"
+    monkeypatch.setattr(doctor, "requires", lambda name: ["numpy>=99", "tqdm>=4", "nowhere", "other; extra == 'x'"])
+    assert {fact.name for fact in doctor.versions() if fact.problem} == {"numpy", "nowhere"}
 
 
 def test_the_core_alone_is_no_problem(monkeypatch: pytest.MonkeyPatch):
@@ -97,11 +93,6 @@ def test_a_plugin_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monke
     assert "no_such_package" in fact.follows
 
 
-def test_a_machine_without_opengl_has_all_other_renderers(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(doctor.subprocess, "run", lambda words, **_: subprocess.CompletedProcess(words, 1))
-    assert list(doctor.opengl()) == [Fact("OpenGL", "none", "all renderers but `opengl` work")]
-
-
 @pytest.mark.parametrize(("cores", "share", "minutes"), [(1, 1.0, 7), (2, 1.0, 5), (16, 1.0, 5), (2, 0.5, 9)])
 def test_the_quickstart_takes_as_long_as_where_it_was_timed_by_pace(
     monkeypatch, cores: int, share: float, minutes: int
@@ -110,11 +101,6 @@ def test_the_quickstart_takes_as_long_as_where_it_was_timed_by_pace(
     monkeypatch.setattr(doctor, "cores", lambda: cores)
     (fact,) = doctor.pace()
     assert f"{minutes} min" in fact.follows
-
-
-def test_the_reference_is_small_and_holds_every_kind_twice(ours: Reference):
-    assert REFERENCE.stat().st_size < 100_000
-    assert len(set(ours.motions)) == len(set(ours.images)) == len(ours.pixels) == EPISODES == 44
 
 
 @pytest.mark.slow
@@ -127,25 +113,25 @@ def test_this_machine_moves_as_the_reference_does(ours: Reference):
 
 def test_the_first_episodes_are_the_same_in_other_numbers(ours: Reference):
     few = play(2)
-    assert few.motions.tolist() == ours.motions[:2].tolist()
-    np.testing.assert_array_equal(few.pixels, ours.pixels[:2])
+    assert few["motions"].tolist() == ours["motions"][:2].tolist()
+    np.testing.assert_array_equal(few["pixels"], ours["pixels"][:2])
 
 
 @pytest.mark.parametrize(("off", "problem"), [(TOLERANCE / 2, False), (0.01, True)])
 def test_a_small_difference_is_measured_and_a_large_one_is_a_problem(ours: Reference, off: float, problem: bool):
-    poses = ours.poses.copy()
+    poses = ours["poses"].copy()
     poses[5, 18] += off
-    found = replace(ours, motions=np.array(["f" * 16, *ours.motions[1:]]), poses=poses)
+    found = ours | {"motions": np.array(["f" * 16, *ours["motions"][1:]]), "poses": poses}
     fact = by_name(compare(found, ours))["motion"]
     assert fact.problem == problem
     assert fact.found.startswith("43 of 44 episodes")
 
 
 def test_other_lengths_are_a_problem_and_other_pixels_are_counted(ours: Reference):
-    pixels = ours.pixels.copy()
+    pixels = ours["pixels"].copy()
     pixels[3, 0, 0, 0] ^= 1
-    images = np.array(["f" * 16, *ours.images[1:]])
-    found = replace(ours, motions=ours.motions[::-1], poses=ours.poses[1:], images=images, pixels=pixels)
+    images = np.array(["f" * 16, *ours["images"][1:]])
+    found = ours | {"motions": ours["motions"][::-1], "poses": ours["poses"][1:], "images": images, "pixels": pixels}
     facts = by_name(compare(found, ours))
     assert facts["motion"].problem
     assert not facts["images"].problem
@@ -154,6 +140,7 @@ def test_other_lengths_are_a_problem_and_other_pixels_are_counted(ours: Referenc
 
 def test_the_command_compares_if_it_is_asked(ours: Reference, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(doctor, "examine", lambda folder: iter(()))
-    monkeypatch.setattr(doctor, "play", lambda count: replace(ours, motions=ours.motions[::-1], poses=ours.poses + 1))
+    other = ours | {"motions": ours["motions"][::-1], "poses": ours["poses"] + 1}
+    monkeypatch.setattr(doctor, "play", lambda count: other)
     assert main(["doctor"]) == 0
     assert main(["doctor", "--reference"]) == 1

@@ -48,8 +48,8 @@ def make_actor(
         trust: load a policy even if that can run code of its own.
 
     Raises:
-        UntrustedCheckpointError: if loading the policy could run code of its own, unless ``trust`` allows that.
-        ValueError: if there is no such policy, or its config cannot be changed so.
+        ValueError: if there is no such policy, its config cannot be changed so, or loading it could run code of its
+            own, unless ``trust`` allows that.
     """
     key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
     if settings and key in (*EXPERTS.names(), VLM):
@@ -153,14 +153,6 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         type=number(0.001, 86_400.0),
         default=60.0,
         help="with --policy vlm: time limit of a decision with all its requests [s]",
-    )
-    parser.add_argument(
-        "--prices",
-        type=number(0.0, 1e6),
-        nargs=2,
-        default=(0.0, 0.0),
-        metavar=("PROMPT", "COMPLETION"),
-        help="with --policy vlm: prices per million tokens",
     )
 
 

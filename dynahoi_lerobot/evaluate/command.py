@@ -156,7 +156,6 @@ def _vlm(args: argparse.Namespace) -> Agent:
         args.model,
         args.base_url,
         timeout_s=args.request_timeout,
-        prices=tuple(args.prices),
         prompt=prompt,
         log=args.out / "vlm.jsonl" if args.out else None,
     )

@@ -5,14 +5,13 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.files import write_atomically
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -26,21 +25,12 @@ STRIP, INK = (30, 30, 34), (235, 235, 235)
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.38
 COLOURS, PALETTE_PAGES = 128, 8
 """Colours of a GIF, and how many of its pages they are chosen from."""
-MAX_FPS = 50
-"""Viewers slow anything faster down to 10 frames per second."""
+EPISODE_PX = 192
+"""Least width of an episode's frames."""
 
 
-def episode_gif(path: Path, episode: Episode, caption: str | None = None, min_width: int = 192) -> Path:
-    """Write the hand camera's images of one episode as a GIF at real-time speed.
-
-    Args:
-        path: the file to write.
-        episode: an episode with images.
-        caption: the line under the image; None says motion, object and stage.
-        min_width: least width of the frames [px]; smaller ones are enlarged by a whole factor.
-
-    Returns:
-        ``path``.
+def episode_gif(path: Path, episode: Episode) -> None:
+    """Write the hand camera's images of one episode as a GIF at real-time speed, with motion, object and stage.
 
     Raises:
         ValueError: if the episode has no images.
@@ -48,8 +38,8 @@ def episode_gif(path: Path, episode: Episode, caption: str | None = None, min_wi
     frames = episode.images.get(EGO_VIEW)
     if frames is None:
         raise ValueError(f"the episode with seed {episode.meta.seed} holds no images; play it with a renderer")
-    text = f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}" if caption is None else caption
-    return write_gif(path, frames, caption=text, phases=phases_of(episode), min_width=min_width)
+    caption = f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}"
+    write_gif(path, frames, caption=caption, phases=phases_of(episode), min_width=EPISODE_PX)
 
 
 def phases_of(episode: Episode) -> list[str]:
@@ -67,30 +57,10 @@ def frame_phases(acting: np.ndarray, localized: np.ndarray) -> list[str]:
     return np.where(acting, np.where(localized, "localized", "acting"), "observing").tolist()
 
 
-def write_gif(
-    path: Path,
-    frames: np.ndarray,
-    *,
-    fps: float = CONTROL_HZ,
-    caption: str = "",
-    phases: Sequence[str] | None = None,
-    min_width: int = 0,
-) -> Path:
-    """Write frames as a GIF that repeats forever, whole or not at all.
-
-    Args:
-        path: the file to write.
-        frames, fps, caption, phases, min_width: as ``encode_gif`` takes them.
-
-    Returns:
-        ``path``.
-
-    Raises:
-        ValueError: as ``encode_gif``.
-    """
-    data = encode_gif(frames, fps=fps, caption=caption, phases=phases, min_width=min_width)
-    write_atomically({Path(path): lambda draft: draft.write_bytes(data)})
-    return Path(path)
+def write_gif(path: Path, frames: np.ndarray, **options: Any) -> None:
+    """Write frames as a GIF that repeats forever; frames and options are those of ``encode_gif``."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(encode_gif(frames, **options))
 
 
 def encode_gif(
@@ -105,16 +75,13 @@ def encode_gif(
 
     Args:
         frames: (T, H, W, 3) uint8 RGB.
-        fps: frames per second, at most 50; the format rounds the duration of a frame to 10 ms.
+        fps: frames per second, up to 50, as viewers slow anything faster down to 10; the format rounds the duration of
+            a frame to 10 ms.
         caption: text for a strip under the image, cut to its width; empty leaves the strip out.
         phases: T names out of ``BORDERS``, or None for no border.
         min_width: least width of the frames [px]; smaller ones are enlarged by a whole factor, so that pixels stay
             crisp.
-
-    Raises:
-        ValueError: if the frames, the frame rate or the phases are not as described.
     """
-    _check(frames, fps, phases)
     scale = max(1, -(-min_width // frames.shape[2]))
     names = phases or [None] * len(frames)
     pages = _quantized([_page(frame, name, caption, scale) for frame, name in zip(frames, names, strict=True)])
@@ -122,18 +89,6 @@ def encode_gif(
     buffer = io.BytesIO()
     pages[0].save(buffer, "GIF", **options)
     return buffer.getvalue()
-
-
-def _check(frames: np.ndarray, fps: float, phases: Sequence[str] | None) -> None:
-    if frames.ndim != 4 or frames.shape[-1] != 3 or frames.dtype != np.uint8 or 0 in frames.shape:
-        raise ValueError(f"a GIF needs (T, H, W, 3) uint8 frames, not {frames.shape} {frames.dtype}")
-    if not 0 < fps <= MAX_FPS:
-        raise ValueError(f"a GIF plays at up to {MAX_FPS} frames per second, not {fps}")
-    if phases is not None and (len(phases) != len(frames) or not set(phases) <= set(BORDERS)):
-        raise ValueError(
-            f"phases must be {len(frames)} names out of {', '.join(BORDERS)}, not {len(phases)} of "
-            f"{', '.join(sorted(set(phases)))}"
-        )
 
 
 def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> np.ndarray:

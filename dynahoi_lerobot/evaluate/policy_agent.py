@@ -60,13 +60,13 @@ class PolicyAgent(ChunkAgent):
             trust: load it even if that can run code of its own.
 
         Raises:
-            PolicyError: if there is no such policy, or its config cannot be changed so.
-            UntrustedCheckpointError: if loading it could run code of its own, unless ``trust`` allows that.
+            PolicyError: if there is no such policy, its config cannot be changed so, or loading it could run code of
+                its own, unless ``trust`` allows that.
         """
         self.name = path
         folder = checked_folder(path, trust=trust)
         _register_plugins()
-        self._policy, self._before, self._after = load_policy(folder, device, settings, trust=trust)
+        self._policy, self._before, self._after = load_policy(folder, device, settings)
         self.weights, self.trained_for = folder_weights(folder), trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
@@ -130,16 +130,13 @@ class PolicyAgent(ChunkAgent):
 
         start, batch, guidance = time.perf_counter(), self._batch(observation), {}
         if executed is not None and delays is not None:
-            left_over = self._left_over(int(executed[0]))
+            # the normalised actions that are not executed yet; of a chunk that is over, where it led
+            left_over = self._chunk[:, min(int(executed[0]), self._chunk.shape[1] - 1) :]  # (N, n, 18)
             guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
         return Plan(actions, np.full(len(worlds), time.perf_counter() - start))
-
-    def _left_over(self, executed: int) -> Any:
-        """The (N, n, 18) normalised actions that are not executed yet; of a chunk that is over, where it led."""
-        return self._chunk[:, min(executed, self._chunk.shape[1] - 1) :]
 
     def _predicted(self, batch: dict[str, Any], guidance: dict[str, Any]) -> Any:
         """The (N, H, 18) normalised chunks."""

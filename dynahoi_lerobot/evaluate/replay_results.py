@@ -21,6 +21,8 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.files import sha256
+from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.rollout.inference import SYNC
@@ -51,8 +53,8 @@ def run(args: argparse.Namespace) -> int:
     """
     results = read_results(args.replay)
     recipe = open_recipe(results, args.salt or "")
-    for name, digest in results.digests.items():
-        print(f"sha256 {digest}  {results.folder / name}")
+    for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
+        print(f"sha256 {sha256(results.folder / name)}  {results.folder / name}")
     for name, (value, rule) in (changed_rules(results) | _unseen_rules(results)).items():
         print(f"not the benchmark's {name}: {reprlib.repr(value)}, which is {reprlib.repr(rule)}")
     seed = secrets.randbits(32) if args.replay_seed is None else args.replay_seed

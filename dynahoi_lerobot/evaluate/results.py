@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -14,24 +14,33 @@ import numpy as np
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate import result_files
-from dynahoi_lerobot.evaluate.result_files import LONGEST_TEXT, ResultsError
+from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, ResultsError
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
-from dynahoi_lerobot.evaluate.summary import Summary, summarise, summarise_by, summarise_rows
+from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 
-__all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "summarise", "write_results"]
+__all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "write_results"]
+
+RULES = {
+    "protocol": "protocol",
+    "capture": "capture",
+    "control": "control_class",
+    "inference": "inference",
+    "noise": "render_noise",
+    "speed": "path_speed",
+}
+"""Attributes of `Results` that must be equal for two evaluations to be compared, by their titles in tables."""
 
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
 
 
 def command_line(words: Sequence[str]) -> str:
-    """Return a command line as results keep it: printable, its program without the folder, cut where it is too long."""
-    text = printable(" ".join([Path(words[0]).name, *words[1:]]))
-    return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 4] + " ..."
+    """Return a command line as results keep it: printable, its program without the folder."""
+    return printable(" ".join([Path(words[0]).name, *words[1:]]))
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,6 @@ class Results:
         rows: one row an episode, as ``episode_row`` makes them.
         actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint angles [rad].
         head: what ``metrics.json`` held; empty for results that were not read.
-        digests: sha256 of the bytes that were read, by file name.
     """
 
     folder: Path
@@ -82,7 +90,6 @@ class Results:
     rows: tuple[Row, ...]
     actions: tuple[np.ndarray, ...] = field(repr=False)
     head: dict[str, Any] = field(default_factory=dict, repr=False)
-    digests: dict[str, str] = field(default_factory=dict)
 
     @property
     def control_class(self) -> str:
@@ -127,7 +134,7 @@ class Results:
 
     def marked(self, name: str) -> str:
         """Return a name of the policy as tables and reports show it: marked if it is privileged."""
-        return f"{name} (privileged)" if self.privileged else name
+        return printable(f"{name} (privileged)" if self.privileged else name)
 
     def summary(self) -> Summary:
         """Return every metric with its interval over all episodes; computed once."""
@@ -195,10 +202,16 @@ class ResultsRecorder:
     def resume(cls, folder: Path) -> ResultsRecorder:
         """Return a recorder that resumes what an interrupted run of the same task has saved in ``folder``.
 
+        It may have ended before its first save, or between the renaming of two files, so that one of them holds more
+        episodes.
+
         Raises:
             ResultsError: if what it saved is damaged.
         """
-        return cls(*result_files.read_saved(folder))
+        if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
+            return cls()
+        rows, actions = result_files.read_saved(folder)
+        return cls(rows[: len(actions)], actions[: len(rows)])
 
     @property
     def seeds(self) -> set[int]:
@@ -215,8 +228,7 @@ class ResultsRecorder:
         """Write the result folder, each file whole or not at all, and return what it holds.
 
         Raises:
-            ValueError: if nothing was recorded, or an episode was played under another capture rule or version of the
-                benchmark.
+            ValueError: if nothing was recorded.
         """
         results = self.results(info, Path(folder))
         result_files.write(results.folder, results.as_json(), results.rows, results.actions)
@@ -230,13 +242,6 @@ class ResultsRecorder:
         """
         if not self._rows:
             raise ValueError("no episode was recorded; results need at least one")
-        for noun, name in (("capture rule", "capture"), ("benchmark", "benchmark")):
-            wanted, stray = getattr(info, name), [row for row in self._rows if row[name] != getattr(info, name)]
-            if stray:
-                raise ValueError(
-                    f"seed {stray[0]['seed']} was played under the {noun} {stray[0][name]!r}, "
-                    f"the results say {wanted!r}; write one folder per {noun}"
-                )
         return Results(folder, info, tuple(self._rows), tuple(self._actions))
 
 
@@ -249,7 +254,7 @@ def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> R
         info: what was evaluated and how.
 
     Raises:
-        ValueError: if there is no episode, or one was played under another capture rule or version of the benchmark.
+        ValueError: if there is no episode.
     """
     recorder = ResultsRecorder()
     recorder.extend(episodes)
@@ -263,11 +268,11 @@ def read_results(folder: Path) -> Results:
         ResultsError: one sentence that says what is missing or damaged.
     """
     folder = Path(folder)
-    head, rows, actions, digests = result_files.read(folder)
+    head, rows, actions = result_files.read(folder)
     names = ("policy", "split", "capture", "command", "fingerprint", "extra", "benchmark")
     info = RunInfo(**{name: head[name] for name in names})
-    return Results(folder, info, tuple(rows), tuple(actions), head, digests)
+    return Results(folder, info, tuple(rows), tuple(actions), head)
 
 
 def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
-    return {name: estimate.as_json() for name, estimate in summary.items()}
+    return {name: asdict(estimate) for name, estimate in summary.items()}

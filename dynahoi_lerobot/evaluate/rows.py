@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import SEED_LIMIT, UNIT_M
+from dynahoi_lerobot.core.conventions import UNIT_M
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.motions.base import CATEGORIES
@@ -112,9 +111,6 @@ COLUMNS = {
 """All columns with their types. ``travel_u`` is in u (0.1 m), ``grasp_rad`` the mean rotation of a joint from the open
 hand to the reference grasp, ``first_localized`` a frame or null."""
 
-NULLABLE = {"first_localized", *(name for name, metric in METRICS.items() if metric.condition)}
-"""Columns that may hold nulls: the frame of an event that never happened, a metric whose condition does not hold."""
-
 IDENTITY = ("split", "seed", "kind", "object", "length_frames")
 """Columns that tell whether two rows are runs of the same episode."""
 
@@ -138,20 +134,3 @@ def row_schema() -> pa.Schema:
     import pyarrow as pa
 
     return pa.schema(list(COLUMNS.items()))
-
-
-def check_row(row: Row) -> None:
-    """Refuse a row of ``row_schema`` with impossible values.
-
-    Raises:
-        ValueError: if a value is missing, not finite, or outside its bounds.
-    """
-    for name, value in row.items():
-        if value is None and name not in NULLABLE:
-            raise ValueError(f"seed {row['seed']} has no {name}")
-        if isinstance(value, int | float):
-            low, high = METRICS[name].bounds if name in METRICS else (0, SEED_LIMIT)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise ValueError(f"seed {row['seed']} has the {name} {value}, which must be {low:g} to {high:g}")
-            if name in METRICS and METRICS[name].aggregation == "rate" and value not in (0.0, 1.0):
-                raise ValueError(f"seed {row['seed']} has the {name} {value}, which must be 0 or 1")

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.rows import STRATA, Row, episode_row
+from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.metrics import METRICS, Metric
 
 Z_95 = 1.959963984540054
@@ -25,12 +23,7 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
     """Return Wilson's 95 % score interval of a rate, within [0, 1].
 
     Unlike the normal interval it is not empty at 0 or at ``count`` successes (E. B. Wilson, JASA 1927).
-
-    Raises:
-        ValueError: unless ``0 <= successes <= count`` and ``count > 0``.
     """
-    if not 0 <= successes <= count or count == 0:
-        raise ValueError(f"a rate needs 0 <= successes <= count and count > 0, not {successes} of {count}")
     rate, spread = successes / count, Z_95**2 / count
     centre = (rate + spread / 2) / (1 + spread)
     half = math.sqrt(rate * (1 - rate) * spread + spread**2 / 4) / (1 + spread)
@@ -39,14 +32,8 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
 
 
 def bootstrap_means(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> np.ndarray:
-    """Return (resamples,) means of resamples with replacement of (n,) ``values``, independent of their order.
-
-    Raises:
-        ValueError: if there is no value.
-    """
+    """Return (resamples,) means of resamples with replacement of (n,) ``values``, independent of their order."""
     values = np.sort(np.asarray(values, np.float64))
-    if values.size == 0:
-        raise ValueError("a bootstrap needs at least one value, got none")
     rng = np.random.default_rng(seed)
     rows = max(1, CHUNK // values.size)
     counts = [min(rows, resamples - start) for start in range(0, resamples, rows)]
@@ -78,10 +65,6 @@ class Estimate:
     unit: str
     n: int
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the fields as a dictionary."""
-        return asdict(self)
-
 
 Summary = dict[str, Estimate]
 
@@ -95,23 +78,12 @@ def estimate(metric: Metric, values: Iterable[float | None]) -> Estimate:
     return Estimate(float(known.mean()), *ends, metric.unit, int(known.size))
 
 
-def summarise(episodes: Iterable[Episode]) -> Summary:
-    """Return every metric over ``episodes``, which may be a generator: only their rows are kept."""
-    return summarise_rows([episode_row(episode) for episode in episodes])
-
-
 def summarise_rows(rows: Sequence[Row]) -> Summary:
     """Return every metric over ``rows``; a metric without a column there has ``n = 0``."""
     return {name: estimate(metric, (row.get(name) for row in rows)) for name, metric in METRICS.items()}
 
 
 def summarise_by(rows: Sequence[Row], stratum: str) -> dict[str, Summary]:
-    """Return every metric for every label of ``stratum``, in the stratum's order.
-
-    Raises:
-        ValueError: if there is no such stratum.
-    """
-    if stratum not in STRATA:
-        raise ValueError(f"unknown stratum {stratum!r}; known: {', '.join(STRATA)}")
+    """Return every metric for every label of ``stratum``, in the stratum's order."""
     labels = STRATA[stratum].arrange({row[stratum] for row in rows})
     return {label: summarise_rows([row for row in rows if row[stratum] == label]) for label in labels}

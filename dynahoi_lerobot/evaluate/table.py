@@ -6,14 +6,14 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.evaluate.results import RULES, Results
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary
 from dynahoi_lerobot.metrics import METRICS
 
 MAIN_COLUMNS = ("S_loc", "S_joint", "S_gra_two_sided", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
 """The paper's seven metrics, and beside its S_gra, which a fist passes, the grasp that a fist fails."""
 
-CONDITIONS = ("split", "protocol", "capture", "control", "inference", "noise", "speed", "benchmark", "n")
+CONDITIONS = ("split", *RULES, "benchmark", "n")
 """Titles of what is said about an evaluation beside its numbers: under others they do not compare."""
 
 
@@ -98,8 +98,7 @@ def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
 
 def conditions(result: Results) -> list[str]:
     """Return what ``CONDITIONS`` says about an evaluation."""
-    rules = [result.protocol, result.capture, result.control_class, result.inference]
-    rules += [result.render_noise, result.path_speed]
+    rules = [getattr(result, name) for name in RULES.values()]
     return [result.info.split, *rules, result.info.benchmark, str(len(result.rows))]
 
 

@@ -69,9 +69,9 @@ def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
     """Load a policy on the CPU.
 
     Raises:
-        PolicyError: if there is no such policy, if it reads the simulator's truth, which recordings do not show it, or
-            a repository is to be trusted, whose content would not be named.
-        UntrustedCheckpointError: if loading it could run code of its own, unless ``trust`` allows that.
+        PolicyError: if there is no such policy, if it reads the simulator's truth, which recordings do not show it, if
+            a repository is to be trusted, whose content would not be named, or if loading it could run code of its
+            own, unless ``trust`` allows that.
     """
     if trust and not Path(path).is_dir():
         raise PolicyError(f"--trust needs a folder as the actor, got {path!r}; download the repository first")

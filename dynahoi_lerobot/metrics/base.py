@@ -51,16 +51,7 @@ class Metric:
     condition: str = ""
 
     def __call__(self, episode: Episode) -> float | None:
-        """Return the episode's value in ``unit``, or None where the condition does not hold.
-
-        Raises:
-            ValueError: if the episode has no frame of the control phase, on which every metric is defined.
-        """
-        if len(episode) <= episode.meta.window_frames:
-            raise ValueError(
-                f"the episode with seed {episode.meta.seed} has {len(episode)} frames and a window of "
-                f"{episode.meta.window_frames}; metrics need at least one frame after the window"
-            )
+        """Return the episode's value in ``unit``, or None where the condition does not hold."""
         value = self.compute(episode)
         return None if value is None else float(value)
 
@@ -100,9 +91,5 @@ def metric(
 
 
 def measure(episode: Episode) -> dict[str, float | None]:
-    """Return every registered metric of one episode by name; None where a metric's condition does not hold.
-
-    Raises:
-        ValueError: if the episode has no frame of the control phase.
-    """
+    """Return every registered metric of one episode by name; None where a metric's condition does not hold."""
     return {name: evaluate(episode) for name, evaluate in METRICS.items()}

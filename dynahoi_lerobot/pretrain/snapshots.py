@@ -8,13 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.rollout.recorder import camera_pose, intrinsics
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
-from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -83,7 +82,8 @@ class ImageStream:
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
         """Yield images forever, as a run that resumes from ``update`` sees them."""
-        return _shown(self._batch, self.specs, self._recipe.camera, np.random.default_rng([self._recipe.seed, update]))
+        rng = np.random.default_rng([self._recipe.seed, update])
+        return snapshots(self._batch, self.specs, rng, self._recipe.camera)
 
     @cached_property
     def _batch(self) -> WorldBatch:
@@ -99,66 +99,49 @@ class ImageStream:
 
 
 def snapshots(
-    recipe: Recipe, specs: Sequence[EpisodeSpec], size: int, rng: np.random.Generator, camera: str = EGO_VIEW
+    batch: WorldBatch, specs: Sequence[EpisodeSpec], rng: np.random.Generator, camera: str = EGO_VIEW
 ) -> Iterator[Snapshots]:
-    """Yield images forever, ``size`` at a time, of poses along the targets' paths and the hand's ways to them.
+    """Yield images of all worlds of a batch forever: poses along the targets' paths and the hand's ways to them.
 
     Args:
-        recipe: of the episodes, for hand, renderer and image size.
+        batch: of a recipe with the hand, the renderer and the image size.
         specs: episodes whose objects, paths and surroundings are shown; each serves many images.
-        size: worlds that are rendered together.
         rng: source of every draw.
         camera: whose images these are, ``ego`` or ``side``.
     """
-    yield from _shown(WorldBatch(recipe, size, threads=1), specs, camera, rng)
-
-
-def _shown(
-    batch: WorldBatch, specs: Sequence[EpisodeSpec], camera: str, rng: np.random.Generator
-) -> Iterator[Snapshots]:
-    """Yield images forever, of all worlds of a batch together; see `snapshots`."""
-    size, everyone = batch.size, np.arange(batch.size)
     while True:
-        chosen = [specs[i] for i in rng.choice(len(specs), size)]
-        batch.reset(everyone, chosen)
+        chosen = [specs[i] for i in rng.choice(len(specs), batch.size)]
+        batch.reset(np.arange(batch.size), chosen)
         for _ in range(POSES):
-            poses = [_pose(spec, rng) for spec in chosen]
-            turns = _turns(size, rng)
+            poses = np.stack([_pose(spec, rng) for spec in chosen])  # (N, 2, 21)
+            turns = _turns(batch.size, rng)
             images = []
-            for pose in ([pose.now for pose in poses], [pose.before for pose in poses]):
-                hand, target = (np.stack(part) for part in zip(*pose, strict=True))
+            for hand, target in ((poses[:, at, :HAND_DOF], poses[:, at, HAND_DOF:]) for at in (NOW, BEFORE)):
                 batch.place(hand, np.concatenate([target, turns], axis=1))
                 images.append(batch.cameras.render(view=camera))
-            place = np.stack([target for _, target in (pose.now for pose in poses)])
-            if camera == EGO_VIEW:
-                place -= np.stack([hand[:PALM_DOF] for hand, _ in (pose.now for pose in poses)])
+            place = poses[:, NOW, HAND_DOF:] - (poses[:, NOW, :PALM_DOF] if camera == EGO_VIEW else 0.0)
             yield Snapshots(np.concatenate(images, axis=-1), place.astype(np.float32))
 
 
-@dataclass(frozen=True, eq=False)
-class _Pose:
-    """Hand (18,) and target (3,) [m, rad], home frame, at a frame and at the one before."""
-
-    now: tuple[np.ndarray, np.ndarray]
-    before: tuple[np.ndarray, np.ndarray]
+NOW, BEFORE = 0, 1
 
 
-def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> _Pose:
-    """Draw a frame of an episode, and a hand that moves there."""
+def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> np.ndarray:
+    """Draw (2, 21) hand (18) and target (3) [m, rad], home frame, at a frame of an episode and at the one before."""
     path = spec.oracle_path - spec.home_pos_w
     pose = _at_home(spec, path, rng) if rng.random() < HOME_SHARE else _on_its_way(spec, path, rng)
-    return replace(pose, before=pose.now) if rng.random() < REPEATED_SHARE else pose
+    return pose[[NOW, NOW]] if rng.random() < REPEATED_SHARE else pose
 
 
-def _at_home(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> _Pose:
-    """Draw a hand that watches the target on its path (F, 3) [m], home frame."""
+def _at_home(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw (2, 21) a hand that watches the target on its path (F, 3) [m], home frame."""
     hand = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
     frame = min(int(rng.integers(1, spec.window_frames + LEAD_FRAMES)), len(path) - 1)
-    return _Pose((hand, path[frame]), (hand, path[frame - 1]))
+    return np.stack([np.concatenate([hand, path[frame]]), np.concatenate([hand, path[frame - 1]])])
 
 
-def _on_its_way(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> _Pose:
-    """Draw a hand that moves to a target on its path (F, 3) [m], home frame."""
+def _on_its_way(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw (2, 21) a hand that moves to a target on its path (F, 3) [m], home frame."""
     frame = int(rng.integers(1, len(path)))
     before = path[frame] - rng.uniform(SLOWER, FASTER) * (path[frame] - path[frame - 1])
     palm = _palm(spec, path, frame, rng)
@@ -168,7 +151,7 @@ def _on_its_way(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -
         speed = rng.uniform(0.0, FAST_M_S if rng.random() < FAST_SHARE else SLOW_M_S)
         step = speed * CONTROL_DT * direction / max(float(np.linalg.norm(direction)), 1e-6)
     joints, joints_before = _fingers(spec, rng)
-    return _Pose((np.concatenate([palm, joints]), path[frame]), (np.concatenate([palm - step, joints_before]), before))
+    return np.stack([np.concatenate([palm, joints, path[frame]]), np.concatenate([palm - step, joints_before, before])])
 
 
 def _palm(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:

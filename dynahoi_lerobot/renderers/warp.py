@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
@@ -19,13 +17,6 @@ APPEARANCE_FIELDS = ("geom_size", "geom_rgba", "geom_matid", "light_diffuse")
 """Model fields that differ between worlds and that the ray caster reads."""
 POSE_FIELDS = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir")
 """Data fields that the simulation computes and the ray caster reads."""
-
-
-@wp.kernel(module="unique")
-def _find_roots(bvh_id: wp.uint64, roots: wp.array[int]):
-    """Find the root of each world's subtree in the bounding volume hierarchy."""
-    world = wp.tid()
-    roots[world] = wp.bvh_get_group_root(bvh_id, world)  # type: ignore[index, arg-type] - warp's language, not Python's
 
 
 @RENDERERS.register("warp")
@@ -46,56 +37,17 @@ class WarpRenderer(Renderer):
             device: warp's name of the device, ``cpu`` or ``cuda``; CUDA if there is one by default.
         """
         super().__init__(scene, batch, image_size, camera)
-        self._device = device or default_device()
+        self._device, size = device or default_device(), image_size
         with wp.ScopedDevice(self._device):
             self._model, self._data = mjw.put_model(scene.model), mjw.make_data(scene.model, nworld=batch.nsim)
             for name in APPEARANCE_FIELDS:
                 shared = getattr(self._model, name)
                 setattr(self._model, name, wp.empty(dtype=shared.dtype, shape=(batch.nsim, *shared.shape[1:])))
-        sources = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS)
-        targets = {name: getattr(self._model, name) for name in APPEARANCE_FIELDS}
-        self._mirror = Mirror(sources, targets | {name: getattr(self._data, name) for name in POSE_FIELDS})
-
-    @functools.cached_property
-    def _color_context(self) -> mjw.RenderContext:
-        return self._context(color=True)
-
-    @functools.cached_property
-    def _ids_and_depth_context(self) -> mjw.RenderContext:
-        return self._context(color=False)
-
-    def rgb(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
-        self._render(self._color_context, ids)
-        packed = self._color_context.rgb_data[: len(ids)].numpy()  # (n, H * W) 0xAARRGGBB
-        pixels = packed.view(np.uint8).reshape(len(ids), self.image_size, self.image_size, 4)
-        return np.ascontiguousarray(pixels[..., 2::-1])
-
-    def segmentation(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) int32 geom ids of worlds ``ids`` (n,), -1 for a miss."""
-        self._render(self._ids_and_depth_context, ids)
-        labels = (
-            self._ids_and_depth_context.seg_data[: len(ids)].numpy()[..., 0].copy()
-        )  # the next call overwrites the original
-        return labels.reshape(len(ids), self.image_size, self.image_size)
-
-    def depth(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
-        self._render(self._ids_and_depth_context, ids)
-        return (
-            self._ids_and_depth_context.depth_data[: len(ids)]
-            .numpy()
-            .reshape(len(ids), self.image_size, self.image_size)
-            .copy()
-        )
-
-    def _context(self, *, color: bool) -> mjw.RenderContext:
-        with wp.ScopedDevice(self._device):
-            return mjw.create_render_context(
-                self.scene.model,
-                nworld=self.batch.nsim,
-                cam_res=(self.image_size, self.image_size),
-                cam_active=[self.scene.model.camera(self.camera).name],
+            self._context = mjw.create_render_context(
+                scene.model,
+                nworld=batch.nsim,
+                cam_res=(size, size),
+                cam_active=[scene.model.camera(self.camera).name],
                 enabled_geom_groups=list(SHOWN_GROUPS),
                 use_textures=True,
                 use_shadows=False,
@@ -103,17 +55,33 @@ class WarpRenderer(Renderer):
                 enable_specular=False,
                 enable_per_light_ambient=False,
                 deterministic=True,
-                render_rgb=color,
-                render_seg=not color,
-                render_depth=not color,
+                render_rgb=True,
+                render_seg=True,
+                render_depth=True,
             )
+        sources = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS)
+        targets = {name: getattr(self._model, name) for name in APPEARANCE_FIELDS}
+        self._mirror = Mirror(sources, targets | {name: getattr(self._data, name) for name in POSE_FIELDS})
 
-    def _render(self, context: mjw.RenderContext, ids: np.ndarray) -> None:
+    def rgb(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
+        packed = self._rendered(self._context.rgb_data, ids)  # (n, H, W) 0xAARRGGBB
+        return np.ascontiguousarray(packed[..., None].view(np.uint8)[..., 2::-1])
+
+    def segmentation(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W) int32 geom ids of worlds ``ids`` (n,), -1 for a miss."""
+        return self._rendered(self._context.seg_data, ids)[..., 0]
+
+    def depth(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
+        return self._rendered(self._context.depth_data, ids)
+
+    def _rendered(self, output: wp.array, ids: np.ndarray) -> np.ndarray:
+        """(n, H, W, ...) one output of rendering worlds ``ids`` (n,)."""
         self._mirror.copy(ids)
         self._data.nworld = len(ids)
         with wp.ScopedDevice(self._device):
-            mjw.refit_bvh(self._model, self._data, context)
-            # the hierarchy was built for the compiled scene; rebuilding it for this frame is cheap and a fifth faster
-            context.bvh.rebuild()
-            wp.launch(_find_roots, dim=len(ids), inputs=[context.bvh.id, context.group_root])
-            mjw.render(self._model, self._data, context)
+            mjw.refit_bvh(self._model, self._data, self._context)
+            mjw.render(self._model, self._data, self._context)
+        pixels = output.numpy()[: len(ids)].copy()  # the next call overwrites the original
+        return pixels.reshape(len(ids), self.image_size, self.image_size, *pixels.shape[2:])

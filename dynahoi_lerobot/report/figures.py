@@ -8,7 +8,7 @@ import io
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import compress
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -324,72 +324,7 @@ def per_frame_grasp(entries: Sequence[Entry]) -> Figure:
     return drawing
 
 
-# -- metrics over a parameter of training or evaluation ---------------------------------------------------------------
-
-LARGEST_ON_AXIS = 1e12
-
-
-@dataclass(frozen=True)
-class Curve:
-    """Evaluations on one line, in the order of their numbers."""
-
-    label: str
-    colour: str
-    entries: Sequence[Entry]
-
-
-def curves(
-    entries: Sequence[Entry],
-    number: Callable[[Entry], Any],
-    axis_label: str,
-    group: Callable[[Entry], tuple[str, ...]],
-) -> Figure | None:
-    """Draw every metric over the number of each evaluation; None with fewer than two numbers.
-
-    Args:
-        entries: the evaluations.
-        number: of an evaluation; it is left out if that is none that an axis can show.
-        axis_label: what the number is.
-        group: the names that the evaluations of a line share.
-    """
-    numbers = {id(entry): float(value) for entry in entries if _is_number(value := number(entry))}
-    known = sorted((entry for entry in entries if id(entry) in numbers), key=lambda entry: numbers[id(entry)])
-    if len(set(numbers.values())) < 2:
-        return None
-    names, drawn = shown_metrics(known), grouped(known, group)
-    drawing, axes = metric_panels(names, 2.0)
-    legend(drawing, [(curve.label, curve.colour) for curve in drawn])
-    for panel, name in zip(axes, names, strict=True):
-        for curve in drawn:
-            x = np.array([numbers[id(entry)] for entry in curve.entries])
-            points(panel, x, [entry.results.summary()[name] for entry in curve.entries], curve.colour)
-        panel.set_xlabel(axis_label)
-    return drawing
-
-
-def grouped(entries: Sequence[Entry], group: Callable[[Entry], tuple[str, ...]]) -> list[Curve]:
-    """Put evaluations whose group has the same names on one line, named by those that differ."""
-    groups: dict[tuple[str, ...], list[Entry]] = {}
-    for entry in entries:
-        groups.setdefault(group(entry), []).append(entry)
-    varied = [len(set(names)) > 1 for names in zip(*groups, strict=True)]
-    labels = [", ".join(filter(None, compress(names, varied))) or names[0] for names in groups]
-    return [
-        Curve(clip(label), COLOURS[place % len(COLOURS)], members)
-        for place, (label, members) in enumerate(zip(labels, groups.values(), strict=True))
-    ]
-
-
-def _is_number(value: object) -> bool:
-    """Tell whether ``value`` is a number that an axis can show; JSON knows greater ones."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < LARGEST_ON_AXIS
-
-
-def condition(entry: Entry) -> tuple[str, ...]:
-    """Return split, capture rule and, in a study that has several, the condition and the training seed."""
-    info = entry.results.info
-    seed = info.extra.get("training_seed")
-    return info.split, info.capture, str(info.extra.get("condition", "")), "" if seed is None else f"seed {seed}"
+# -- metrics over the latency -----------------------------------------------------------------------------------------
 
 
 def latency_ms(entry: Entry) -> float | None:
@@ -401,37 +336,29 @@ def latency_ms(entry: Entry) -> float | None:
         return None
 
 
-def policy_and_rules(entry: Entry) -> tuple[str, ...]:
-    """Return policy, split, capture rule and control class of an evaluation."""
-    results = entry.results
-    return short_name(results.info.policy), results.info.split, results.capture, results.control_class
-
-
-@figure("obs-frames", "Observed frames")
-def obs_frames(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics over the number of observed frames s (Figure "Obs-frames ablation").
-
-    Shows evaluations with ``n_obs_frames``, one line per ``condition`` of a study.
-    """
-    return curves(entries, lambda e: e.results.info.extra.get("n_obs_frames"), "observed frames s", condition)
-
-
 @figure("latency", "Inference latency")
 def latency(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics over the latency of inference, one line per policy and mode.
+    """The metrics over the latency of inference, one line per policy and its rules.
 
     Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where the world waits.
     """
-    return curves(entries, latency_ms, "latency of an inference [ms]", policy_and_rules)
-
-
-@figure("data-scaling", "Training data")
-def data_scaling(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics over the share of the training data (Figure "Training-data scaling").
-
-    Shows evaluations with ``data_fraction``.
-    """
-    return curves(entries, lambda e: e.results.info.extra.get("data_fraction"), "share of the training data", condition)
+    known = sorted(((ms, e) for e in entries if (ms := latency_ms(e)) is not None), key=lambda pair: pair[0])
+    if len({ms for ms, _ in known}) < 2:
+        return None
+    lines: dict[str, list[tuple[float, Entry]]] = {}
+    for ms, entry in known:
+        results = entry.results
+        rules = (short_name(results.info.policy), results.info.split, results.capture, results.control_class)
+        lines.setdefault(", ".join(rules), []).append((ms, entry))
+    names, colours = shown_metrics([entry for _, entry in known]), dict(zip(lines, cycle(COLOURS), strict=False))
+    drawing, axes = metric_panels(names, 2.0)
+    legend(drawing, [(clip(label), colour) for label, colour in colours.items()])
+    for panel, name in zip(axes, names, strict=True):
+        for label, line in lines.items():
+            estimates = [entry.results.summary()[name] for _, entry in line]
+            points(panel, np.array([ms for ms, _ in line]), estimates, colours[label])
+        panel.set_xlabel("latency of an inference [ms]")
+    return drawing
 
 
 # -- the episodes -----------------------------------------------------------------------------------------------------
@@ -440,63 +367,20 @@ PAPER_DURATION = {"20-40": 20.2, "40-60": 36.1, "60-80": 19.5, "80-120": 13.9, "
 PAPER_TRAVEL = {"0-0.5": 20.1, "0.5-2": 47.7, "2-4": 16.4, ">4": 5.8}
 """Shares [%] that the paper's Section "Diversity Analysis" gives; its travels add up to 90 %."""
 
-TIER_MAPS = {"kinematic": "Blues", "physical": "Oranges", "stochastic": "Greens"}
-
 
 @figure("data", "The episodes")
 def data_statistics(entries: Sequence[Entry]) -> Figure:
-    """The distinct episodes of all evaluations: tier, category and kind from the inside out; durations; travels.
+    """The durations and travels of the distinct episodes of all evaluations.
 
-    Figure "Data statistics" a, c and d; a diamond marks the share that the paper's text reports for its own
-    data.
+    Figure "Data statistics" c and d; a diamond marks the share that the paper's text reports for its own data.
     """
     rows = distinct_episodes(entries)
-    drawing, (rings, durations, travels) = subplots(1, 3, 5.0, width_ratios=[1.7, 1, 1])
-    _sunburst(rings, rows)
+    drawing, (durations, travels) = subplots(1, 2, 3.0)
     _shares(durations, rows, "duration", PAPER_DURATION)
     _shares(travels, rows, "travel", PAPER_TRAVEL)
     durations.set(xlabel="recording [frames]", ylabel="episodes [%]")
     travels.set(xlabel="straight distance to the intercept [u]")
     return drawing
-
-
-def _sunburst(panel: Axes, rows: Sequence[Row]) -> None:
-    """Draw three rings whose wedges are the episodes of a tier, a category and a kind."""
-    counts = Counter((row["tier"], row["category"], row["kind"]) for row in rows)
-    tiers, categories = (STRATA[name].arrange({row[name] for row in rows}) for name in ("tier", "category"))
-    leaves = sorted(counts, key=lambda leaf: (tiers.index(leaf[0]), categories.index(leaf[1]), leaf[2]))
-    for depth, radius in ((1, 0.8), (2, 1.5), (3, 1.75)):
-        names = list(dict.fromkeys(leaf[:depth] for leaf in leaves))
-        sizes = [sum(counts[leaf] for leaf in leaves if leaf[:depth] == name) for name in names]
-        wedges = panel.pie(
-            sizes, radius=radius, colors=[_shade(name, leaves) for name in names], startangle=90, counterclock=False,
-            wedgeprops={"width": 0.25 if depth == 3 else 0.7, "edgecolor": "white", "linewidth": 0.6},
-        )[0]  # fmt: skip
-        for wedge, name, size in zip(wedges, names, sizes, strict=True):
-            if size >= 0.02 * len(rows):
-                _write(panel, (wedge.theta1 + wedge.theta2) / 2, name, radius)
-    panel.set(xlim=(-2.7, 2.7), ylim=(-2.4, 2.4))
-
-
-def _shade(name: tuple[str, ...], leaves: Sequence[tuple[str, str, str]]) -> tuple:
-    import matplotlib as mpl
-
-    tier, *within = name
-    siblings = list(dict.fromkeys(leaf[1] for leaf in leaves if leaf[0] == tier))
-    step = siblings.index(within[0]) / max(1, len(siblings) - 1) if within else 0.5
-    return mpl.colormaps[TIER_MAPS.get(tier, "Greys")](0.87 - 0.12 * len(name) - 0.2 * step)
-
-
-def _write(panel: Axes, middle_deg: float, name: tuple[str, ...], radius: float) -> None:
-    """Write a wedge's name along its middle: outside the outermost ring, inside the others."""
-    outside = len(name) == 3
-    distance, middle = (radius + 0.05 if outside else radius - 0.33), np.deg2rad(middle_deg)
-    x, y, turn = distance * np.cos(middle), distance * np.sin(middle), middle_deg % 360
-    upright = turn - 180 if 90 < turn < 270 else turn
-    side = ("left" if x > 0 else "right") if outside else "center"
-    style = {"color": INK, "fontsize": 7} if outside else {"color": "black", "fontsize": 6}
-    text = name[-1] if outside else name[-1].replace("_", "\n")
-    panel.text(x, y, text, ha=side, va="center", rotation=upright, rotation_mode="anchor", **style)
 
 
 def _shares(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str, float]) -> None:
@@ -506,32 +390,6 @@ def _shares(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str, flo
     panel.plot(list(paper), list(paper.values()), "D", color=COLOURS[5], ms=5, label="paper")
     panel.grid(visible=False, axis="x")
     panel.legend()
-
-
-@figure("grasp-magnitude", "Grasp and travel")
-def grasp_magnitude(entries: Sequence[Entry]) -> Figure:
-    """How far the reference grasp closes the hand [rad, mean of 15 joints] and how far the hand travels, per episode.
-
-    Figure "Data statistics" b: small objects need large grasps, and each object is caught from near and far. Objects
-    are listed from the largest grasp to the smallest.
-    """
-    import matplotlib as mpl
-
-    drawing, (panel,) = subplots(1, 1, 4.2)
-    for place, (name, shown) in enumerate(by_object(distinct_episodes(entries)).items()):
-        panel.scatter(*shown.T, s=14, color=mpl.colormaps["tab20"](place % 20), label=name, edgecolors="none")
-    panel.set(xlabel="straight distance to the intercept [u]", ylabel="grasp [rad]")
-    drawing.legend(loc="outside right upper")
-    return drawing
-
-
-def by_object(rows: Sequence[Row]) -> dict[str, np.ndarray]:
-    """Return (K, 2) travel [u] and grasp [rad] of each object's episodes, the largest mean grasp first."""
-    found = {
-        name: np.array([[row["travel_u"], row["grasp_rad"]] for row in rows if row["object"] == name])
-        for name in sorted({row["object"] for row in rows})
-    }
-    return dict(sorted(found.items(), key=lambda item: -item[1][:, 1].mean()))
 
 
 BINS = 41

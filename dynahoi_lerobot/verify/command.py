@@ -61,16 +61,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", type=path, help="also write the findings to this file")
 
 
-def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> int:
-    """Verify a dataset and print the findings.
-
-    Args:
-        args: the parsed arguments of ``add_arguments``.
-        resimulate: makes the episode of a seed; this project's simulator by default.
-
-    Returns:
-        The exit code: 0 no findings, 1 findings, 2 bad input.
-    """
+def run(args: argparse.Namespace) -> int:
+    """Verify a dataset and print the findings; return the exit code: 0 no findings, 1 findings, 2 bad input."""
     try:
         episodes = Store(args.root).info.get("total_episodes")
     except FileNotFoundError as error:
@@ -79,7 +71,7 @@ def run(args: argparse.Namespace, *, resimulate: Resimulate | None = None) -> in
     except ValueError:
         episodes = None  # a finding
     with tqdm(total=episodes if isinstance(episodes, int) else None, unit="episode", disable=None) as bar:
-        findings = verify(args.root, replayed=args.replay, resimulate=resimulate, progress=bar.update, note=print)
+        findings = verify(args.root, replayed=args.replay, progress=bar.update, note=print)
     for finding in findings:
         print(finding)
     print(f"{args.root}: {f'{len(findings)} findings' if findings else f'{episodes} episodes, no findings'}")

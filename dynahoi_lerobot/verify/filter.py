@@ -6,12 +6,9 @@ Appendix "Post-processing": an episode is an outlier if it leaves the robust ran
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -37,69 +34,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--column", default="action", help="column to check")
     parser.add_argument("--drop", type=names, help="comma-separated episodes to drop instead of the outliers")
     parser.add_argument("--dry-run", action="store_true", help="only print what would be dropped")
-    parser.add_argument("--json", type=path, help="also write the summary to this file")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the outliers and copy all other episodes.
-
-    Args:
-        args: the parsed arguments of ``add_arguments``.
-
-    Returns:
-        The exit code: 0 done, 1 the disk failed, 2 bad input.
-    """
+    """Print the outliers and copy all other episodes; return the exit code: 0, 1 the disk failed, 2 bad input."""
     try:
         if (output := args.out) is None and not args.dry_run:
             raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
         episodes = Store(args.root).episodes
-        outliers = [] if args.drop else find_outliers(args.root, args.margin, args.column)
+        outliers = {} if args.drop else find_outliers(args.root, args.margin, args.column)
         if unknown := sorted(set(args.drop or ()) - set(map(str, range(episodes)))):
             raise ValueError(f"--drop names episode {unknown[0][:40]!r}; {args.root} has 0 to {episodes - 1}")
-        left_out = sorted({int(word) for word in args.drop} if args.drop else {o.episode for o in outliers})
+        left_out = sorted({int(word) for word in args.drop} if args.drop else outliers)
         if output is not None and not args.dry_run:
             copy_subset(args.root, output, [index for index in range(episodes) if index not in left_out])
     except (ValueError, FileExistsError, FileNotFoundError) as error:
         return _say(error, BAD_INPUT)
     except OSError as error:
         return _say(error, FAILED)
-    for outlier in outliers:
-        print(outlier)
+    for sentence in outliers.values():
+        print(sentence)
     where = "dry run, nothing was written" if args.dry_run else f"the others are in {args.out}"
     print(f"{args.root}: {len(left_out)} of {episodes} episodes left out; {where}")
-    if args.json:
-        args.json.write_text(json.dumps(_summary(args, episodes, left_out, outliers), indent=2))
     return DONE
 
 
-@dataclass(frozen=True)
-class Outlier:
-    """An episode's greatest excursion from the allowed range.
-
-    Attributes:
-        episode: its index.
-        column: the column and the name of the dimension.
-        frames: how many frames leave the range in this dimension.
-        worst: the value furthest outside, in the column's unit.
-        low: least value allowed.
-        high: greatest value allowed.
-    """
-
-    episode: int
-    column: str
-    frames: int
-    worst: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        """Return a sentence that names episode, dimension, value and range."""
-        count = f"{self.frames} frame" + "s" * (self.frames != 1)
-        allowed = f"{self.low:.3f} to {self.high:.3f}"
-        return f"episode {self.episode}: {self.column} reaches {self.worst:.3f}, outside {allowed} in {count}"
-
-
-def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") -> list[Outlier]:
+def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") -> dict[int, str]:
     """Find episodes that leave ``[q01 - margin * width, q99 + margin * width]``, width being ``q99 - q01``.
 
     Args:
@@ -108,7 +68,7 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
         column: key of the (T, D) column of the frame table to look at.
 
     Returns:
-        At most one outlier per episode, its greatest excursion. NaN and infinity are excursions.
+        A sentence about the greatest excursion of each such episode, by its index. NaN and infinity are excursions.
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
@@ -125,33 +85,22 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
     q01, q99 = np.quantile(np.where(np.isfinite(values), values, np.inf), [0.01, 0.99], axis=0, method="inverted_cdf")
     if not np.isfinite([q01, q99]).all():
         raise ValueError(f"{column} is often not finite, so it has no robust range; see `dynahoi verify {root}`")
-    return list(_outliers(store, column, q01 - margin * (q99 - q01), q99 + margin * (q99 - q01)))
+    return dict(_outliers(store, column, q01 - margin * (q99 - q01), q99 + margin * (q99 - q01)))
 
 
-def _outliers(store: Store, column: str, low: np.ndarray, high: np.ndarray) -> Iterator[Outlier]:
-    """Yield excursions from (D,) least to (D,) greatest values allowed."""
+def _outliers(store: Store, column: str, low: np.ndarray, high: np.ndarray) -> Iterator[tuple[int, str]]:
+    """Yield episodes, with a sentence, that leave the range from (D,) least to (D,) greatest values allowed."""
     names = store.features[column]["names"] or range(len(low))
     for row, table in store.stored_episodes():
         values = column_array(table, column).astype(np.float64)
         beyond = np.nan_to_num(np.maximum(low - values, values - high), nan=np.inf)  # (T, D), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
         if beyond[frame, axis] > ROUNDING:
-            frames, worst = int((beyond[:, axis] > ROUNDING).sum()), float(values[frame, axis])
-            name = f"{column}.{names[axis]}"
-            yield Outlier(row["episode_index"], name, frames, worst, float(low[axis]), float(high[axis]))
-
-
-def _summary(args: argparse.Namespace, episodes: int, left_out: list[int], outliers: list[Outlier]) -> dict[str, Any]:
-    return {
-        "root": str(args.root),
-        "out": None if args.dry_run else str(args.out),
-        "column": args.column,
-        "margin": args.margin,
-        "episodes": episodes,
-        "kept": episodes - len(left_out),
-        "left_out": left_out,
-        "outliers": [asdict(outlier) for outlier in outliers],
-    }
+            count = int((beyond[:, axis] > ROUNDING).sum())
+            frames = f"{count} frame" + "s" * (count != 1)
+            reach = f"{column}.{names[axis]} reaches {values[frame, axis]:.3f}"
+            allowed = f"{low[axis]:.3f} to {high[axis]:.3f}"
+            yield row["episode_index"], f"episode {row['episode_index']}: {reach}, outside {allowed} in {frames}"
 
 
 def _say(problem: object, code: int) -> int:

@@ -72,7 +72,5 @@ def parse_reply(text: str) -> tuple[np.ndarray, list[tuple[str, int]]]:
         first = error.errors(include_url=False, include_input=False)[0]
         place = ".".join(map(str, first["loc"])) or "the answer"
         raise ReplyError(f"{place}: {first['msg']}"[:MAX_REASON]) from None
-    except ValueError as error:  # text that is not Unicode
-        raise ReplyError(f"the answer cannot be read ({type(error).__name__})") from None
     commands = np.array([frame.hand_params for frame in answer.predicted_motion], np.float64)
     return commands, [(step.skill, step.duration) for step in answer.action_sequence]

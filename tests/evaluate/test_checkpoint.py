@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import fnmatch
 import inspect
-import io
-import itertools
 import json
-import os
-import pickle
 import shutil
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,7 +24,6 @@ from dynahoi_lerobot.evaluate.checkpoint import (
     STEPS,
     WEIGHTS,
     PolicyError,
-    UntrustedCheckpointError,
     checked_folder,
     trained_for,
 )
@@ -71,8 +65,10 @@ def marker(tmp_path: Path) -> Path:
     return tmp_path / "it_ran"
 
 
-@pytest.mark.parametrize("pipeline", [PREPROCESSOR, "policy_postprocessor.json"])
-@pytest.mark.parametrize("command", ["evaluate --episodes 1", "view --motion lob"])
+@pytest.mark.parametrize(
+    ("command", "pipeline"),
+    [("evaluate --episodes 1", PREPROCESSOR), ("view --motion lob", "policy_postprocessor.json")],
+)
 def test_a_step_that_is_a_program_is_refused_by_every_command(
     command: str, pipeline: str, checkpoint: Path, marker: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,7 +97,7 @@ def test_a_third_partys_step_plays_with_trust(checkpoint: Path) -> None:
 
     try:
         add_step(checkpoint, {"registry_name": "a_third_partys_step", "config": {}})
-        with pytest.raises(UntrustedCheckpointError, match=r"a_third_partys_step.*--trust"):
+        with pytest.raises(PolicyError, match=r"a_third_partys_step.*--trust"):
             PolicyAgent(str(checkpoint))
         assert PolicyAgent(str(checkpoint), trust=True).image_size == 96
     finally:
@@ -111,28 +107,20 @@ def test_a_third_partys_step_plays_with_trust(checkpoint: Path) -> None:
 @pytest.mark.parametrize(
     "step",
     [
-        {"class": "subprocess.Popen", "config": {"args": ["true"]}},
         {"class": "dynahoi_lerobot.evaluate.policy_agent.PolicyAgent", "config": {"path": "x"}},
-        {"class": "lerobot.processor.hil_processor.RewardClassifierProcessorStep", "config": {"pretrained_path": "x"}},
         {"class": ["subprocess.Popen"]},
         {"registry_name": ["device_processor"]},
         {"registry_name": "no_such_step", "class": "lerobot.processor.DeviceProcessorStep"},
         {"registry_name": "reward_classifier_processor", "config": {"pretrained_path": "you/classifier"}},
-        {"registry_name": "reward_classifier_processor", "config": {"pretrained_path": "."}},
-        {"registry_name": "action_tokenizer_processor", "config": {"action_tokenizer_name": "a/b"}},
-        {"registry_name": "device_processor", "config": {"trust_remote_code": True}},
         {"registry_name": "device_processor", "config": {"pretrained_path": "x"}},
         {"registry_name": "device_processor", "state_file": "../../secret.safetensors"},
-        {"registry_name": "device_processor", "state_file": "/etc/passwd"},
-        {"registry_name": "device_processor", "state_file": ".."},
         {"registry_name": "device_processor", "state_file": ["x"]},
-        {"registry_name": "device_processor", "config": {}, "import": "os"},
         {},
     ],
 )
 def test_steps_keys_and_states_that_are_not_listed_are_refused(step: dict[str, Any], checkpoint: Path) -> None:
     add_step(checkpoint, step)
-    with pytest.raises(UntrustedCheckpointError):
+    with pytest.raises(PolicyError, match="--trust"):
         checked_folder(str(checkpoint))
 
 
@@ -146,80 +134,32 @@ def test_listed_steps_exist_and_take_the_keys_of_their_own_configs(name: str, ch
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        ("config.json", {"auto_map": {"AutoModel": "evil.Model"}}),
-        ("backbone/config.json", {"text": [{"auto_map": {}}]}),
-        ("tokenizer_config.json", {"trust_remote_code": True}),
-        ("config.json", {"type": "pi0_fast"}),
-        ("config.json", {"type": "a_third_partys"}),
-        ("config.json", {"type": ["obact"]}),
+        ("config.json", b'{"auto_map": {"AutoModel": "evil.Model"}}'),
+        ("backbone/config.json", b'{"text": [{"auto_map": {}}]}'),
+        ("tokenizer_config.json", b'{"trust_remote_code": true}'),
+        ("config.json", b'{"type": "pi0_fast"}'),
+        ("config.json", b'{"type": ["obact"]}'),
+        ("pytorch_model.bin", b""),
+        ("backbone/w.PTH", b""),
     ],
 )
-def test_configs_that_ask_for_code_are_refused(name: str, content: dict[str, Any], checkpoint: Path) -> None:
+def test_files_that_hold_or_ask_for_code_are_refused(name: str, content: bytes, checkpoint: Path) -> None:
     (checkpoint / name).parent.mkdir(exist_ok=True)
-    (checkpoint / name).write_text(json.dumps(content))
-    with pytest.raises(UntrustedCheckpointError):
+    (checkpoint / name).write_bytes(content)
+    with pytest.raises(PolicyError, match="--trust"):
         checked_folder(str(checkpoint))
-
-
-@pytest.mark.parametrize("name", ["pytorch_model.bin", "a/weights.pt", "w.PTH", "w.pkl", "w.ckpt"])
-def test_planted_pickles_are_refused(name: str, checkpoint: Path) -> None:
-    (checkpoint / name).parent.mkdir(exist_ok=True)
-    (checkpoint / name).write_bytes(pickle.dumps({}))
-    with pytest.raises(UntrustedCheckpointError, match="is a pickle"):
-        PolicyAgent(str(checkpoint))
-
-
-@pytest.mark.parametrize("name", ["model.safetensors", "policy_preprocessor.json", "more"])
-def test_links_that_lead_out_are_refused(name: str, checkpoint: Path, tmp_path: Path) -> None:
-    outside = tmp_path / "outside"
-    shutil.copytree(CHECKPOINT, outside)
-    (checkpoint / name).unlink(missing_ok=True)
-    (checkpoint / name).symlink_to(outside / name if (outside / name).exists() else outside)
-    with pytest.raises(UntrustedCheckpointError, match="is a link that leads out"):
-        PolicyAgent(str(checkpoint))
 
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [
-        (PREPROCESSOR, "{"),
-        (PREPROCESSOR, "[" * 10**5),
-        ("config.json", '{"a":' * 5000 + "1" + "}" * 5000),
-        (PREPROCESSOR, "[1]"),
-        (PREPROCESSOR, '{"steps": [1]}'),
-        (PREPROCESSOR, '{"steps": [{"registry_name": "device_processor", "config": 5}]}'),
-        ("config.json", "[]"),
-        ("model.safetensors", "no tensors"),
-        ("more\x1b[2J.json", "{}"),
-        ("more\x1b[2J.safetensors", ""),
-    ],
+    [(PREPROCESSOR, "{"), (PREPROCESSOR, '{"steps": [1]}'), ("config.json", "[]"), ("model.safetensors", "no tensors")],
 )
 def test_damaged_files_are_one_sentence(name: str, text: str, checkpoint: Path, capsys: pytest.CaptureFixture) -> None:
     (checkpoint / name).write_text(text)
     assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
     message = capsys.readouterr().err
     assert message.count("\n") == 1
-    assert message.strip().isprintable()
     assert str(checkpoint) in message
-
-
-HOSTILE_TRAINING = [[1], {"env": [1]}, {"env": "x"}, {"dataset": [1]}, {"dataset": {"root": 5}}]
-HOSTILE_TRAINING += [{"dataset": {"root": root}} for root in (["a"], "a" * 10**5, "\0", "/dev")]
-HOSTILE_TRAINING += [
-    {"env": {"type": "dynahoi", "control_class": value}} for value in (["late"], "\x1b[2J", {"a": 1}, 5)
-]
-
-
-@pytest.mark.parametrize("training", HOSTILE_TRAINING, ids=lambda training: str(training)[:40])
-def test_what_a_checkpoint_says_of_its_training_is_read_or_refused(
-    training: object, checkpoint: Path, capsys: pytest.CaptureFixture
-) -> None:
-    (checkpoint / "train_config.json").write_text(json.dumps(training))
-    words = ["evaluate", "--policy", str(checkpoint), "--motions", "no_such_motion"]
-    assert cli.main(words) == 2
-    said = capsys.readouterr()
-    assert said.err.count("\n") == 1
-    assert (said.out + said.err).replace("\n", "").isprintable()
 
 
 def without_one(weights: dict[str, Any]) -> None:
@@ -249,48 +189,6 @@ def test_weights_that_do_not_fit_are_refused(damage: Callable[[dict[str, Any]], 
         PolicyAgent(str(checkpoint))
 
 
-def sparse(file: Path) -> None:
-    with file.open("r+b") as opened:
-        opened.truncate(30 * 2**30)
-
-
-def fifo(file: Path) -> None:
-    file.unlink()
-    os.mkfifo(file)
-
-
-def loop(file: Path) -> None:
-    file.unlink()
-    file.symlink_to(file.name)
-
-
-@pytest.mark.parametrize("damage", [sparse, fifo, loop])
-@pytest.mark.parametrize("name", ["config.json", PREPROCESSOR, "more.json", "more.safetensors"])
-def test_files_that_never_end_are_refused_at_once(damage: Callable[[Path], None], name: str, checkpoint: Path) -> None:
-    (checkpoint / name).touch()
-    damage(checkpoint / name)
-    start = time.process_time()
-    with pytest.raises(PolicyError):
-        checked_folder(str(checkpoint))
-    assert time.process_time() - start < 1
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        *itertools.product(["n_layers", "width", "n_obs_frames", "horizon"], [1e9, 10**9, 10**400]),
-        *itertools.product(["n_obs_frames", "n_action_steps", "n_decisions", "obs_stride"], [10**6]),
-        *itertools.product(["n_layers", "width"], [10**5, 10**7]),
-    ],
-)
-def test_sizes_that_no_machine_has_are_refused(key: str, value: float, checkpoint: Path) -> None:
-    change(checkpoint / "config.json", lambda config: config.update({key: value}))
-    start = time.process_time()
-    with pytest.raises(PolicyError):
-        PolicyAgent(str(checkpoint))
-    assert time.process_time() - start < 1
-
-
 @pytest.mark.parametrize(
     ("setting", "told"),
     [
@@ -304,18 +202,6 @@ def test_a_policy_that_fails_while_it_plays_is_one_sentence(
     change(checkpoint / "config.json", lambda config: config.update(setting))
     assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
     assert told in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_nobody_is_asked_whether_to_run_code(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As transformers does, on the terminal, if a repository that the config names holds some."""
-
-    def from_pretrained(*_: object, **__: object) -> None:
-        assert input("Do you wish to run the custom code? [y/N] ") == "y"
-
-    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
-    monkeypatch.setattr("lerobot_policy_obact.modeling_obact.ObActPolicy.from_pretrained", from_pretrained)
-    with pytest.raises(PolicyError, match="EOFError"):
-        PolicyAgent(str(checkpoint))
 
 
 @pytest.mark.parametrize("name", ["a" * 5000, "a/" + "b" * 5000, "nowhere"])
@@ -375,7 +261,7 @@ def test_a_hub_repository_is_checked_before_its_weights_are_fetched(
     checkpoint: Path, marker: Path, hub: list[str]
 ) -> None:
     add_step(checkpoint, program(marker))
-    with pytest.raises(UntrustedCheckpointError, match=r"os\.mkdir"):
+    with pytest.raises(PolicyError, match=r"os\.mkdir"):
         PolicyAgent("you/obact")
     assert not marker.exists()
     assert hub

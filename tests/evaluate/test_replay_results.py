@@ -3,17 +3,102 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.replay_results import drawn
-from dynahoi_lerobot.evaluate.results import read_results
-from tests.evaluate.forgeries import FORGERIES
+from dynahoi_lerobot.evaluate.results import Results, read_results, write_results
+from dynahoi_lerobot.rollout.replay import replay
+
+
+def rewritten(folder: Path, **changes: object) -> None:
+    """Write results again with other contents, its sums made to fit."""
+    results: Results = replace(read_results(folder), **changes)
+    result_files.write(folder, results.as_json(), results.rows, results.actions)
+
+
+def edited_head(folder: Path, **changes: object) -> None:
+    head = json.loads((folder / "metrics.json").read_text())
+    (folder / "metrics.json").write_text(json.dumps(head | changes))
+
+
+def better_sum(folder: Path) -> None:
+    head = json.loads((folder / "metrics.json").read_text())
+    head["metrics"]["E_loc"]["value"] /= 2
+    edited_head(folder, metrics=head["metrics"])
+
+
+def better_row(folder: Path) -> None:
+    rows = read_results(folder).rows
+    rewritten(folder, rows=(rows[0] | {"E_loc": rows[0]["E_loc"] / 2}, *rows[1:]))
+
+
+def another_log(folder: Path) -> None:
+    actions = read_results(folder).actions
+    moved = actions[1].copy()
+    moved[-20:, :3] += 0.01
+    rewritten(folder, actions=(actions[0], moved, *actions[2:]))
+
+
+def faster_hand(folder: Path) -> None:
+    actions = read_results(folder).actions
+    leap = actions[2].copy()
+    leap[-1, :3] += 1.0
+    rewritten(folder, actions=(*actions[:2], leap, *actions[3:]))
+
+
+def easy_seed_twice(folder: Path) -> None:
+    results = read_results(folder)
+    rewritten(folder, rows=(results.rows[0],) * 2, actions=(results.actions[0],) * 2)
+
+
+def another_fingerprint(folder: Path) -> None:
+    edited_head(folder, fingerprint="0123456789abcdef")
+
+
+def another_version(folder: Path) -> None:
+    results = read_results(folder)
+    rows = tuple(row | {"benchmark": "v9"} for row in results.rows)
+    rewritten(folder, rows=rows, info=replace(results.info, benchmark="v9"))
+
+
+def more_attempts(folder: Path) -> None:
+    results = read_results(folder)
+    unmarked = replace(results.info, extra=results.info.extra | {"privileged": False})
+    rewritten(folder, rows=(results.rows[0] | {"attempts": 3}, *results.rows[1:]), info=unmarked)
+
+
+def longer_logs(folder: Path) -> None:
+    """Give every hand more time than an evaluation does, and write what that leads to."""
+    results = read_results(folder)
+    logs = [results.log(i) for i in range(len(results.rows))]
+    longer = [replace(log, actions=np.concatenate([log.actions, log.actions[-1:].repeat(60, 0)])) for log in logs]
+    write_results(folder, replay(results.recipe(), longer, images=False), results.info)
+
+
+FORGERIES: list[tuple[Callable[[Path], None], str]] = [
+    (better_sum, " over the episodes"),
+    (better_row, "seed {0}: E_loc is "),
+    (another_log, "seed {1}: "),
+    (faster_hand, "seed {2}: the command of frame "),
+    (easy_seed_twice, "seed {0} is there 2 times"),
+    (more_attempts, "seed {0} took 3 attempts; a policy has one"),
+    (longer_logs, "an evaluation with them"),
+    (another_version, "are of version v9 of the benchmark, here is v"),
+    (another_fingerprint, "or another recipe (0123456789abcdef, here is "),
+    (lambda folder: edited_head(folder, split="val"), "names split val and capture rule attach, but its recipe plays"),
+    (lambda folder: edited_head(folder, split="test_small+12345678"), "but its recipe plays test_small\n"),
+]
+"""What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""
 
 
 @pytest.fixture(scope="module")
@@ -42,18 +127,8 @@ def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureF
 
 
 def test_easier_rules_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    words = [
-        "evaluate",
-        "--policy",
-        "hold",
-        "--episodes",
-        "2",
-        "--out",
-        str(tmp_path / "easy"),
-        "--motions",
-        "constant",
-    ]
-    assert main([*words, "--protocol", "direct_act"]) == 0
+    words = ["evaluate", "--policy", "hold", "--episodes", "2", "--out", str(tmp_path / "easy")]
+    assert main([*words, "--motions", "constant", "--protocol", "direct_act"]) == 0
     capsys.readouterr()
     assert main(["evaluate", "--replay", str(tmp_path / "easy")]) == 0
     said = capsys.readouterr().out

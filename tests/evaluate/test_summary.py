@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.evaluate.summary import bootstrap, bootstrap_means, summarise_by, wilson
+from dynahoi_lerobot.evaluate.summary import bootstrap, bootstrap_means, wilson
 
 
 @pytest.mark.parametrize(
@@ -26,20 +26,12 @@ def test_wilson_contains_the_rate_and_mirrors(count: int):
         assert wilson(count - successes, count) == (pytest.approx(1 - high), pytest.approx(1 - low))
 
 
-@pytest.mark.parametrize(("successes", "count"), [(3, 2), (-1, 2), (0, 0)])
-def test_wilson_refuses_what_is_no_rate(successes: int, count: int):
-    with pytest.raises(ValueError, match=f"{successes} of {count}"):
-        wilson(successes, count)
-
-
 def test_bootstrap_is_deterministic_blind_to_order_and_draws_from_all_values():
     values = np.random.default_rng(0).normal(size=50)
     assert bootstrap(values) == bootstrap(values[::-1].copy())
     assert bootstrap(values, seed=1) != bootstrap(values)
     assert set(np.round(bootstrap_means(np.array([0.0, 1.0])), 3)) == {0.0, 0.5, 1.0}
     assert len(bootstrap_means(np.zeros(700_000), resamples=3)) == 3  # in pieces of bounded memory
-    with pytest.raises(ValueError, match="at least one value"):
-        bootstrap(np.array([]))
 
 
 def test_bootstrap_covers_the_true_mean_about_95_times_of_100():
@@ -47,8 +39,3 @@ def test_bootstrap_covers_the_true_mean_about_95_times_of_100():
     samples = (rng.exponential(1.0, 60) for _ in range(200))
     hits = sum(low <= 1.0 <= high for low, high in (bootstrap(sample, resamples=500) for sample in samples))
     assert 0.88 <= hits / 200 <= 0.98
-
-
-def test_an_unknown_stratum_is_named():
-    with pytest.raises(ValueError, match=r"unknown stratum 'colour'; known: .*periodicity"):
-        summarise_by([], "colour")

@@ -127,7 +127,7 @@ class _Handler(BaseHTTPRequestHandler):
     def check_token(self) -> None:
         given = self.headers.get("Authorization", "")
         if given != f"Bearer {TOKEN}":
-            raise RefusalError(401, message=f"Invalid credentials: {given}")
+            raise RefusalError(401)
 
     def repo(self, kind: str, name: str) -> Repo:
         if found := self.hub.repos.get(f"{kind}/{name}"):
@@ -168,7 +168,7 @@ def create(handler: _Handler, body: bytes) -> Answer:
     asked = json.loads(body)
     owner = asked.get("organization") or "me"
     if owner != "me":
-        raise RefusalError(403, message=f"You may not write to {owner} with {handler.headers['Authorization']}")
+        raise RefusalError(403, message=f"You may not write to {owner}")
     key = f"{asked.get('type') or 'model'}s/{owner}/{asked['name']}"
     url = f"{handler.hub.url}/{key.removeprefix('models/')}"
     if key in handler.hub.repos:
@@ -215,7 +215,7 @@ def batch(handler: _Handler, body: bytes, name: str) -> Answer:
 def upload(handler: _Handler, body: bytes, oid: str) -> Answer:
     hub = handler.hub
     if hub.uploads_left == 0:
-        raise RefusalError(507, message=f"storage is full, {TOKEN}")
+        raise RefusalError(507, message="storage is full")
     if hub.uploads_left is not None:
         hub.uploads_left -= 1
     assert hashlib.sha256(body).hexdigest() == oid

@@ -13,7 +13,7 @@ from lerobot_policy_obact.encoders import Eye
 from safetensors.torch import load_file
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.pretrain.run_folder import LOG, STATE, RunFolder
+from dynahoi_lerobot.pretrain.run_folder import LOG, RunFolder
 from tests.docs.documents import ROOT
 
 TINY_EYE = {"channels": 8, "fovea": 12}
@@ -113,16 +113,6 @@ def test_a_finished_run_is_not_trained_again(
     assert (finished / eye_training.WEIGHTS).read_bytes() == before
 
 
-def test_another_recipe_does_not_go_on_in_the_same_folder(
-    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    recipe = tiny_recipe(tmp_path, learning_rate=0.5)
-    state = (finished / STATE).read_bytes()
-    assert main(["pretrain", "--recipe", str(recipe), "--out", str(finished)]) == 2
-    assert "(other learning_rate)" in capsys.readouterr().err
-    assert (finished / STATE).read_bytes() == state
-
-
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -145,15 +135,6 @@ def test_a_loss_that_is_not_finite_ends_the_run(
     monkeypatch.setattr(eye_training, "sighting_loss", lambda *_: torch.tensor([float("nan")]))
     assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path))]) == 1
     assert "the loss of update 0 is nan; lower learning_rate; the last save is in" in capsys.readouterr().err
-
-
-def test_a_log_of_somebody_else_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    recipe = tiny_recipe(tmp_path)
-    (tmp_path / "eye").mkdir()
-    (tmp_path / "eye" / LOG).write_text("mine")
-    assert main(["pretrain", "--recipe", str(recipe)]) == 2
-    assert f"holds {LOG} but no run.json" in capsys.readouterr().err
-    assert (tmp_path / "eye" / LOG).read_text() == "mine"
 
 
 def test_a_folder_goes_back_to_its_last_whole_save(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

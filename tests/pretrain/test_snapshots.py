@@ -22,14 +22,16 @@ SPECS = sample_specs(RECIPE, range(8))
 
 
 def test_the_same_draws_give_the_same_images_and_others_do_not():
-    first, again, other = (next(snapshots(RECIPE, SPECS, 4, np.random.default_rng(seed))) for seed in (0, 0, 1))
+    first, again, other = (
+        next(snapshots(WorldBatch(RECIPE, 4), SPECS, np.random.default_rng(seed))) for seed in (0, 0, 1)
+    )
     np.testing.assert_array_equal(first.images, again.images)
     np.testing.assert_array_equal(first.place, again.place)
     assert (first.place != other.place).any()
 
 
 def test_images_are_of_many_poses():
-    shown = list(islice(snapshots(RECIPE, SPECS, 4, np.random.default_rng(0)), 10))
+    shown = list(islice(snapshots(WorldBatch(RECIPE, 4), SPECS, np.random.default_rng(0)), 10))
     offsets = np.concatenate([s.place for s in shown])
     assert len(offsets) == 40
     assert len(np.unique(offsets, axis=0)) > 30, "some are from home, and there a target that rests is where it was"
@@ -57,15 +59,19 @@ def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
         assert (column, -row) == pytest.approx((u, v), abs=0.08)
 
 
-def test_fingers_move_between_some_images_and_some_come_twice(monkeypatch: pytest.MonkeyPatch):
+def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(monkeypatch: pytest.MonkeyPatch):
     placed: list[np.ndarray] = []
     batch = WorldBatch(RECIPE, 32, threads=1)
     place = type(batch).place
-    monkeypatch.setattr(type(batch), "place", lambda self, hand, pose: (placed.append(hand), place(self, hand, pose)))
-    shown = list(islice(snapshots(RECIPE, SPECS, 32, np.random.default_rng(0)), 8))
-    now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 18) each
-    moving = np.abs(now[:, 3:] - before[:, 3:]).max(axis=1) > 1e-3
-    closing = (np.abs(now[:, 3:]).sum(axis=1) > np.abs(before[:, 3:]).sum(axis=1)) & moving
+    monkeypatch.setattr(
+        type(batch), "place", lambda self, hand, pose: (placed.append(np.hstack([hand, pose])), place(self, hand, pose))
+    )
+    shown = list(islice(snapshots(batch, SPECS, np.random.default_rng(0)), 8))
+    now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 25) each
+    np.testing.assert_allclose(np.concatenate([s.place for s in shown]), now[:, 18:21] - now[:, :3], atol=1e-6)
+    now, before = now[:, 3:18], before[:, 3:18]
+    moving = np.abs(now - before).max(axis=1) > 1e-3
+    closing = (np.abs(now).sum(axis=1) > np.abs(before).sum(axis=1)) & moving
     assert 0.2 < moving.mean() < 0.4
     assert closing.sum() > 1.5 * (moving.sum() - closing.sum()), "hands close faster than they open"
     images = np.concatenate([s.images for s in shown])

@@ -10,20 +10,11 @@ import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.results import Results, RunInfo, write_results
+from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.synthetic import synthetic_episode
 
-KINDS = {
-    "straight_line": ("constant", "accelerating", "decelerating"),
-    "simple_harmonic": ("lateral", "vertical", "depth"),
-    "circular_arc": ("horizontal_circle", "vertical_circle", "swinging_arc"),
-    "projectile": ("lob", "cross_throw", "bounce"),
-    "pendulum": ("planar", "conical", "damped"),
-    "inclined_rolling": ("ramp", "ramp_and_runout"),
-    "impact_response": ("struck", "wall_rebound"),
-    "hybrid": ("line_then_arc", "harmonic_drift", "random_spline"),
-}
-PAIRS = [(category, kind) for category, kinds in KINDS.items() for kind in kinds]
+PAIRS = [(motion.category, kind) for kind, motion in MOTIONS.items()]
 LENGTHS = (32, 48, 52, 70, 96, 130)
 
 

@@ -1,0 +1,289 @@
+"""``dynahoi push``: sound content only, resumed after an interruption, never over something else."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from tests.hub.conftest import Push, write_split
+from tests.hub.server import TOKEN, Hub
+
+DATASET, MODEL = "datasets/me/catching", "models/me/policy"
+
+# -- datasets ---------------------------------------------------------------------------------------------------------
+
+
+def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(simulated: Path, hub: Hub, push: Push):
+    code, out, err = push(simulated, "me/catching", "--private")
+    assert code == 0, err
+    assert f"dataset pushed to {hub.url}/{DATASET}, tagged v3.0, dynahoi-{BENCHMARK.version}" in out
+    repo = hub.repos[DATASET]
+    assert repo.private
+    assert {name: len(content) for name, content in repo.files.items()} == {
+        path.relative_to(simulated).as_posix(): path.stat().st_size for path in simulated.rglob("*") if path.is_file()
+    }
+    assert repo.tags == {"v3.0": repo.head, f"dynahoi-{BENCHMARK.version}": repo.head}
+    commits = list(repo.commits)
+    hub.requests.clear()
+    assert push(simulated, "me/catching", "--private")[0] == 0
+    assert list(repo.commits) == commits
+    assert not [line for line in hub.requests if line.startswith("PUT")]
+
+
+def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
+    hub.uploads_left = 2
+    code, _, err = push(simulated, "me/catching")
+    assert code == 1
+    assert "507 (storage is full)" in err
+    assert hub.repos[DATASET].files == {}
+    before = set(hub.blobs)
+    hub.uploads_left = None
+    hub.requests.clear()
+    assert push(simulated, "me/catching")[0] == 0
+    sent = {line.rpartition("/")[2] for line in hub.requests if line.startswith("PUT")}
+    assert len(before) == 2
+    assert not sent & before
+
+
+def test_stopping_it_says_how_to_go_on(simulated: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch):
+    from huggingface_hub import HfApi
+
+    def interrupted(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(HfApi, "upload_folder", interrupted)
+    code, _, err = push(simulated, "me/catching")
+    assert code == 130
+    assert "resume" in err
+
+
+def test_a_damaged_dataset_is_refused(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
+    broken = shutil.copytree(simulated, tmp_path / "broken")
+    (broken / "meta/tasks.parquet").unlink()
+    code, _, err = push(broken, "me/catching")
+    assert code == 1
+    assert "tasks.parquet is missing" in err
+    assert hub.repos == {}
+
+
+def test_a_repository_of_something_else_is_left_alone(simulated: Path, hub: Hub, push: Push):
+    push(simulated, "me/catching")
+    hub.repos[DATASET].commits["f" * 40] = {"thesis.pdf": b"years of work"}
+    code, _, err = push(simulated, "me/catching")
+    assert (code, err.count("\n")) == (1, 1)
+    assert "me/catching holds other content (thesis.pdf); choose another name" in err
+    assert hub.repos[DATASET].files == {"thesis.pdf": b"years of work"}
+
+
+def test_what_is_to_be_private_does_not_go_into_a_public_repository(simulated: Path, hub: Hub, push: Push):
+    push(simulated, "me/catching")
+    code, _, err = push(simulated, "me/catching", "--private")
+    assert code == 1
+    assert "me/catching exists and is public" in err
+
+
+# -- what any push needs ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("repo", "token", "said"),
+    [
+        ("me/catching", "hf_" + "wrong" * 6, "rejected the token"),
+        ("me/catching", "", "no Hub token"),
+        ("you/catching", TOKEN, "you/catching: the token has no write access"),
+    ],
+)
+def test_tokens_that_will_not_do(
+    repo: str, token: str, said: str, *, checkpoint: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("HF_TOKEN", token)
+    code, _, err = push(checkpoint, repo)
+    assert code == 1
+    assert said in err
+    assert hub.repos == {}
+
+
+def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatch):
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
+    code, _, err = push(checkpoint, "me/policy")
+    assert (code, err.count("\n")) == (1, 1)
+    assert "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost" in err
+
+
+@pytest.mark.parametrize("name", ["catching", "a/b/c", "me/a b", ""])
+def test_names_that_are_none(checkpoint: Path, hub: Hub, push: Push, name: str):
+    code, _, err = push(checkpoint, name)
+    assert code == 2
+    assert f"the repository is {name!r}; it must be USER/NAME" in err
+    assert hub.requests == []
+
+
+def test_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+    (tmp_path / "empty").mkdir()
+    code, _, err = push(tmp_path / "empty", "me/catching")
+    assert code == 2
+    assert "holds none of these: dataset (meta/info.json), results (metrics.json), checkpoint (config.json)" in err
+    code, _, err = push(checkpoint, "me/policy", "--policy", "me/x")
+    assert code == 2
+    assert f"--policy is for a push of results; {checkpoint} holds this: checkpoint" in err
+    assert hub.repos == {}
+
+
+# -- checkpoints ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("config", "mode", "needed"),
+    [
+        ({"type": "obact"}, "joints", " ./policies/lerobot_policy_obact"),
+        ({"type": "act", "output_features": {"action": {"shape": [4]}}}, "grasp", ""),
+    ],
+)
+def test_a_checkpoint_without_a_card_gets_one(
+    config: dict, mode: str, needed: str, *, checkpoint: Path, hub: Hub, push: Push
+):
+    (checkpoint / "config.json").write_text(json.dumps(config))
+    before = sorted(path.name for path in checkpoint.iterdir())
+    code, _, err = push(checkpoint, "me/policy")
+    assert code == 0, err
+    assert sorted(path.name for path in checkpoint.iterdir()) == before
+    files = hub.repos[MODEL].files
+    assert set(files) == {"README.md", "config.json", "model.safetensors", "train_config.json"}
+    _, head, body = files["README.md"].decode().split("---\n", 2)
+    metadata = yaml.safe_load(head)
+    assert metadata["library_name"] == "lerobot"
+    assert metadata["datasets"] == ["me/catching"]
+    assert "dynahoi evaluate --policy me/policy" in body
+    assert f"control_mode `{mode}`" in body
+    assert f'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi{needed} ' in body
+
+
+def test_a_card_that_is_there_stays(checkpoint: Path, hub: Hub, push: Push):
+    push(checkpoint, "me/policy")
+    hub.repos[MODEL].files["README.md"] = b"edited on the Hub"
+    push(checkpoint, "me/policy")
+    assert hub.repos[MODEL].files["README.md"] == b"edited on the Hub"
+    (checkpoint / "README.md").write_text("mine")
+    push(checkpoint, "me/policy")
+    assert hub.repos[MODEL].files["README.md"] == b"mine"
+
+
+def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    push(write_split(tmp_path / "results", "ood_speed", range(220)), "me/policy")
+    commits = list(hub.repos[MODEL].commits)
+    assert push(checkpoint, "me/policy", "--replace")[0] == 0
+    assert list(hub.repos[MODEL].commits) == commits, "the same weights keep their results"
+    (checkpoint / "model.safetensors").write_bytes(b"better weights")
+    code, _, err = push(checkpoint, "me/policy")
+    assert (code, err.count("\n")) == (1, 1)
+    assert "me/policy holds other weights (model.safetensors); choose another name, or add --replace" in err
+    assert list(hub.repos[MODEL].commits) == commits
+    assert push(checkpoint, "me/policy", "--replace")[0] == 0
+    files = hub.repos[MODEL].files
+    assert files["model.safetensors"] == b"better weights"
+    assert not [name for name in files if "results" in name]
+
+
+def test_pickles_are_refused(checkpoint: Path, hub: Hub, push: Push):
+    (checkpoint / "optimizer.pt").write_bytes(b"pickle")
+    code, _, err = push(checkpoint, "me/policy")
+    assert code == 2
+    assert "holds the pickle optimizer.pt" in err
+    assert hub.repos == {}
+
+
+# -- results ----------------------------------------------------------------------------------------------------------
+
+
+def names(hub: Hub) -> set[str]:
+    """Return the names of the result folders in the repository."""
+    return {name.split("/")[1] for name in hub.repos[MODEL].files if name.startswith("results/")}
+
+
+def test_results_need_their_checkpoint_and_must_be_whole(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+    results = write_split(tmp_path / "results", "ood_speed", range(220))
+    code, _, err = push(results, "me/policy")
+    assert (code, err.count("\n")) == (1, 1)
+    assert "me/policy holds no checkpoint" in err
+    assert hub.repos == {}
+    push(checkpoint, "me/policy")
+    (results / "actions.npz").write_bytes(b"")
+    assert push(results, "me/policy")[0] == 2
+    assert names(hub) == set()
+
+
+WHOLE = "v2_ood_speed_attach_standard"
+CONDITIONS: list[tuple[dict, str]] = [
+    ({}, WHOLE),
+    ({"protocol": "occluded"}, f"{WHOLE}_protocol_occluded"),
+    ({"objects": ("ball", "cup")}, f"{WHOLE}_objects_ball_cup"),
+    ({"extra": {"inference": "async 150 ms"}}, f"{WHOLE}_async_150_ms"),
+    ({"extra": {"settings": ["n_action_steps=-1"]}}, f"{WHOLE}_n_action_steps_-1"),
+    ({"seeds": range(3), "protocol": "occluded"}, f"{WHOLE}_protocol_occluded_3_episodes"),
+]
+
+
+def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    for number, (options, _) in enumerate(CONDITIONS):
+        seeds, rest = options.get("seeds", range(220)), {k: v for k, v in options.items() if k != "seeds"}
+        code, _, err = push(write_split(tmp_path / str(number), "ood_speed", seeds, **rest), "me/policy")
+        assert code == 0, err
+    assert names(hub) == {name for _, name in CONDITIONS}
+    push(write_split(tmp_path / "long", "ood_speed", range(2), extra={"settings": ["x" * 300]}), "me/policy")
+    assert max(map(len, names(hub))) == 120
+
+
+@pytest.mark.parametrize("policy", ["you/other", "intercept", "outputs/gone/pretrained_model"])
+def test_results_of_another_policy_are_refused_unless_they_are_said_to_be_of_this_one(
+    policy: str, *, checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
+    code, _, err = push(results, "me/policy")
+    assert (code, err.count("\n")) == (1, 1)
+    assert f"me/policy: {results} is of {policy}, and nothing shows that this repository holds it" in err
+    assert names(hub) == set()
+    code, _, err = push(results, "me/policy", "--policy", "you/third")
+    assert f"{results} is of {policy}, not of you/third" in err
+    assert code == 1
+    assert push(results, "me/policy", "--policy", policy)[0] == 0
+
+
+def test_results_go_to_the_repository_with_the_weights_that_they_name(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
+    push(checkpoint, "me/policy")
+    digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
+    for number, (weights, code) in enumerate((("0a" * 32, 1), (digest, 0))):
+        named = {"weights": {"model.safetensors": weights}}
+        folder = tmp_path / str(number)
+        results = write_split(folder, "ood_speed", range(2), policy=str(checkpoint), extra=named)
+        assert push(results, "me/policy")[0] == code
+
+
+def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+    push(checkpoint, "me/policy")
+    results = write_split(tmp_path / "results", "ood_speed", range(220))
+    assert push(results, "me/policy")[0] == 0
+    commits = list(hub.repos[MODEL].commits)
+    assert push(results, "me/policy")[0] == 0
+    assert list(hub.repos[MODEL].commits) == commits
+    _, head, _ = hub.repos[MODEL].files["README.md"].decode().split("---\n", 2)
+    (model,) = yaml.safe_load(head)["model-index"]
+    (entry,) = model["results"]
+    assert entry["dataset"]["split"] == "ood_speed"
+    assert {metric["type"] for metric in entry["metrics"]} == {"S_loc", "S_joint"}

@@ -1,0 +1,306 @@
+"""The report: figures of any results, labels that tell them apart, a page that loads nothing, honest comparisons."""
+
+from __future__ import annotations
+
+import base64
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.evaluate.gif import write_gif
+from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
+from dynahoi_lerobot.evaluate.summary import Estimate
+from dynahoi_lerobot.evaluate.table import Table, metric_cell
+from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.report import figures, page, render_report
+from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries, short_name, unique_labels
+from dynahoi_lerobot.report.page import clips_of, comparison_tables, page_content
+from tests.report.example_runs import example_run
+
+HOSTILE = "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ 7*7 }} $x^{"
+FIGURES = {figure.name: figure for figure in figures.FIGURES}
+ALWAYS = {"main", "stages", "per-frame-grasp", "data", "joint-deltas", "palm-displacements"}
+
+
+@pytest.fixture(scope="module")
+def entries(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
+    root = tmp_path_factory.mktemp("runs")
+    example_run(root / "strong", "strong", 1.0, 24)
+    example_run(root / "weak", "weak", 0.1, 24)
+    example_run(root / "holder", "holder", 0.5, 24, capture="contact")
+    return read_entries([root / "strong", root / "weak", root / "holder", root / "weak" / ".." / "weak"])
+
+
+# -- labels -----------------------------------------------------------------------------------------------------------
+
+
+def named(policy: str, folder: str = "run", **extra: object) -> Results:
+    return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f", extra), (), ())
+
+
+@pytest.mark.parametrize(
+    ("policy", "label"),
+    [
+        ("outputs/train/obact/checkpoints/last/pretrained_model", "obact"),
+        (r"outputs\obact\checkpoints\030000\pretrained_model", "obact"),
+        ("someone/obact_dynahoi", "obact_dynahoi"),
+        ("last", "last"),
+        ("", "?"),
+        ("two\nlines\x1b", r"two\nlines\x1b"),
+        ("a" + "x" * 99 + "z", f"a{'x' * 18}…{'x' * 18}z"),
+    ],
+)
+def test_a_label_is_the_telling_part_of_a_name(policy: str, label: str):
+    assert short_name(policy) == label
+
+
+def test_equal_names_are_told_apart_by_conditions_then_folder_then_number():
+    late = named("obact", inference="async 150 ms")
+    noisy = named("obact", recipe={"render_noise": 2})
+    assert unique_labels([late, noisy, named("obact")]) == ["obact, async 150 ms", "obact, noise 2", "obact"]
+    assert unique_labels([named("a", "s1"), named("a", "s5"), named("b")]) == ["a (s1)", "a (s5)", "b"]
+    assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
+
+
+def test_entries_come_best_first_and_once(entries: list[Entry]):
+    assert [entry.label for entry in entries] == ["strong", "holder", "weak"]
+    assert len({entry.colour for entry in entries}) == 3
+    assert len(distinct_episodes(entries)) == 24
+
+
+def test_versions_of_the_benchmark_are_not_mixed_unless_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(figures, "FIGURES", figures.FIGURES[:1])
+    example_run(tmp_path / "old", "old", 0.5, 4, benchmark="v0")
+    example_run(tmp_path / "new", "new", 0.5, 4)
+    out = tmp_path / "page.html"
+    words = ["report", str(tmp_path / "old"), str(tmp_path / "new"), "--out", str(out)]
+    assert main(words) == 2
+    assert "has benchmark 'v0'" in capsys.readouterr().err
+    assert not out.exists()
+    assert main([*words, "--allow-version-mismatch"]) == 0
+    assert "v0" in out.read_text()
+
+
+# -- figures ----------------------------------------------------------------------------------------------------------
+
+
+def svg(address: str) -> str:
+    head, _, data = address.partition(",")
+    assert head == "data:image/svg+xml;base64"
+    return base64.b64decode(data).decode()
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
+    root = tmp_path_factory.mktemp("odd")
+    example_run(root / "a", HOSTILE, 0.9, 24)
+    example_run(root / "b", "contact", 0.4, 12, capture="contact", inference="rtc 150 ms")
+    example_run(root / "c", "contact", 0.4, 12, capture="contact", inference="async measured")
+    return read_entries([root / name for name in "abc"])
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_is_a_well_formed_inert_drawing(name: str, odd: list[Entry]):
+    address = FIGURES[name].render(odd)
+    assert address is not None
+    text = svg(address)
+    root = ElementTree.fromstring(text)
+    assert not {"script", "foreignObject"} & {element.tag.partition("}")[2] for element in root.iter()}
+    links = [value for element in root.iter() for key, value in element.attrib.items() if key.endswith("href")]
+    assert all(link.startswith(("#", "data:")) for link in links)
+    assert "nan" not in "".join(element.get("d", "") for element in root.iter())
+    assert "var(--ink)" in text
+    if name == "stages":
+        assert any((element.text or "").strip() == odd[0].label for element in root.iter())
+        assert address == FIGURES[name].render(odd), "the same results give the same drawing"
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_figure_of_one_episode_is_drawn_or_left_out(name: str, tmp_path: Path):
+    example_run(tmp_path, "lone", 0.0, 1)
+    assert (FIGURES[name].render(read_entries([tmp_path])) is not None) == (name in ALWAYS)
+
+
+@pytest.mark.parametrize(
+    ("inference", "latency_ms"), [("", 0.0), ("rtc 370 ms", 370.0), ("async measured", None), ("soon", None)]
+)
+def test_the_latency_of_an_evaluation_is_the_one_that_its_label_declares(inference: str, latency_ms: float | None):
+    assert figures.latency_ms(Entry(named("a", inference=inference), "a", "#000")) == latency_ms
+
+
+def test_values_and_intervals_are_drawn_as_they_are_printed():
+    half = Estimate(0.5, 0.25, 0.75, "fraction", 4)
+    values, reach = figures.printed([None, Estimate(None, None, None, "score", 0), half])
+    np.testing.assert_array_equal(values, [np.nan, np.nan, 50.0])
+    np.testing.assert_array_equal(reach[:, 2], [25.0, 25.0])
+
+
+def test_deltas_are_those_of_the_control_phase(entries: list[Entry]):
+    results = entries[0].results
+    logs = [actions[row["window_frames"] :] for row, actions in zip(results.rows, results.actions, strict=True)]
+    deltas = figures.command_deltas(results)
+    assert deltas.shape == (sum(len(log) - 1 for log in logs), 18)
+    assert deltas[0].tolist() == (logs[0][1] - logs[0][0]).tolist()
+
+
+# -- tables -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def content(entries: list[Entry]) -> dict:
+    patch = pytest.MonkeyPatch()
+    patch.setattr(figures, "FIGURES", [])
+    yield page_content(entries)
+    patch.undo()
+
+
+def column(table: Table, title: str) -> dict:
+    place = next(index for index, head in enumerate(table.head) if head.split()[0] == title)
+    return {row[0].text: row[place] for row in table.rows}
+
+
+def test_both_tables_together_hold_every_estimate_once(entries: list[Entry], content: dict):
+    tables = content["main_metrics"], content["other_metrics"]
+    for name in METRICS.names():
+        (table,) = [table for table in tables if any(head.split()[0] == name for head in table.head)]
+        for entry in entries:
+            cell, wanted = column(table, name)[entry.label], metric_cell(entry.results.summary()[name])
+            assert (cell.text, cell.detail, cell.key) == (wanted.text, wanted.detail, wanted.key)
+
+
+def test_conditions_are_columns_where_evaluations_differ_and_in_the_caption_where_they_agree(content: dict):
+    table = content["main_metrics"]
+    assert sorted(cell.text for cell in column(table, "capture").values()) == ["attach", "attach", "contact"]
+    assert "split" not in table.head
+    assert "split test_small" in table.caption
+    assert "n 24" in table.caption
+
+
+def test_the_best_is_marked_under_equal_conditions_only(content: dict):
+    for name in ("S_loc", "E_loc", "R_time"):
+        marks = {label: cell.mark for label, cell in column(content["main_metrics"], name).items()}
+        assert marks == {"strong": "best", "weak": "", "holder": ""}
+
+
+def test_the_comparison_is_antisymmetric_and_under_equal_conditions(entries: list[Entry]):
+    tables = dict(zip(("S_loc", "S_joint", "E_loc", "commands"), comparison_tables(entries), strict=True))
+    for name, better in (("S_loc", 1), ("E_loc", -1)):
+        above, below = column(tables[name], "weak")["strong"], column(tables[name], "strong")["weak"]
+        assert above.key == pytest.approx(-below.key)
+        assert above.key * better > 0
+        assert (above.mark, below.mark) == ("better", "worse")
+        assert re.search(r"p [<=] 0\.0\d+, n = 24", above.detail)
+        assert column(tables[name], "holder")["strong"].text == "–"
+        assert column(tables[name], "strong")["strong"].text == "–"
+    assert comparison_tables(entries[:1]) == []
+
+
+def test_kind_tables_count_their_episodes(content: dict):
+    for table in content["per_kind"]:
+        assert sum(int(cell.text) for cell in column(table, "n").values()) == 24
+
+
+# -- the page ---------------------------------------------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """A page's tags with their attributes, and its visible text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str]]] = []
+        self.text = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("runs")
+    example_run(root / "expert", "expert", 1.0, 22)
+    odd = {"recipe": 7, "note": "<b>", "number": 10**400}
+    example_run(root / "hostile", HOSTILE, 0.4, 22, command=f"dynahoi evaluate --policy '{HOSTILE}'", **odd)
+    for index in range(2):
+        write_gif(root / "expert" / f"clip_{index}.gif", np.full((3, 8, 8, 3), 90 * index, np.uint8))
+    return root
+
+
+def test_a_page_holds_everything_and_loads_nothing(root: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(figures, "FIGURES", [FIGURES["stages"]])
+    folders = [root / "expert", root / "hostile"]
+    html = render_report(folders, root / "report.html").read_text()
+    parsed = Page(html)
+    sections = {attributes["id"] for tag, attributes in parsed.tags if tag == "section"}
+    assert sections == {"results", "comparison", "stages", "clips", "kinds", "runs", "glossary"}
+    assert {attributes["href"] for tag, attributes in parsed.tags if tag == "a"} == {f"#{name}" for name in sections}
+    assert f"dynahoi evaluate --policy '{HOSTILE}'" in parsed.text
+    clips = [a["alt"] for tag, a in parsed.tags if tag == "img" and a["src"].startswith("data:image/gif;base64,")]
+    assert clips == ["clip_0", "clip_1"]
+    names = [tag for tag, _ in parsed.tags]
+    assert names.count("script") == 1
+    assert {"b", "link", "iframe", "object", "embed", "base"}.isdisjoint(names)
+    for _, attributes in parsed.tags:
+        assert not any(name.startswith("on") for name in attributes)
+        for name in ("src", "href", "srcset", "data", "action", "poster"):
+            assert attributes.get(name, "#").startswith(("#", "data:image/"))
+    assert "url(" not in html.partition("</style>")[0]
+    policy = next(a["content"] for tag, a in parsed.tags if a.get("http-equiv") == "Content-Security-Policy")
+    assert policy.startswith("default-src 'none'")
+    assert render_report(folders, root / "expert") == root / "expert" / "report.html"
+    assert (root / "expert" / "report.html").read_text() == html, "the page is the same every time"
+
+
+def test_clips_are_the_first_gifs_of_the_folder_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "secret").write_bytes(b"GIF89a secret")
+    folder = tmp_path / "run"
+    write_gif(folder / "true\x1b.gif", np.zeros((2, 8, 8, 3), np.uint8))
+    write_gif(folder / "another.gif", np.zeros((2, 8, 8, 3), np.uint8))
+    (folder / "link.gif").symlink_to(tmp_path / "secret")
+    (folder / "text.gif").write_text("no GIF")
+    (folder / "folder.gif").mkdir()
+    with (folder / "huge.gif").open("wb") as file:
+        file.write(b"GIF89a")
+        file.truncate(10**8)
+    assert [name for name, _ in clips_of(folder)[0]] == ["another", r"true\x1b"]
+    monkeypatch.setattr(page, "MOST_CLIPS", 1)
+    assert clips_of(folder)[1] == 1
+
+
+def test_no_folder_or_a_damaged_one_leaves_no_page(root: Path, tmp_path: Path):
+    with pytest.raises(ValueError, match="at least one result folder"):
+        render_report([], tmp_path)
+    with pytest.raises(ResultsError, match="no result folder"):
+        render_report([root / "expert", tmp_path / "nowhere"], tmp_path / "report.html")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_report_pairs_across_what_it_is_asked_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(figures, "FIGURES", figures.FIGURES[:1])
+    example_run(tmp_path / "a", "a", 0.9, 8, recipe={"render_noise": 0})
+    example_run(tmp_path / "b", "a", 0.3, 8, recipe={"render_noise": 2})
+    words = ["report", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(tmp_path / "report.html")]
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "--across render_noise" in said
+    assert "minus" not in said
+    assert "Paired comparison" not in (tmp_path / "report.html").read_text()
+    assert main([*words, "--across", "render_noise"]) == 0
+    said = capsys.readouterr().out
+    assert "--across" not in said
+    assert "a minus a, noise 2, 8 episodes: S_loc +" in said
+    assert "cm apart" in said
+    assert "Paired comparison" in (tmp_path / "report.html").read_text()
