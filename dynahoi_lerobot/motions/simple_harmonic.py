@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.numerics import cos, sin
+from dynahoi_lerobot.core.numerics import sin
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion
 from dynahoi_lerobot.motions.launch import Vector
 
@@ -47,25 +47,9 @@ class HarmonicMotion(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        return np.asarray(self.center) + self._along(sin(self._phase(time_s)))
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        return self._along(self._rate * cos(self._phase(time_s)))
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]."""
-        return self._along(-(self._rate**2) * sin(self._phase(time_s)))
-
-    @property
-    def _rate(self) -> float:
-        return 2 * np.pi * self.frequency_hz
-
-    def _phase(self, time_s: np.ndarray) -> np.ndarray:
-        return self._rate * time_s + self.phase_rad
-
-    def _along(self, amount: np.ndarray) -> np.ndarray:
-        return self.amplitude_m * amount[:, None] * np.asarray(self.axis)
+        rate_rad_s = 2 * np.pi * self.frequency_hz
+        swing = sin(rate_rad_s * time_s + self.phase_rad)[:, None]
+        return np.asarray(self.center) + self.amplitude_m * swing * np.asarray(self.axis)
 
 
 @MOTIONS.register("lateral")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -41,7 +40,8 @@ class Bystander:
 
     def __init__(self, spec: EpisodeSpec) -> None:
         scene = compile_scene(REFERENCE_HAND)
-        self.scene = replace(scene, model=copy.copy(scene.model))  # sizes are written below, and others share it
+        self.scene = copy.copy(scene)
+        self.scene.model = copy.copy(scene.model)  # sizes are written below, and others share it
         self.data = mujoco.MjData(self.scene.model)
         self.data.mocap_pos[list(self.scene.box_mocap)] = (0.0, 0.0, -50.0)
         self.boxes = self.scene.box_geoms[: len(boxes_of(spec))]

@@ -12,6 +12,7 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.compatibility import MixedError
+from dynahoi_lerobot.core.conventions import PHYSICS_DT
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.compare import compare
@@ -100,8 +101,8 @@ def _scalars(drawn: Drawn) -> dict[str, float]:
     circular = ("phase_rad", "yaw_rad")
     found = {name: abs(v) for name, v in values.items() if isinstance(v, float) and name not in circular}
     if isinstance(drawn.motion, PrescribedMotion):
-        times = np.linspace(0.0, drawn.horizon_s, 200)
-        found["peak speed"] = float(np.linalg.norm(drawn.motion.velocity(times), axis=1).max())
+        path = drawn.motion.position(np.arange(0.0, drawn.horizon_s, PHYSICS_DT))
+        found["peak speed"] = float(np.linalg.norm(np.diff(path, axis=0), axis=1).max()) / PHYSICS_DT
     elif "velocity" in values:
         speed = float(np.linalg.norm(values["velocity"][:2]))
         found |= {"level speed": speed, "thrown": speed * (drawn.intercept_s - values["release_s"])}

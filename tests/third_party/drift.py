@@ -37,11 +37,3 @@ class Drift(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m], world."""
         return np.asarray(self.center) + np.outer(time_s - self.center_s, [0.0, self.speed_m_s, 0.0])
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s], world."""
-        return np.tile([0.0, self.speed_m_s, 0.0], (len(time_s), 1))
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2], world."""
-        return np.zeros((len(time_s), 3))
