@@ -83,11 +83,6 @@ class Feature:
         return self.key.startswith(OBSERVATION_PREFIX)
 
     @property
-    def privileged(self) -> bool:
-        """Whether it is for experts, metrics and auxiliary losses only."""
-        return self.gym_key is None
-
-    @property
     def optional(self) -> bool:
         """Whether some recordings do not have it."""
         return self.needs_contact_sensors or self.on_request

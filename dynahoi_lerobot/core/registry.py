@@ -13,13 +13,26 @@ import difflib
 import importlib
 import pkgutil
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
 
 class UnknownNameError(ValueError):
     """A name that nothing registers; the message lists the registered ones."""
+
+
+def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
+    """Return the entry called ``name`` of a table.
+
+    Raises:
+        UnknownNameError: if there is none; it suggests a name that is nearly the same and lists all.
+    """
+    if name not in table:
+        close = difflib.get_close_matches(name, table, n=1)
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        raise UnknownNameError(f"unknown {noun} {name!r}{hint}; known: {', '.join(table)}")
+    return table[name]
 
 
 class Registry[T]:
@@ -64,12 +77,7 @@ class Registry[T]:
         Raises:
             UnknownNameError: if nothing is registered under it.
         """
-        self._discover()
-        if name not in self._entries:
-            close = difflib.get_close_matches(name, self._entries, n=1)
-            hint = f" (did you mean {close[0]!r}?)" if close else ""
-            raise UnknownNameError(f"unknown {self.noun} {name!r}{hint}; known: {', '.join(self.names())}")
-        return self._entries[name]
+        return known(self.noun, name, dict(self.items()))
 
     def __contains__(self, name: object) -> bool:
         """Tell whether something is registered under ``name``."""

@@ -26,6 +26,8 @@ from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 DEFAULT_TASKS = 1000
 """As many as Slurm takes in one array, if the plan has so many shards."""
+PER_TASK = ("workers", "cpus_per_task", "mem_per_cpu_gb", "gpus_per_task")
+"""What Slurm and Ray are told alike, by the name that ``ClusterResources`` and datatrove have for it."""
 
 
 @dataclass(frozen=True)
@@ -144,12 +146,12 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
         shards = MakeShards(maker), min(resources.tasks or DEFAULT_TASKS, plan.shards)
         merge = MergeShards(maker, root), 1
         if kind == "slurm":
-            _slurm(*merge, resources, depends=_slurm(*shards, resources)).run()
+            _executor(kind, *merge, resources, depends=_executor(kind, *shards, resources)).run()
             return False
         if kind == "ray":
             _connect_to_ray()
         for step, tasks in (shards, merge):
-            (_ray if kind == "ray" else _local)(step, tasks, resources).run()
+            _executor(kind, step, tasks, resources).run()
     return True
 
 
@@ -161,7 +163,7 @@ def describe(kind: str, plan: GenerationPlan, root: Path, record: Record, resour
         return f"{plan.shards} shards of up to {plan.shard_episodes} episodes in {tasks} tasks, merged into {root}"
     existed, scripts = maker.folder.exists(), []
     for step, count in ((MakeShards(maker), tasks), (MergeShards(maker, root), 1)):
-        job = _slurm(step, count, resources)
+        job = _executor(kind, step, count, resources)
         launch = f"srun -l -n 1 launch_pickled_pipeline {job.logging_dir.resolve_paths('executor.pik')}"
         scripts.append(job.get_launch_file_contents(job.get_sbatch_args(count), launch))
     if not existed:  # datatrove makes the log folders while it writes the scripts
@@ -169,42 +171,22 @@ def describe(kind: str, plan: GenerationPlan, root: Path, record: Record, resour
     return "\n# submitted with --dependency=afterok:<the job above>\n".join(scripts)
 
 
-def _local(step: Any, tasks: int, resources: ClusterResources) -> LocalPipelineExecutor:
-    workers = tasks if resources.workers == -1 else min(resources.workers, tasks)
-    logs = str(step.maker.folder / "logs" / step.name)
-    return LocalPipelineExecutor(
-        [step], tasks=tasks, workers=workers, logging_dir=logs, start_method="spawn", skip_completed=False
-    )
-
-
-def _slurm(step: Any, tasks: int, resources: ClusterResources, **options: Any) -> SlurmPipelineExecutor:
+def _executor(kind: str, step: Any, tasks: int, resources: ClusterResources, **options: Any) -> Any:
+    """Return datatrove's executor of that kind, which runs ``step`` as so many tasks."""
+    options |= {"tasks": tasks, "logging_dir": str(step.maker.folder / "logs" / step.name), "skip_completed": False}
+    if kind == "local":
+        workers = tasks if resources.workers == -1 else min(resources.workers, tasks)
+        return LocalPipelineExecutor([step], workers=workers, start_method="spawn", **options)
+    options |= {name: getattr(resources, name) for name in PER_TASK}
+    if kind == "ray":
+        return RayPipelineExecutor([step], **options)
     return SlurmPipelineExecutor(
         [step],
-        tasks=tasks,
         time=resources.time,
         partition=resources.partition,
-        cpus_per_task=resources.cpus_per_task,
-        mem_per_cpu_gb=resources.mem_per_cpu_gb,
-        gpus_per_task=resources.gpus_per_task,
-        workers=resources.workers,
         job_name=f"dynahoi-{step.name}-{step.maker.folder.stem}",
         env_command=f"source {sys.prefix}/bin/activate",
-        logging_dir=str(step.maker.folder / "logs" / step.name),
-        skip_completed=False,
         **options,
-    )
-
-
-def _ray(step: Any, tasks: int, resources: ClusterResources) -> RayPipelineExecutor:
-    return RayPipelineExecutor(
-        [step],
-        tasks=tasks,
-        workers=resources.workers,
-        cpus_per_task=resources.cpus_per_task,
-        gpus_per_task=resources.gpus_per_task,
-        mem_per_cpu_gb=resources.mem_per_cpu_gb,
-        logging_dir=str(step.maker.folder / "logs" / step.name),
-        skip_completed=False,
     )
 
 

@@ -153,13 +153,6 @@ class WorldBatch:
         self.frame[chosen] += 1
         self._update_kinematics(chosen)
 
-    def accepted(self, commands: np.ndarray) -> np.ndarray:
-        """Return (N, 18) what commands to all worlds would become now, [m], home frame, and [rad].
-
-        They are cut to what hands can meet when they take effect; void ones become holding still.
-        """
-        return self._accepted(self.check(commands), np.arange(self.size))
-
     def as_commands(self, actions: np.ndarray, observation: Observation) -> np.ndarray:
         """Return (N, 18) the commands of actions given on an observation; experts' commands stay what they are.
 
@@ -314,7 +307,7 @@ class WorldBatch:
         )
 
     def _accepted(self, wanted: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """(n, 18) see ``accepted``, of some worlds."""
+        """(n, 18) commands cut to what hands can meet when they take effect; void ones become holding still."""
         # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
         reached = self.servo.within_reach(wanted, self._state_when_due()[chosen], self._origin[chosen])
         commanded = reached.astype(np.float32).astype(np.float64)
