@@ -51,7 +51,7 @@ class Registry[T]:
         self._discovered = False
 
     def register[E](self, name: str) -> Callable[[E], E]:
-        """Return a decorator that files the decorated object under ``name``.
+        """Return a decorator that files the decorated object under ``name``; a class gets it as its ``name``.
 
         Raises:
             ValueError: if another object already has the name.
@@ -61,6 +61,8 @@ class Registry[T]:
             taken = self._entries.get(name)
             if taken is not None and getattr(taken, "__qualname__", taken) != getattr(entry, "__qualname__", entry):
                 raise ValueError(f"the {self.noun} name {name!r} is taken by {taken!r}; choose another for {entry!r}")
+            if isinstance(entry, type):
+                entry.name = name  # type: ignore[attr-defined]
             self._entries[name] = cast(T, entry)
             return entry
 

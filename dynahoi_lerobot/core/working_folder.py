@@ -1,11 +1,10 @@
-"""Working folders: made, claimed by one process for one task, resumed by the same task, and cleared of nothing else."""
+"""Working folders: made, claimed by one process for one task, and resumed by the same task."""
 
 from __future__ import annotations
 
 import fcntl
 import json
 import os
-import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -63,21 +62,6 @@ def exclusive(folder: Path) -> Iterator[None]:
             yield
         finally:
             (folder / LOCK).unlink(missing_ok=True)
-
-
-def clear(path: Path, task: dict[str, Any], record: str = "plan.json") -> None:
-    """Remove the folder of an interrupted run of this task with all that is in it; leave any other folder alone.
-
-    Raises:
-        BlockingIOError: if a process works in it.
-        FileExistsError: if it belongs to another task, or no task made it.
-    """
-    if path.exists():
-        with working_folder(path, task, record):
-            for entry in path.iterdir():  # what claims the folder goes last, so that it stays claimed until then
-                if entry.name not in (LOCK, record):
-                    shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
-            shutil.rmtree(path)
 
 
 def read_task(path: Path, record: str = "plan.json") -> dict[str, Any] | None:

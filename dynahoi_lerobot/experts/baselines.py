@@ -28,7 +28,6 @@ first control step on; it is what ``benchmarks/validity.py --search --homes`` fi
 class Hold(Expert):
     """Commands the pose it is in."""
 
-    name = "hold"
     privileged = False
 
     def act(self, world: WorldState) -> np.ndarray:
@@ -40,7 +39,7 @@ def baseline(name: str, *, privileged: bool = True) -> Callable[[Command], Comma
     """Return a decorator that registers a function of one world as the expert ``name``; its docstring describes it."""
 
     def decorate(command: Command) -> Command:
-        members = {"name": name, "privileged": privileged, "command": staticmethod(command), "__doc__": command.__doc__}
+        members = {"privileged": privileged, "command": staticmethod(command), "__doc__": command.__doc__}
         EXPERTS.register(name)(type(name, (SingleWorldExpert,), members))
         return command
 

@@ -84,7 +84,6 @@ class Match(SingleWorldExpert):
     It plans from the episode and the attempt alone, and keeps the plans of episodes for as long as they are played.
     """
 
-    name = "match"
     retries = 3
 
     def __init__(self) -> None:

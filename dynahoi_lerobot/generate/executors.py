@@ -71,7 +71,6 @@ class MakeShards(PipelineStep):
     type = "dynahoi"
 
     def __init__(self, maker: ShardMaker) -> None:
-        """Make shards with ``maker``."""
         super().__init__()
         self.maker = maker
 
@@ -99,7 +98,6 @@ class MergeShards(PipelineStep):
     type = "dynahoi"
 
     def __init__(self, maker: ShardMaker, root: Path) -> None:
-        """Merge what ``maker`` made into ``root``."""
         super().__init__()
         self.maker, self.root = maker, root
 

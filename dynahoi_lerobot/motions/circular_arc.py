@@ -57,7 +57,6 @@ class CircularMotion(PrescribedMotion):
 class HorizontalCircle(CircularMotion):
     """Constant angular speed about the vertical."""
 
-    name: ClassVar[str] = "horizontal_circle"
     phrase: ClassVar[str] = "moving in a horizontal circle"
 
 
@@ -66,7 +65,6 @@ class HorizontalCircle(CircularMotion):
 class VerticalCircle(CircularMotion):
     """Constant angular speed about a horizontal axis."""
 
-    name: ClassVar[str] = "vertical_circle"
     phrase: ClassVar[str] = "moving in a vertical circle"
 
     def axes(self) -> np.ndarray:
@@ -86,7 +84,6 @@ class Helix(CircularMotion):
 
     climb_m_s: float = 0.0
     meeting_s: float = 0.0
-    name: ClassVar[str] = "helix"
     phrase: ClassVar[str] = "moving along a helix"
 
     @classmethod
@@ -123,7 +120,6 @@ class SwingingArc(PrescribedMotion):
     rate_rad_s: float
     phase_rad: float
     yaw_rad: float
-    name: ClassVar[str] = "swinging_arc"
     category: ClassVar[str] = "circular_arc"
     phrase: ClassVar[str] = "swinging to and fro along an arc"
 

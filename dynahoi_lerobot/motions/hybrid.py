@@ -30,7 +30,6 @@ class FigureEight(PrescribedMotion):
     rate_rad_s: float
     phase_rad: float
     yaw_rad: float
-    name: ClassVar[str] = "figure_eight"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "tracing a figure of eight"
 
@@ -70,7 +69,6 @@ class HarmonicDrift(PrescribedMotion):
     amplitude_m: float
     rate_rad_s: float
     phase_rad: float
-    name: ClassVar[str] = "harmonic_drift"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "oscillating while it drifts along"
 
@@ -111,7 +109,6 @@ class LineThenArc(PrescribedMotion):
     bend_s: float
     speed_m_s: float
     radius_m: float
-    name: ClassVar[str] = "line_then_arc"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "moving in a line that bends into an arc"
 
@@ -150,7 +147,6 @@ class RandomSpline(PrescribedMotion):
 
     points: tuple[Vector, ...]
     knot_s: float
-    name: ClassVar[str] = "random_spline"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "wandering along a smooth random path"
 

@@ -113,7 +113,6 @@ def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
 class Ramp(RollingMotion):
     """Met after 0.15 to 0.6 m of slope."""
 
-    name: ClassVar[str] = "ramp"
     phrase: ClassVar[str] = "rolling down a ramp"
 
     @classmethod
@@ -130,7 +129,6 @@ RUNOUT_HALF_M = 0.6
 class RampAndRunout(RollingMotion):
     """Reaches the foot of 0.1 to 0.4 m of slope 0.15 to 0.5 s before it is met on the level."""
 
-    name: ClassVar[str] = "ramp_and_runout"
     phrase: ClassVar[str] = "rolling down a ramp and out onto a level track"
 
     @classmethod

@@ -57,7 +57,6 @@ class HarmonicMotion(PrescribedMotion):
 class Lateral(HarmonicMotion):
     """Harmonic along y, across the view."""
 
-    name: ClassVar[str] = "lateral"
     phrase: ClassVar[str] = "oscillating from side to side"
     axis: ClassVar[Vector] = (0.0, 1.0, 0.0)
 
@@ -67,7 +66,6 @@ class Lateral(HarmonicMotion):
 class Depth(HarmonicMotion):
     """Harmonic along x, where the palm faces."""
 
-    name: ClassVar[str] = "depth"
     phrase: ClassVar[str] = "oscillating towards and away from the hand"
     axis: ClassVar[Vector] = (1.0, 0.0, 0.0)
 
@@ -77,6 +75,5 @@ class Depth(HarmonicMotion):
 class Vertical(HarmonicMotion):
     """Harmonic along z."""
 
-    name: ClassVar[str] = "vertical"
     phrase: ClassVar[str] = "oscillating up and down"
     axis: ClassVar[Vector] = (0.0, 0.0, 1.0)

@@ -53,7 +53,6 @@ class StraightMotion(PrescribedMotion):
 class Constant(StraightMotion):
     """Speed 0.2 to 0.9 m/s, kept."""
 
-    name: ClassVar[str] = "constant"
     phrase: ClassVar[str] = "moving in a straight line at constant speed"
 
     @classmethod
@@ -69,7 +68,6 @@ class Constant(StraightMotion):
 class Accelerating(StraightMotion):
     """Speed from 0.03 to 0.15 m/s at first, 0.6 to 1.4 m/s at the horizon, changing evenly."""
 
-    name: ClassVar[str] = "accelerating"
     phrase: ClassVar[str] = "moving in a straight line and speeding up"
 
     @classmethod
@@ -83,7 +81,6 @@ class Accelerating(StraightMotion):
 class Decelerating(StraightMotion):
     """Speed from 0.6 to 1.4 m/s at first, 0.03 to 0.12 m/s at the horizon, changing evenly."""
 
-    name: ClassVar[str] = "decelerating"
     phrase: ClassVar[str] = "moving in a straight line and slowing down"
 
     @classmethod

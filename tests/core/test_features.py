@@ -38,7 +38,7 @@ def test_observations_hold_what_policies_may_see() -> None:
 
 def test_no_privileged_feature_is_called_an_observation() -> None:
     for feature in FEATURES.values():
-        assert feature.privileged == (not feature.observed and feature.name != "action"), feature.name
+        assert (feature.gym_key is None) == (not feature.observed and feature.name != "action"), feature.name
 
 
 def test_elements_are_named_and_keys_are_unique() -> None:

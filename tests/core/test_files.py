@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.core.files import new_folder, read_yaml, write_atomically
-from dynahoi_lerobot.core.working_folder import clear, exclusive, working_folder
+from dynahoi_lerobot.core.working_folder import exclusive, working_folder
 from dynahoi_lerobot.sampling.recipe import load_recipe
 
 HOLDER = """
@@ -44,23 +44,19 @@ def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path: Path):
     assert (tmp_path / "thesis.tex").read_text() == "mine"
 
 
-def test_only_the_folder_of_the_same_task_is_entered_and_cleared(tmp_path: Path):
-    folder, task = tmp_path / "work", {"recipe": {"split": "val"}}
+def test_only_the_folder_of_the_same_task_is_entered(tmp_path: Path):
+    folder, foreign = tmp_path / "work", tmp_path / "foreign"
     folder.mkdir()
     (folder / ".plan.json.1.part").write_text('{"tas')  # of a start that was killed
-    with working_folder(folder, task):
+    with working_folder(folder, {"recipe": {"split": "val"}}):
         (folder / "file").touch()
     assert sorted(path.name for path in folder.iterdir()) == ["file", "plan.json"]
-    with pytest.raises(FileExistsError, match="other split"):
-        clear(folder, {"recipe": {"split": "test"}})
-    assert (folder / "file").exists()
-    clear(folder, task)
-    assert not folder.exists()
-    folder.mkdir()
-    (folder / "thesis.tex").write_text("mine")
-    with pytest.raises(FileExistsError, match=r"thesis.tex but no"):
-        clear(folder, task)
-    assert (folder / "thesis.tex").exists()
+    with pytest.raises(FileExistsError, match="other split"), working_folder(folder, {"recipe": {"split": "test"}}):
+        pass
+    foreign.mkdir()
+    (foreign / "thesis.tex").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"thesis.tex but no"), working_folder(foreign, {}):
+        pass
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path):

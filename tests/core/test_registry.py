@@ -14,7 +14,6 @@ MOTION = '''
 """A motion of somebody else."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 from dynahoi_lerobot.motions import MOTIONS
 
@@ -25,8 +24,6 @@ assert "lob" in MOTIONS  # a plugin may look names up while it is imported
 @dataclass(frozen=True)
 class Borrowed(MOTIONS["constant"]):
     """x = a: a straight line under another name."""
-
-    name: ClassVar[str] = "{name}"
 '''
 
 OBJECT = '''

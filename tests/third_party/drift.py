@@ -25,7 +25,6 @@ class Drift(PrescribedMotion):
     center: Vector
     center_s: float
     speed_m_s: float
-    name: ClassVar[str] = "a_drift"
     category: ClassVar[str] = "straight_line"
     phrase: ClassVar[str] = "drifting to the side"
 
