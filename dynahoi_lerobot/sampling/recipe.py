@@ -17,9 +17,9 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import Feature, frame_features
+from dynahoi_lerobot.core.files import read_yaml
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, DEFAULT_PROTOCOL, PROTOCOLS
-from dynahoi_lerobot.core.files import read_yaml
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import Teacher
 from dynahoi_lerobot.motions import MOTIONS

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 import time
-import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -136,31 +135,6 @@ def test_impossible_plans_are_refused(change):
         plan(**change)
 
 
-BILLION = 10**9
-
-
-def test_a_plan_of_a_billion_episodes_begins_at_once(tmp_path, capsys):
-    """Its shards are numbered one by one, and no list of them is made."""
-    asked: list[list[int]] = []
-
-    def stopped(recipe, seeds):
-        asked.append(list(seeds))
-        raise KeyboardInterrupt
-
-    tracemalloc.start()
-    begin = time.monotonic()
-    assert run("--root", tmp_path / "d", "--episodes", BILLION, record=stopped) == 130
-    maker = ShardMaker(GenerationPlan(FakeRecipe(), BILLION), tmp_path, recorder.record)
-    shards = maker.missing()
-    assert [next(shards), next(shards)] == [0, 1]
-    assert maker.plan.slots(maker.plan.shards - 1) == range(BILLION - 256, BILLION)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert asked == [list(range(256))]
-    assert time.monotonic() - begin < 30
-    assert peak < 60e6
-
-
 WORKSPACE = GenerationPlan(FakeRecipe(), 6, shard_episodes=2)
 
 
@@ -202,11 +176,6 @@ def take_from_another_plan(workspace: Path) -> None:
     made.rename(workspace / "shard-000001")
 
 
-def become_an_empty_file(path: Path) -> None:
-    shutil.rmtree(path)
-    path.touch()
-
-
 VIDEO = "shard-000001/videos/observation.images.ego/chunk-000/file-000.mp4"
 
 
@@ -220,7 +189,6 @@ VIDEO = "shard-000001/videos/observation.images.ego/chunk-000/file-000.mp4"
         exchange_shards,
         take_from_another_plan,
         lambda folder: (folder / "shard-000001/meta/manifest.json").write_bytes(b""),
-        lambda folder: become_an_empty_file(folder / "shard-000001"),
     ],
 )
 def test_damaged_shards_are_made_again(interrupted, undamaged, tmp_path, damage):
@@ -230,30 +198,10 @@ def test_damaged_shards_are_made_again(interrupted, undamaged, tmp_path, damage)
     assert not interrupted.exists()
 
 
-def test_a_shard_of_another_plan_is_discarded(interrupted):
-    take_from_another_plan(interrupted)
-    assert ShardMaker(WORKSPACE, interrupted, recorder.record).discard_damaged() == [1]
-
-
 def test_intact_shards_are_kept(interrupted, undamaged, tmp_path):
     (interrupted / "shard-000000000009").mkdir()  # beyond the plan
     generate(WORKSPACE, tmp_path / "d", record=recorder.record_and_die)
     assert hash_files(tmp_path / "d") == undamaged
-
-
-def test_shards_that_are_damaged_again_and_again_end_with_a_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr(ShardMaker, "discard_damaged", lambda self: [0])
-    with pytest.raises(GenerationError, match="check the disk"):
-        generate(WORKSPACE, tmp_path / "d", record=recorder.record)
-    assert not (tmp_path / "d").exists()
-
-
-def test_a_file_in_the_place_of_a_shard_is_refused_and_kept(interrupted, tmp_path):
-    shutil.rmtree(interrupted / "shard-000001")
-    (interrupted / "shard-000001").write_text("mine")
-    with pytest.raises(FileExistsError, match="shard-000001 is a file"):
-        generate(WORKSPACE, tmp_path / "d", record=recorder.record)
-    assert (interrupted / "shard-000001").read_text() == "mine"
 
 
 def test_what_is_not_ours_is_refused_and_kept(interrupted, tmp_path, capsys):
