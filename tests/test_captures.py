@@ -246,15 +246,6 @@ def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
     assert batch.target_pose[0, 2] < -0.5, "nothing carries it any more"
 
 
-def test_an_untouched_target_follows_its_path(constant: EpisodeSpec):
-    batch = begin(constant)
-    for _ in range(12):
-        batch.step(batch.executed)
-    np.testing.assert_allclose(batch.target_pose[0, :3], constant.oracle_path[12] - constant.home_pos_w, atol=1e-9)
-    assert not batch.contacts.by_hand.any()
-    assert not batch.contacts.others.any()
-
-
 def test_a_touched_pendulum_loses_its_string():
     spec = sample_spec(replace(RECIPE, motions=("planar",)), 1)
     episode = caught([spec])[0]
@@ -279,15 +270,6 @@ def test_the_expert_holds_nearly_everything_at_its_first_attempt(every_kind: lis
     for episode in episodes:
         step = np.abs(np.diff(episode.action[:, :3], axis=0)).max()
         assert step <= 0.1 + 1e-6, "2 m/s along each axis"
-
-
-def test_the_expert_moves_alike_in_any_batch(every_kind: list[EpisodeSpec]):
-    short = every_kind[::5]
-    one, many = caught(short, 1), caught(short, 4, threads=2)
-    for a, b in zip(one, many, strict=True):
-        np.testing.assert_array_equal(a.state, b.state)
-        np.testing.assert_array_equal(a.target_pose, b.target_pose)
-        np.testing.assert_array_equal(a.touch, b.touch)
 
 
 def test_a_hand_that_stays_open_holds_nothing(every_kind: list[EpisodeSpec]):

@@ -5,13 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-import time
 from pathlib import Path
 
 import av.logging
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.core.compatibility import MixedError
@@ -127,22 +124,11 @@ def test_an_episodes_packets_do_not_depend_on_its_place_in_the_file(dataset):
         assert [packet.pts for packet in there] == sorted(packet.pts for packet in there)
 
 
-def test_one_row_group_per_episode(dataset):
-    store = Store(dataset)
-    assert pq.read_metadata(store.data_files()[0]).num_row_groups == store.episodes
-
-
 def test_facts_are_columns_that_lerobot_reads(dataset):
     for seed, row in enumerate(Store(dataset).rows):
         episode = varied_episode(seed)
         assert dataclasses.asdict(episode.meta).items() <= row.items()
         assert json.loads(row["parameters"]) == episode.meta.motion_parameters
-
-
-@pytest.mark.parametrize("options", [{"codec": "h246"}, {"gop": 0}, {"crf": -1}, {"crf": 52}, {"preset": "quick"}])
-def test_impossible_encoding_is_refused(options):
-    with pytest.raises(ValueError, match=str(next(iter(options.values())))):
-        Encoding(**options)
 
 
 def test_what_is_no_dataset_is_refused_and_leaves_nothing(tmp_path, dataset):
@@ -242,19 +228,6 @@ def test_an_episode_column_has_an_item_per_episode(dataset):
             np.testing.assert_array_equal(found, getattr(episode, name))
     with pytest.raises(ValueError, match="colour"):
         episode_column(dataset, "target.colour")
-
-
-def test_a_frame_column_of_many_frames_is_read_quickly(tmp_path, dataset):
-    """A million frames in less than two seconds: here a hundred thousand, on a machine that may be busy."""
-    copy = tmp_path / "d"
-    (copy / "meta/episodes/chunk-000").mkdir(parents=True)
-    (copy / "meta/info.json").write_text((dataset / "meta/info.json").read_text())
-    (rows,) = Store(dataset).row_files()
-    times = 100_000 // 135 + 1
-    pq.write_table(pa.concat_tables([pq.read_table(rows)] * times), copy / "meta/episodes/chunk-000/file-000.parquet")
-    begin = time.process_time()
-    assert frame_column(copy, "target.pose").shape == (135 * times, 7)
-    assert time.process_time() - begin < 1.0
 
 
 def numbers(root: Path, key: str) -> np.ndarray:

@@ -33,7 +33,7 @@ from lerobot.scripts.lerobot_eval import eval_policy_all
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_env_dynahoi.command_line import new_results_folder, policy_name, policy_weights
-from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig, kinds_of
+from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Results, read_results
@@ -179,14 +179,6 @@ def test_config_comes_from_the_command_line(config_class: type[EnvConfig]) -> No
     config = draccus.parse(Command, args=words).env
     assert isinstance(config, config_class)
     assert (config.task, config.split, config.image_size, config.fps) == ("lob", "val", 64, 20)
-
-
-def test_tasks_are_kinds_or_categories() -> None:
-    known = list(BENCHMARK.splits["test"].motions)
-    assert kinds_of("pendulum", known) == ["conical", "damped", "planar"]
-    assert kinds_of("ramp, lob", known) == ["lob", "ramp"]
-    with pytest.raises(ValueError, match="unknown task 'loop'; known kinds and categories: accelerating"):
-        kinds_of("loop", known)
 
 
 def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
@@ -343,10 +335,3 @@ def test_lerobot_loads_the_file_and_plays(tmp_path: Path, monkeypatch):
     observation, _ = env.reset(seed=[0, 1])
     assert observation["pixels"]["ego"].shape[0] == 2
     assert np.isfinite(env.step(observation["agent_pos"])[1]).all()
-
-
-@pytest.mark.slow
-def test_without_a_task_the_file_offers_every_motion() -> None:
-    module = _import_hub_module(str(FILE), "you/dynahoi")
-    everything = _normalize_hub_result(_call_make_env(module, n_envs=1, use_async_envs=False, cfg=None))
-    assert sum(map(len, everything.values())) == 22

@@ -160,20 +160,6 @@ def test_bad_actions_are_refused_and_nothing_moves(action: np.ndarray) -> None:
     np.testing.assert_array_equal(env._batch._batch.state, before)
 
 
-def test_direct_act_has_no_window() -> None:
-    env = DynahoiEnv(kind="struck", protocol="direct_act", **BLIND)
-    observation, _ = env.reset(seed=0)
-    assert observation["phase"].tolist() == [0.0, 1.0]
-    assert env._vector._batch.specs[0].window_frames == 0
-
-
-def test_without_images_nothing_is_rendered() -> None:
-    env = DynahoiVectorEnv(1, **BLIND)
-    observation, _ = env.reset(seed=[0])
-    assert "pixels" not in observation
-    assert not env._batch.cameras._renderers
-
-
 def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:
     kept = []
     contact = {"capture": "contact", "on_episode": kept.append}
@@ -229,12 +215,6 @@ def test_a_sparse_reward_is_the_success_and_both_play_the_same_episode():
     sparse = played(DynahoiVectorEnv(2, **CONSTANT), expert=True)
     assert sparse[0].sum(axis=0).tolist() == [1.0, 1.0]
     np.testing.assert_array_equal(dense[2], sparse[2])
-
-
-def test_a_copy_has_the_same_reward_and_an_unknown_one_is_refused():
-    assert pickle.loads(pickle.dumps(DynahoiVectorEnv(1, reward="dense", **CONSTANT))).reward == "dense"
-    with pytest.raises(ValueError, match="unknown reward 'shaped'; known: sparse, dense"):
-        DynahoiVectorEnv(1, reward="shaped", **CONSTANT)
 
 
 OPTIONS: dict[str, Any] = {"kind": "lob", "image_size": 16, "views": ("side",), "capture": "contact", "threads": 1}
@@ -338,21 +318,6 @@ def test_a_batch_takes_one_seed_for_each_world_of_any_kind_of_integer() -> None:
     assert env._numbers[1] == 2**40 - 1
     with pytest.raises(ValueError, match="one seed for each of 2 worlds, got 3"):
         env.reset(seed=[1, 2, 3])
-
-
-@ENVS
-@pytest.mark.parametrize("options", [[1], "text", 5])
-def test_the_options_of_a_reset_are_a_dictionary(make: Callable, options: Any) -> None:
-    with pytest.raises(ValueError, match="options of a reset must be a dictionary, or None, got"):
-        make(image_size=0).reset(options=options)
-
-
-@pytest.mark.parametrize("value", [-1, 1.5, "2", True, None])
-def test_numbers_of_worlds_and_threads_are_whole(value: Any) -> None:
-    with pytest.raises(ValueError, match=f"num_envs must be an integer of at least 1, got {value!r}"):
-        DynahoiVectorEnv(value, image_size=0)
-    with pytest.raises(ValueError, match=f"threads must be an integer of at least 0, got {value!r}"):
-        DynahoiVectorEnv(1, image_size=0, threads=value)
 
 
 def test_options_are_fields_of_a_recipe_and_unknown_ones_are_refused() -> None:

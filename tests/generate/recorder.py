@@ -50,16 +50,6 @@ def record_with_nan(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episod
             yield episode
 
 
-def record_one_twice(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
-    """Seed 2 gives the recording of seed 1 again."""
-    for episode in record(recipe, seeds):
-        if episode.meta.seed == 2:
-            twin = varied_episode(1, recipe.image_size)
-            yield replace(twin, meta=replace(twin.meta, seed=2))
-        else:
-            yield episode
-
-
 def record_and_die_once(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     """The first process that comes here dies in the middle of its shard."""
     marker = Path(recipe.name)

@@ -15,7 +15,7 @@ from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate import pipeline
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, shard_size
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 from tests.generate import recorder
@@ -37,11 +37,6 @@ def reference(tmp_path_factory) -> Path:
 
 def same(first: Path, second: Path) -> bool:
     return hash_files(first) == hash_files(second) and Manifest.read(first) == Manifest.read(second)
-
-
-@pytest.mark.parametrize(("episodes", "size"), [(1, 1), (5, 1), (80, 10), (81, 11), (2048, 256), (10**6, 256)])
-def test_shards_grow_with_the_dataset_up_to_a_size_that_is_cheap_to_redo(episodes: int, size: int):
-    assert shard_size(episodes) == size
 
 
 def test_slots_follow_the_seed(reference):
@@ -84,14 +79,6 @@ def test_an_impossible_recipe_ends_with_a_sentence(tmp_path):
     assert not (tmp_path / "d").exists()
     with pytest.raises(FileExistsError, match="hopeless"):  # its unfinished work belongs to another plan
         generate(plan(), tmp_path / "d", record=recorder.record)
-
-
-def test_a_recorder_that_gives_other_seeds_is_caught(tmp_path):
-    def wrong(recipe, seeds):
-        yield from recorder.record(recipe, [seed + 1 for seed in seeds])
-
-    with pytest.raises(GenerationError, match="seed 3, which was not asked for"):
-        generate(plan(), tmp_path / "d", record=wrong)
 
 
 @pytest.mark.slow
@@ -218,12 +205,6 @@ def test_what_is_not_ours_is_refused_and_kept(interrupted, tmp_path, capsys):
     workspace_path(tmp_path / "f").touch()
     assert run("--root", tmp_path / "f") == 2
     assert capsys.readouterr().err.count("\n") == 4, "a sentence each"
-
-
-def test_files_that_generation_did_not_make_stay(interrupted, tmp_path):
-    (interrupted / "notes.txt").write_text("mine")
-    generate(WORKSPACE, tmp_path / "d", record=recorder.record)
-    assert [path.name for path in interrupted.iterdir()] == ["notes.txt"]
 
 
 def test_a_finished_dataset_is_checked(tmp_path, capsys):

@@ -46,14 +46,6 @@ def test_a_card_names_what_the_type_of_policy_needs(kind: str, needed: str, chec
     assert f'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi{needed} ' in card
 
 
-def test_a_folder_that_is_pushed_twice_has_two_cards_and_stays_as_it_was(checkpoint: Path, hub: Hub, push: Push):
-    before = sorted(path.name for path in checkpoint.iterdir())
-    for repo in ("me/policy", "me/second"):
-        assert push(checkpoint, repo)[0] == 0
-        assert f"--policy {repo} " in hub.repos[f"models/{repo}"].files["README.md"].decode()
-    assert sorted(path.name for path in checkpoint.iterdir()) == before
-
-
 def test_a_card_that_is_there_stays(checkpoint: Path, hub: Hub, push: Push):
     push(checkpoint, "me/policy")
     hub.repos[REPO].files["README.md"] = b"edited on the Hub"
@@ -81,16 +73,6 @@ def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_as
     files = hub.repos[REPO].files
     assert files["model.safetensors"] == b"better weights"
     assert not [name for name in files if "results" in name]
-
-
-def test_an_interrupted_upload_goes_on(checkpoint: Path, hub: Hub, push: Push):
-    (checkpoint / "adapter.safetensors").write_bytes(b"more weights")
-    hub.uploads_left = 1
-    assert push(checkpoint, "me/policy")[0] == 1
-    hub.uploads_left = None
-    assert push(checkpoint, "me/policy")[0] == 0
-    assert push(checkpoint, "me/policy")[0] == 0
-    assert hub.repos[REPO].files["model.safetensors"] == b"weights"
 
 
 def test_another_policy_is_not_overwritten(checkpoint: Path, hub: Hub, push: Push):

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import random
 import shutil
-import signal
-import time
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -19,7 +14,6 @@ from tests.hub.conftest import Push
 from tests.hub.server import TOKEN, Hub
 
 REPO = "datasets/me/catching"
-KILLS = 2
 
 
 def test_every_file_arrives_and_both_tags_are_set(simulated: Path, hub: Hub, push: Push):
@@ -59,49 +53,6 @@ def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
     sent = [line for line in hub.requests if line.startswith("PUT")]
     large = {line.rpartition("/")[2] for line in sent} | set(hub.blobs)
     assert len(sent) == len(large) - 2
-
-
-def killed_push(folder: Path, hub: Hub, requests: int) -> bool:
-    """Push from a child process that is killed as soon as the server has so many requests; tell whether it was."""
-    child = os.fork()
-    if child == 0:
-        try:
-            main(["push", str(folder), "me/catching"])
-        finally:
-            os._exit(0)
-    while len(hub.requests) < requests and os.waitpid(child, os.WNOHANG) == (0, 0):
-        time.sleep(0.001)
-    with suppress(ProcessLookupError, ChildProcessError):
-        os.kill(child, signal.SIGKILL)
-        return os.WIFSIGNALED(os.waitpid(child, 0)[1])
-    return False
-
-
-@pytest.mark.parametrize("seed", range(KILLS))
-def test_killed_at_a_random_request_it_is_completed_by_the_next_run(simulated: Path, hub: Hub, push: Push, seed: int):
-    push(simulated, "me/whole")
-    wanted, sent = hub.repos["datasets/me/whole"], len(hub.requests)
-    hub.blobs.clear()
-    for instant in random.Random(seed).sample(range(1, sent), 2):
-        hub.requests.clear()
-        assert killed_push(simulated, hub, instant)
-    code, _, err = push(simulated, "me/catching")
-    assert code == 0, err
-    repo = hub.repos[REPO]
-    assert repo.files == wanted.files
-    assert repo.tags == dict.fromkeys(wanted.tags, repo.head)
-
-
-def test_stopping_it_says_how_to_go_on(simulated: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch):
-    from huggingface_hub import HfApi
-
-    def interrupted(*args: object, **options: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(HfApi, "upload_folder", interrupted)
-    code, _, err = push(simulated, "me/catching")
-    assert code == 130
-    assert "resume" in err
 
 
 def test_a_damaged_dataset_is_refused(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
@@ -157,15 +108,6 @@ def test_tokens_that_will_not_do(simulated: Path, hub: Hub, push: Push, monkeypa
     assert said in err
     assert not token or token not in err
     assert hub.repos == {}
-
-
-def test_no_network(simulated: Path, push: Push, monkeypatch: pytest.MonkeyPatch):
-    from huggingface_hub import constants
-
-    monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
-    code, _, err = push(simulated, "me/catching")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost" in err
 
 
 @pytest.mark.parametrize("name", ["catching", "a/b/c", "me/a b", "", "../x"])

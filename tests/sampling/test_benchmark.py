@@ -19,7 +19,6 @@ from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.splits import split_seeds
-from tests.third_party import plays
 
 KINDS_PER_CATEGORY = {
     "straight_line": 3,
@@ -46,13 +45,6 @@ def test_everything_it_lists_is_registered(split: str):
     assert set(entry.motions) <= set(MOTIONS.names())
     assert set(entry.objects) <= set(OBJECTS.names())
     assert entry.stream in BENCHMARK.streams
-
-
-@pytest.mark.slow
-def test_what_others_register_changes_no_spec_no_state_and_no_pixel():
-    alone = dict(plays.episodes())
-    assert len(alone) == plays.EPISODES * (len(plays.SPLITS) + 1)
-    assert json.loads(run_module("tests.third_party.plays", "--register")) == alone
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.sampling.homes import REFERENCE_HAND, keeps_clear
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -81,14 +80,6 @@ def test_no_palm_goes_through_a_fixture(beside_fixtures: list[EpisodeSpec]):
         way = np.linspace(spec.home_pos_w, spec.intercept_pos_w, 50)
         distance = [bystander.palm_distance(point) for point in way]
         assert min(distance) >= min(PALM_RADIUS_M, distance[-1]) - 1e-3, f"{spec.motion.name} of seed {spec.seed}"
-
-
-def test_every_kind_with_fixtures_is_looked_at():
-    with_boxes = set()
-    for spec in sample_specs(Recipe(), range(22)):
-        if boxes_of(spec):
-            with_boxes.add(spec.motion.name)
-    assert with_boxes <= {*KINDS, "bounce"} <= set(MOTIONS.names())
 
 
 def test_homes_beside_a_table():
