@@ -117,10 +117,3 @@ def test_other_lengths_are_a_problem_and_other_pixels_are_counted(ours: Referenc
     assert facts["motion"].problem
     assert not facts["images"].problem
     assert "at most 1 of 255" in facts["images"].found
-
-
-def test_the_command_compares_if_it_is_asked(ours: Reference, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(doctor, "examine", lambda folder: iter(()))
-    monkeypatch.setattr(doctor, "play", lambda count: replace(ours, motions=ours.motions[::-1], poses=ours.poses + 1))
-    assert main(["doctor"]) == 0
-    assert main(["doctor", "--reference"]) == 1

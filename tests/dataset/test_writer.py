@@ -7,7 +7,6 @@ import json
 import re
 from pathlib import Path
 
-import av.logging
 import numpy as np
 import pytest
 
@@ -81,12 +80,6 @@ def test_an_episode_with_other_columns_is_refused_by_name(tmp_path, first, secon
     with pytest.raises(ValueError, match=re.escape(column)):
         write_episodes(tmp_path / "d", [first, second])
     assert not any(tmp_path.iterdir())
-
-
-def test_writing_says_nothing_also_after_lerobot_has_let_ffmpeg_print(tmp_path, capfd):
-    av.logging.restore_default_callback()
-    write(tmp_path / "d", range(2))
-    assert capfd.readouterr().err == ""
 
 
 def test_files_roll_over_at_their_limits(tmp_path):

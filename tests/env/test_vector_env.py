@@ -18,7 +18,6 @@ from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
-from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
@@ -160,26 +159,6 @@ def test_bad_actions_are_refused_and_nothing_moves(action: np.ndarray) -> None:
     np.testing.assert_array_equal(env._batch._batch.state, before)
 
 
-def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:
-    kept = []
-    contact = {"capture": "contact", "on_episode": kept.append}
-    env = DynahoiVectorEnv(1, kind="constant", image_size=0, **contact)
-    observation, _ = env.reset(seed=[0])
-    assert observation["touch"].shape == (1, 5)
-    expert, strongest = EXPERTS["match"](), 0.0
-    while not kept:
-        batch = env._batch
-        commands = expert.act(batch.world_state(batch.observe(images=False)))
-        observation, _, _, _, info = env.step(commands.astype(np.float32))
-        assert env.observation_space.contains(observation)
-        strongest = max(strongest, float(observation["touch"].max()))
-    assert strongest > 1.0
-    assert kept[0].stage == "held"
-    assert info["is_success"][0]
-    plain = DynahoiVectorEnv(1, kind="constant", image_size=0)
-    assert "touch" not in plain.reset(seed=[0])[0]
-
-
 def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Play one episode a world; return rewards, whether it acts and distances [m] (T, N) each, and successes (N,)."""
     observation, _ = env.reset(seed=0, options={"lerobot_new_rollout": True})
@@ -208,13 +187,6 @@ def test_the_sum_is_how_much_closer_the_palm_came_in_units_of_a_decimetre_and_th
         came_m = distances[first[world], world] - distances[-1, world]
         assert rewards[:, world].sum() == pytest.approx(came_m / 0.1 + success[world], abs=0.05)
     assert success.tolist() == [expert, expert]
-
-
-def test_a_sparse_reward_is_the_success_and_both_play_the_same_episode():
-    dense = played(DynahoiVectorEnv(2, reward="dense", **CONSTANT), expert=True)
-    sparse = played(DynahoiVectorEnv(2, **CONSTANT), expert=True)
-    assert sparse[0].sum(axis=0).tolist() == [1.0, 1.0]
-    np.testing.assert_array_equal(dense[2], sparse[2])
 
 
 OPTIONS: dict[str, Any] = {"kind": "lob", "image_size": 16, "views": ("side",), "capture": "contact", "threads": 1}
@@ -290,13 +262,6 @@ def test_the_first_call_is_reset(make: Callable) -> None:
     for use in (env.render, lambda: env.step(env.action_space.sample())):
         with pytest.raises(ResetNeeded, match="call reset first"):
             use()
-
-
-@ENVS
-@pytest.mark.parametrize("mode", ["human", "ansi"])
-def test_unknown_render_modes_are_refused(make: Callable, mode: str) -> None:
-    with pytest.raises(ValueError, match=f"unknown render mode '{mode}'; known: rgb_array, or None"):
-        make(render_mode=mode)
 
 
 @ENVS

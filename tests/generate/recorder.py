@@ -63,15 +63,3 @@ def record_and_die_once(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Ep
 def record_and_die(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     yield from record(recipe, seeds[:1])
     os._exit(9)
-
-
-STOP: list[Path] = []
-CALLS: list[Sequence[int]] = []
-
-
-def record_until_marked(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
-    """Notes what it is asked for; from seed 4 on it stops as long as a marker exists."""
-    CALLS.append(range(seeds[0], seeds[-1] + 1))
-    if seeds[0] >= 4 and any(marker.exists() for marker in STOP):
-        raise RuntimeError("stopped")
-    yield from record(recipe, seeds)
