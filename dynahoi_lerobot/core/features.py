@@ -97,15 +97,6 @@ class Feature:
         """Whether the dataset stores it in the episode table instead of the frame table."""
         return self.key.startswith(EPISODE_TABLE_PREFIX)
 
-    @property
-    def has_fixed_shape(self) -> bool:
-        """Whether all episodes of one length have it in one shape."""
-        return self.constant or self.per == "frame"
-
-    def array_shape(self, frames: int) -> tuple[int, ...]:
-        """Return the shape of the attribute in an ``Episode`` of ``frames`` frames, if it ``has_fixed_shape``."""
-        return self.shape if self.constant else (frames, *self.shape)
-
 
 FINGERTIP_NAMES = tuple(
     f"{finger}_{part}" for finger in FINGERS for part in ("x", "y", "z", "rotvec_x", "rotvec_y", "rotvec_z")

@@ -62,9 +62,6 @@ def test_columns_that_some_recordings_lack_come_back_where_they_were(tmp_path, m
         assert after.images == {}
 
 
-SHORT = dataclasses.replace(varied_episode(1), palm_distance=np.zeros(3, np.float32))
-
-
 @pytest.mark.parametrize(
     ("first", "second", "column"),
     [
@@ -73,7 +70,6 @@ SHORT = dataclasses.replace(varied_episode(1), palm_distance=np.zeros(3, np.floa
         (varied_episode(0), varied_episode(1, None), "observation.images.ego"),
         (varied_episode(0), varied_episode(1, 32, ("side",)), "observation.images.side"),
         (varied_episode(0), varied_episode(1, 16), "observation.images.ego"),
-        (varied_episode(0), SHORT, "stats/palm_distance"),
     ],
 )
 def test_an_episode_with_other_columns_is_refused_by_name(tmp_path, first, second, column):

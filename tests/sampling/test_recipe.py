@@ -40,8 +40,6 @@ BAD_FILES = {
     "null for a list": ("motions: null\n", "motions must not be null"),
     "null in a list": ("motions: [null]\n", "motions must not be null"),
     "null for a number": ("image_size: null\n", "image_size must not be null"),
-    "no mapping": ("- split\n", "list"),
-    "no YAML": ("motions: [\n", "YAML"),
 }
 
 
