@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lerobot.datasets import LeRobotDataset
-from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
@@ -19,11 +18,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.generate.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime
-from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.verify.command import verify
-from dynahoi_lerobot.world.batch import WorldBatch
 from tests.verify.rewriting import changed, rewrite
 
 SEEDS = 4
@@ -162,26 +157,6 @@ def test_a_recipe_that_names_another_actor_is_refused(actor: Path, tmp_path: Pat
     recipe.write_text("actor: me\n")
     assert main(words(None, tmp_path / "d", "--recipe", recipe)) == 2
     assert "TYPE@HASH, got 'me'" in capsys.readouterr().err
-
-
-ACT = ("--policy.type=act", "--policy.chunk_size=4", "--policy.n_action_steps=1", "--policy.dim_model=16")
-ACT = (*ACT, "--policy.n_heads=2", "--policy.dim_feedforward=16", "--policy.pretrained_backbone_weights=null")
-
-
-@pytest.mark.slow
-def test_act_learns_from_it_and_acts(generated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    fixed = ("--steps=2", "--batch_size=2", "--num_workers=0", "--env_eval_freq=0", "--seed=0", "--log_freq=1")
-    fixed += ("--policy.device=cpu", "--policy.push_to_hub=false", "--policy.repo_id=local/x")
-    data = (f"--dataset.root={generated}", "--dataset.repo_id=local/d", f"--output_dir={tmp_path / 'out'}")
-    monkeypatch.setattr("sys.argv", ["lerobot-train", *data, *fixed, *ACT])
-    lerobot_train()
-    checkpoint = tmp_path / "out" / "checkpoints" / "last" / "pretrained_model"
-    config = json.loads((checkpoint / "config.json").read_text())
-    assert set(config["output_features"]) == {"action"}, "what was executed is not to be learned"
-    assert all(key.startswith("observation.") for key in config["input_features"])
-    specs = sample_specs(Recipe(split="val", image_size=32), [0])
-    (episode,) = evaluate(WorldBatch(Recipe(image_size=32), 1, threads=1), PolicyAgent(str(checkpoint)), specs)
-    assert len(episode) > episode.meta.window_frames
 
 
 def edited(actor: Path, folder: Path, name: str, change: Callable[[dict], dict]) -> Path:
