@@ -31,7 +31,7 @@ from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fin
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.splits import check_salt, sealed, stream_label
 
-INSTRUCTION_STYLES = ("reveal", "neutral", "mixed")
+INSTRUCTION_STYLES: tuple[str, ...] = ("reveal", "neutral", "mixed")
 """``reveal`` names object and motion, ``neutral`` the object only, ``mixed`` is either with equal probability."""
 MAX_RENDER_NOISE = 64
 IMAGE_SIZES_PX = (16, 1024)
