@@ -107,10 +107,6 @@ GROUP = "dynahoi_lerobot.plugins"
 _loaded = False
 
 
-class PluginWarning(RuntimeWarning):
-    """A plugin could not be imported; everything else works without it."""
-
-
 def plugin_packages() -> set[str]:
     """Return the top-level packages that the entry points in ``GROUP`` name, whether they can be imported or not."""
     return {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}
@@ -135,6 +131,6 @@ def import_plugin(entry: EntryPoint) -> None:
         problem = f"{type(error).__name__}: {error}"
         warnings.warn(
             f"the plugin {entry.name!r}{source} ({entry.value}) could not be imported: {problem}",
-            PluginWarning,
+            RuntimeWarning,
             stacklevel=2,
         )
