@@ -85,7 +85,8 @@ def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], came
             origin = observation.state[:, :PALM_DOF] if camera == EGO_VIEW else 0.0
             place = (batch.target_pose[:, :PALM_DOF] - origin).astype(np.float32)
             yield Snapshots(np.concatenate([now, before], axis=-1)[acting], place[acting])
-        for i in session.step(policy.act(observation)).worlds:
+        terminated, truncated = session.step(policy.act(observation))
+        for i in np.flatnonzero(terminated | truncated):
             session.finish(int(i), policy.name)
         before, frame = now, frame + 1
 

@@ -267,15 +267,6 @@ def test_the_expert_holds_nearly_everything_at_its_first_attempt(every_kind: lis
         assert step <= 0.1 + 1e-6, "2 m/s along each axis"
 
 
-def test_the_expert_moves_alike_in_any_batch(every_kind: list[EpisodeSpec]):
-    short = every_kind[::5]
-    one, many = caught(short, 1), caught(short, 4, threads=2)
-    for a, b in zip(one, many, strict=True):
-        np.testing.assert_array_equal(a.state, b.state)
-        np.testing.assert_array_equal(a.target_pose, b.target_pose)
-        np.testing.assert_array_equal(a.touch, b.touch)
-
-
 def test_a_hand_that_stays_open_holds_nothing(every_kind: list[EpisodeSpec]):
     batch = WorldBatch(RECIPE, 8, 1)
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(every_kind[:8]))

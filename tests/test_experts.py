@@ -39,18 +39,6 @@ def test_the_expert_catches_everything_at_the_first_attempt(expert_episodes: lis
     assert {episode.meta.attempts for episode in expert_episodes} == {1}
 
 
-def test_the_expert_plans_each_episode_anew(specs: list[EpisodeSpec]):
-    """Episodes come and go, and later ones may lie where earlier ones lay in memory."""
-    batch, busy = WorldBatch(Recipe(image_size=32), 1, threads=1), EXPERTS["intercept"]()
-    for spec in specs[:22]:
-        batch.reset([0], [replace(spec)])
-        while not batch.acting.all():
-            batch.step(batch.executed)
-        seen = batch.world_state(batch.observe(images=False))
-        np.testing.assert_array_equal(busy.act(seen), EXPERTS["intercept"]().act(seen))
-        batch.specs[0] = seen = None
-
-
 def test_the_expert_is_straight_smooth_and_early(expert_episodes: list[Episode]):
     assert mean(expert_episodes, "Q_line") >= 0.98
     assert mean(expert_episodes, "Q_smooth") >= 0.98

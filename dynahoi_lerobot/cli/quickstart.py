@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
+import shutil
+import subprocess
 import sys
 import time
 import webbrowser
@@ -20,9 +23,8 @@ from typing import Any
 from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
-from dynahoi_lerobot.cli.lerobot_process import run_lerobot
 from dynahoi_lerobot.core.arguments import path, whole
-from dynahoi_lerobot.core.working_folder import clear, working_folder
+from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import read_results
@@ -44,6 +46,8 @@ TASK_DONE = "metrics so far:"
 """What the environment prints after each kind of motion."""
 STEPS_DONE, LOG_STEPS = " step:", 5
 """What `lerobot-train` prints after so many steps."""
+ONE_THREAD = {"OMP_NUM_THREADS": "1"}
+"""One compute thread beside those that decode; more of them contend for two cores and slow each other down."""
 POLICY = "obact"
 """Name of the trained policy's results."""
 
@@ -186,16 +190,38 @@ def _lerobot(command: str, words: list[str], out: Path, partial: Path, step: str
     Raises:
         StageError: if the command fails.
     """
-    task, log = {"quickstart": f"lerobot-{command}"}, out / f"lerobot_{command}.log"
-    clear(partial, task)
+    log = out / f"lerobot_{command}.log"
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
     print(f"lerobot-{command} {' '.join(words)}\noutput: {log}", flush=True)
-    with working_folder(partial, task):
-        with tqdm(disable=None, **bar) as progress:
-            code = run_lerobot(f"lerobot_{command}", words, log, step, progress)
-        if code:
-            raise StageError(f"lerobot-{command} exited with code {code}; see {log}")
-        yield
-    clear(partial, task)
+    with tqdm(disable=None, **bar) as progress:
+        code = run_lerobot(command, words, log, step, progress)
+    if code:
+        raise StageError(f"lerobot-{command} exited with code {code}; see {log}")
+    yield
+    shutil.rmtree(partial)
+
+
+def run_lerobot(command: str, words: list[str], log: Path, step: str, bar: tqdm) -> int:
+    """Run ``lerobot-<command>`` with its output in ``log``; ``bar`` advances by one at each line with ``step`` in it.
+
+    Returns:
+        Its exit code.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        env=os.environ | ONE_THREAD,
+        encoding="utf-8",
+        errors="replace",
+    )
+    assert process.stdout is not None
+    with process, log.open("w", encoding="utf-8") as file:
+        for line in process.stdout:
+            file.write(line)
+            bar.update(step in line)
+    return process.returncode
 
 
 def _film(checkpoint: Path, scratch: Path, results: Path) -> None:

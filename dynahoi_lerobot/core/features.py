@@ -83,11 +83,6 @@ class Feature:
         return self.key.startswith(OBSERVATION_PREFIX)
 
     @property
-    def privileged(self) -> bool:
-        """Whether it is for experts, metrics and auxiliary losses only."""
-        return self.gym_key is None
-
-    @property
     def optional(self) -> bool:
         """Whether some recordings do not have it."""
         return self.needs_contact_sensors or self.on_request
@@ -101,15 +96,6 @@ class Feature:
     def in_episode_table(self) -> bool:
         """Whether the dataset stores it in the episode table instead of the frame table."""
         return self.key.startswith(EPISODE_TABLE_PREFIX)
-
-    @property
-    def has_fixed_shape(self) -> bool:
-        """Whether all episodes of one length have it in one shape."""
-        return self.constant or self.per == "frame"
-
-    def array_shape(self, frames: int) -> tuple[int, ...]:
-        """Return the shape of the attribute in an ``Episode`` of ``frames`` frames, if it ``has_fixed_shape``."""
-        return self.shape if self.constant else (frames, *self.shape)
 
 
 FINGERTIP_NAMES = tuple(

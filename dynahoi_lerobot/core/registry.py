@@ -13,13 +13,26 @@ import difflib
 import importlib
 import pkgutil
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import cast
 
 
 class UnknownNameError(ValueError):
     """A name that nothing registers; the message lists the registered ones."""
+
+
+def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
+    """Return the entry called ``name`` of a table.
+
+    Raises:
+        UnknownNameError: if there is none; it suggests a name that is nearly the same and lists all.
+    """
+    if name not in table:
+        close = difflib.get_close_matches(name, table, n=1)
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        raise UnknownNameError(f"unknown {noun} {name!r}{hint}; known: {', '.join(table)}")
+    return table[name]
 
 
 class Registry[T]:
@@ -38,7 +51,7 @@ class Registry[T]:
         self._discovered = False
 
     def register[E](self, name: str) -> Callable[[E], E]:
-        """Return a decorator that files the decorated object under ``name``.
+        """Return a decorator that files the decorated object under ``name``; a class gets it as its ``name``.
 
         Raises:
             ValueError: if another object already has the name.
@@ -48,6 +61,8 @@ class Registry[T]:
             taken = self._entries.get(name)
             if taken is not None and getattr(taken, "__qualname__", taken) != getattr(entry, "__qualname__", entry):
                 raise ValueError(f"the {self.noun} name {name!r} is taken by {taken!r}; choose another for {entry!r}")
+            if isinstance(entry, type):
+                entry.name = name  # type: ignore[attr-defined]
             self._entries[name] = cast(T, entry)
             return entry
 
@@ -64,12 +79,7 @@ class Registry[T]:
         Raises:
             UnknownNameError: if nothing is registered under it.
         """
-        self._discover()
-        if name not in self._entries:
-            close = difflib.get_close_matches(name, self._entries, n=1)
-            hint = f" (did you mean {close[0]!r}?)" if close else ""
-            raise UnknownNameError(f"unknown {self.noun} {name!r}{hint}; known: {', '.join(self.names())}")
-        return self._entries[name]
+        return known(self.noun, name, dict(self.items()))
 
     def __contains__(self, name: object) -> bool:
         """Tell whether something is registered under ``name``."""
@@ -97,10 +107,6 @@ GROUP = "dynahoi_lerobot.plugins"
 _loaded = False
 
 
-class PluginWarning(RuntimeWarning):
-    """A plugin could not be imported; everything else works without it."""
-
-
 def plugin_packages() -> set[str]:
     """Return the top-level packages that the entry points in ``GROUP`` name, whether they can be imported or not."""
     return {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}
@@ -125,6 +131,6 @@ def import_plugin(entry: EntryPoint) -> None:
         problem = f"{type(error).__name__}: {error}"
         warnings.warn(
             f"the plugin {entry.name!r}{source} ({entry.value}) could not be imported: {problem}",
-            PluginWarning,
+            RuntimeWarning,
             stacklevel=2,
         )

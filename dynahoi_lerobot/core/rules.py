@@ -12,6 +12,7 @@ from math import ceil
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.registry import known
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,9 @@ def control_class_of(name: str) -> ControlClass:
     """Return the control class called ``name``.
 
     Raises:
-        ValueError: naming the class received and the ones there are.
+        UnknownNameError: naming the class received and the ones there are.
     """
-    if name not in CONTROL_CLASSES:
-        raise ValueError(f"unknown control class {name!r}; known: {', '.join(CONTROL_CLASSES)}")
-    return CONTROL_CLASSES[name]
+    return known("control class", name, CONTROL_CLASSES)
 
 
 @dataclass(frozen=True)
@@ -101,11 +100,9 @@ def protocol_of(name: str) -> Protocol:
     """Return the protocol called ``name``.
 
     Raises:
-        ValueError: naming the protocol received and the ones there are.
+        UnknownNameError: naming the protocol received and the ones there are.
     """
-    if name not in PROTOCOLS:
-        raise ValueError(f"unknown protocol {name!r}; known: {', '.join(PROTOCOLS)}")
-    return PROTOCOLS[name]
+    return known("protocol", name, PROTOCOLS)
 
 
 PHASES = ("observing", "acting")

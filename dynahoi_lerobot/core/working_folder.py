@@ -1,16 +1,15 @@
-"""Working folders: made, claimed by one process for one task, resumed by the same task, and cleared of nothing else."""
+"""Working folders: made, claimed by one process for one task, and resumed by the same task."""
 
 from __future__ import annotations
 
 import fcntl
 import json
 import os
-import shutil
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from dynahoi_lerobot.core.files import write_atomically
 
@@ -45,37 +44,24 @@ def exclusive(folder: Path) -> Iterator[None]:
 
     Raises:
         BlockingIOError: if another process holds it.
-        FileExistsError: if something else has the lock's name.
+        FileExistsError: if a link has the lock's name.
     """
-    file = _locked(folder / LOCK)
-    try:
-        file.truncate()
-        file.write(f"process {os.getpid()} on {socket.gethostname()}")
-        file.flush()
-        yield
-    finally:
-        (folder / LOCK).unlink(missing_ok=True)
-        file.close()
-
-
-def clear(path: Path, task: dict[str, Any], record: str = "plan.json") -> None:
-    """Remove the folder of an interrupted run of this task with all that is in it; leave any other folder alone.
-
-    Raises:
-        BlockingIOError: if a process works in it.
-        FileExistsError: if it belongs to another task, or no task made it.
-    """
-    if path.exists():
-        with working_folder(path, task, record):
-            empty(path, record)
-            shutil.rmtree(path)
-
-
-def empty(path: Path, record: str = "plan.json") -> None:
-    """Remove all that is in a working folder but what claims it, so that a kill in between leaves it claimed."""
-    for entry in path.iterdir():
-        if entry.name not in (LOCK, record):
-            shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+    if (folder / LOCK).is_symlink():
+        raise FileExistsError(f"{folder / LOCK} is no lock of ours; remove it or choose another folder")
+    with (folder / LOCK).open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            holder = file.read() or "another process"
+            raise BlockingIOError(f"{holder} works in {folder}; wait for it to end") from None
+        try:
+            file.truncate(0)
+            file.write(f"process {os.getpid()} on {socket.gethostname()}")
+            file.flush()
+            yield
+        finally:
+            (folder / LOCK).unlink(missing_ok=True)
 
 
 def read_task(path: Path, record: str = "plan.json") -> dict[str, Any] | None:
@@ -124,23 +110,3 @@ def _claim(path: Path, task: dict[str, Any], record: str) -> None:
         )
     for draft in path.glob(".*.part"):
         draft.unlink()
-
-
-def _locked(path: Path) -> TextIO:
-    """Open and lock the file, again if its last holder removed it in between; never follow a link."""
-    while True:
-        try:
-            file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644), "r+")
-        except OSError as error:
-            if path.is_symlink() or (path.exists() and not path.is_file()):
-                raise FileExistsError(f"{path} is no lock of ours; remove it or choose another folder") from error
-            raise
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = file.read() or "another process"
-            file.close()
-            raise BlockingIOError(f"{holder} works in {path.parent}; wait for it to end") from None
-        if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
-            return file
-        file.close()

@@ -10,8 +10,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dynahoi_lerobot.core.atomic import new_folder
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store

@@ -103,25 +103,16 @@ def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
 
 
 def _strays(root: Path, manifest: Manifest) -> Iterator[str]:
-    """Yield links, and files and empty folders that the manifest does not list."""
+    """Yield empty folders, and files that the manifest does not list."""
     for path in sorted(root.rglob("*")):
         name = path.relative_to(root).as_posix()
         if f"{name}/".startswith(NOT_OUR_FOLDERS):
             continue
-        if path.is_symlink() and not _in_hub_cache(root, path):
-            yield f"{name} is a symbolic link, to {path.readlink()}; a dataset holds its own files"
-        elif path.is_dir():
+        if path.is_dir():
             if not any(path.iterdir()):
                 yield f"{name} is an empty folder"
-        elif not path.is_file():
-            yield f"{name} is no regular file"
         elif name not in manifest.files and name not in NOT_OURS:
             yield f"{name} is not in the manifest"
-
-
-def _in_hub_cache(root: Path, link: Path) -> bool:
-    """Tell whether a link is how the Hub's cache stores a snapshot: to a blob beside all snapshots."""
-    return root.parent.name == "snapshots" and link.resolve().parent == (root.parent.parent / "blobs").resolve()
 
 
 def hash_files(root: Path) -> dict[str, str]:

@@ -15,9 +15,9 @@ from typing import Any
 
 from av.packet import Packet
 
-from dynahoi_lerobot.core.atomic import new_folder
 from dynahoi_lerobot.core.compatibility import refuse_to_mix
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, reading

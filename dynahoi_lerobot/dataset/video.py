@@ -24,6 +24,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.registry import known
 
 av.logging.set_libav_level(av.logging.ERROR)  # what FFmpeg prints wherever LeRobot has restored its own callback
 
@@ -59,8 +60,7 @@ class Encoding:
         Raises:
             ValueError: naming the value and those allowed.
         """
-        if self.codec not in CODECS:
-            raise ValueError(f"unknown codec {self.codec!r}; known: {', '.join(CODECS)}")
+        known("codec", self.codec, CODECS)
         if not 1 <= self.gop <= MAX_GOP:
             raise ValueError(f"gop is {self.gop}; it must be 1 to {MAX_GOP} frames")
         if not 0 <= self.crf <= MAX_CRF:

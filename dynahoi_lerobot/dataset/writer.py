@@ -323,13 +323,10 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
     """Refuse an episode with other columns.
 
     Raises:
-        ValueError: naming the column, what the episode has and what the dataset needs.
+        ValueError: naming the column, what a frame of the episode has and what the dataset needs.
     """
-    frames = len(episode)
-    wanted = {f.key: f.array_shape(frames) for f in features if f.has_fixed_shape and not f.on_request}
-    images = {IMAGE_PREFIX + view: pixels.shape for view, pixels in episode.images.items()}
-    held = (f for f in dataset_features(episode) if f.has_fixed_shape and not f.is_image)
-    found = images | {f.key: np.shape(getattr(episode, f.name)) for f in held}
+    wanted = {feature.key: feature.shape for feature in features if not feature.on_request}
+    found = {feature.key: feature.shape for feature in dataset_features(episode)}
     for key in (*wanted, *found):
         if wanted.get(key) != found.get(key):
             raise ValueError(

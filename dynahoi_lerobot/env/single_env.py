@@ -14,7 +14,6 @@ from dynahoi_lerobot.env.vector_env import (
     RENDER_MODES,
     DynahoiVectorEnv,
     check_open,
-    check_options,
     check_seed,
 )
 
@@ -51,7 +50,7 @@ class DynahoiEnv(gym.Env):
             options: none are known.
 
         Raises:
-            ValueError: for a seed that is not such an integer, or options that are no dictionary.
+            ValueError: for a seed that is not such an integer.
             ClosedEnvironmentError: after ``close``.
         """
         check_open(self._vector.closed)
@@ -59,8 +58,7 @@ class DynahoiEnv(gym.Env):
         super().reset(seed=number)
         if number is None:
             number = int(self.np_random.integers(0, RANDOM_SEED_LIMIT))
-        options = {**check_options(options), ONE_EPISODE_OPTION: True}
-        observation, infos = self._vector.reset(seed=[number], options=options)
+        observation, infos = self._vector.reset(seed=[number], options={ONE_EPISODE_OPTION: True})
         return _first(observation), _first(infos)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:

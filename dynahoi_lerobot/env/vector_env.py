@@ -17,6 +17,7 @@ from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW, PALM_DOF, SEED_LIMIT, UNIT_M
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import Feature, as_gym
+from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.inference import StepwiseInference
@@ -127,9 +128,7 @@ class DynahoiVectorEnv(VectorEnv):
         """
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None")
-        check_reward(reward)
-        check_whole("num_envs", num_envs, 1)
-        check_whole("threads", threads, 0)
+        known("reward", reward, REWARDS)
         self.num_envs, self.kind, self.reward, self.render_mode = num_envs, kind, reward, render_mode
         played = recipe.changed(**fields)
         self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
@@ -159,12 +158,12 @@ class DynahoiVectorEnv(VectorEnv):
             options: see the class.
 
         Raises:
-            ValueError: for a seed that is not such an integer, a wrong number of them, options that are no mapping, or
-                if inference takes time and worlds would begin their next episodes at different frames.
+            ValueError: for a seed that is not such an integer, a wrong number of them, or if inference takes time and
+                worlds would begin their next episodes at different frames.
             ClosedEnvironmentError: after ``close``.
         """
         check_open(self.closed)
-        one_episode = bool(check_options(options).get(ONE_EPISODE_OPTION, False))
+        one_episode = bool((options or {}).get(ONE_EPISODE_OPTION, False))
         if self._inference is not None and not one_episode:
             option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
             raise ValueError(f"with inference async all worlds begin together; reset with {option}")
@@ -197,17 +196,17 @@ class DynahoiVectorEnv(VectorEnv):
                 return as_gym(before), np.zeros(self.num_envs), still[0], still[1], infos
             actions = commands
         restarting = np.flatnonzero(self._ended)
-        ended = self._session.step(actions)
-        terminated, truncated = (np.isin(np.arange(self.num_envs), ids) for ids in (ended.terminated, ended.truncated))
-        infos = self._infos(ended.worlds)
-        rewards = self._rewards(is_acting(before.phase), terminated | truncated)
+        terminated, truncated = self._session.step(actions)
+        ending = terminated | truncated
+        infos = self._infos(ending)
+        rewards = self._rewards(is_acting(before.phase), ending)
         if restarting.size and not self._one_episode:
             self._numbers[restarting] = (self._numbers[restarting] + self.num_envs) % SEED_LIMIT
             self._begin(restarting)
             self._ended[restarting] = False
-        self._ended |= terminated | truncated
+        self._ended |= ending
         # episodes that end now show their last frame; worlds whose episode ended before are black
-        return as_gym(self._session.observe(ending=ended.worlds)), rewards, terminated, truncated, infos
+        return as_gym(self._session.observe(ending=np.flatnonzero(ending))), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...]:  # type: ignore[override]
         """Return the current image of every world's ``ego`` view, (H, W, 3) uint8 each.
@@ -289,19 +288,18 @@ class DynahoiVectorEnv(VectorEnv):
         self._distance_m = self._measured_distance_m()
 
     def _infos(self, ending: np.ndarray) -> dict[str, Any]:
-        """End the episodes of worlds ``ending`` (n,) and return what is told after a step, see the class."""
+        """End the episodes of worlds ``ending`` (N,) bool and return what is told after a step, see the class."""
         for i in self._session.playing:
             self._success[i] = self._session.success(int(i))
-        mask = np.isin(np.arange(self.num_envs), ending)
         infos: dict[str, Any] = {"is_success": self._success.copy()}
-        for i in ending:
+        for i in np.flatnonzero(ending):
             episode = self._session.finish(int(i), POLICY_NAME)
             if self._on_episode is not None:
                 self._on_episode(episode)
             for name, value in measure(episode).items():
                 column = infos.setdefault(name, np.full(self.num_envs, np.nan))
                 column[i] = np.nan if value is None else value
-                infos["_" + name] = mask
+                infos["_" + name] = ending
         return infos
 
     def _rewards(self, acted: np.ndarray, ending: np.ndarray) -> np.ndarray:
@@ -337,37 +335,6 @@ def observation_space(features: Sequence[Feature]) -> spaces.Dict:
             groups.setdefault(group, {})[key] = box
     ungrouped = groups.pop("")
     return spaces.Dict({**{group: spaces.Dict(boxes) for group, boxes in groups.items()}, **ungrouped})
-
-
-def check_reward(name: str) -> None:
-    """Refuse a reward that does not exist.
-
-    Raises:
-        ValueError: naming the reward received and those there are.
-    """
-    if name not in REWARDS:
-        raise ValueError(f"unknown reward {name!r}; known: {', '.join(REWARDS)}")
-
-
-def check_whole(name: str, value: Any, least: int) -> None:
-    """Refuse what is not an integer of at least ``least``.
-
-    Raises:
-        ValueError: naming the value received.
-    """
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be an integer of at least {least}, got {value!r}")
-
-
-def check_options(options: Any) -> dict[str, Any]:
-    """Return the options of a reset, none for None.
-
-    Raises:
-        ValueError: if they are no dictionary.
-    """
-    if not isinstance(options, dict | None):
-        raise ValueError(f"the options of a reset must be a dictionary, or None, got {options!r}")
-    return options or {}
 
 
 def check_open(closed: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 from dynahoi_lerobot.experts.intercept import EXTRAPOLATED_FRAMES, approach
 from dynahoi_lerobot.hands import HANDS
 
+Command = Callable[[WorldView], np.ndarray]
+"""Returns (18,) the command of one world: palm centre [m], world, and joint angles [rad]."""
 PATH_FILES = {"standard": "blind_path.csv", "late": "blind_path.csv", "unlimited": "blind_path_unlimited.csv"}
 """By control class: palm positions relative to home [m], one line per frame from the first control step on; it is what
 ``benchmarks/validity.py --search`` finds at the speed of the class."""
@@ -25,7 +28,6 @@ first control step on; it is what ``benchmarks/validity.py --search --homes`` fi
 class Hold(Expert):
     """Commands its current pose."""
 
-    name = "hold"
     privileged = False
 
     def act(self, world: WorldState) -> np.ndarray:
@@ -33,74 +35,66 @@ class Hold(Expert):
         return world.observation.state.astype(np.float64)
 
 
-@EXPERTS.register("pursuit")
-class Pursuit(SingleWorldExpert):
-    """Chases the target's current true position at full speed; its score needs no prediction."""
+def baseline(name: str, *, privileged: bool = True) -> Callable[[Command], Command]:
+    """Return a decorator that registers a function of one world as the expert ``name``; its docstring describes it."""
 
-    name = "pursuit"
+    def decorate(command: Command) -> Command:
+        members = {"privileged": privileged, "command": staticmethod(command), "__doc__": command.__doc__}
+        EXPERTS.register(name)(type(name, (SingleWorldExpert,), members))
+        return command
 
-    def command(self, world: WorldView) -> np.ndarray:
-        """Return (18,) the command of one world."""
-        return approach(world, np.tile(world.target_pos_w, (EXTRAPOLATED_FRAMES + 1, 1)), world.control.palm_speed_m_s)
-
-
-@EXPERTS.register("constant_velocity")
-class ConstantVelocity(SingleWorldExpert):
-    """Extrapolates the true velocity and replans in every frame, at the control class's full speed."""
-
-    name = "constant_velocity"
-
-    def command(self, world: WorldView) -> np.ndarray:
-        """Return (18,) the command of one world."""
-        ahead_s = (world.control.latency_frames + np.arange(EXTRAPOLATED_FRAMES + 1))[:, None] * CONTROL_DT
-        return approach(world, world.target_pos_w + ahead_s * world.target_velocity_w, world.control.palm_speed_m_s)
+    return decorate
 
 
-@EXPERTS.register("constant_acceleration")
-class ConstantAcceleration(SingleWorldExpert):
-    """Extrapolates the true velocity and acceleration and replans in every frame, at full speed."""
-
-    name = "constant_acceleration"
-
-    def command(self, world: WorldView) -> np.ndarray:
-        """Return (18,) the command of one world."""
-        ahead_s = (world.control.latency_frames + np.arange(EXTRAPOLATED_FRAMES + 1))[:, None] * CONTROL_DT
-        moved = ahead_s * world.target_velocity_w + ahead_s**2 / 2 * _acceleration(world)
-        return approach(world, world.target_pos_w + moved, world.control.palm_speed_m_s)
+@baseline("pursuit")
+def pursuit(world: WorldView) -> np.ndarray:
+    """Chase the target's current true position at full speed; its score needs no prediction."""
+    return approach(world, np.tile(world.target_pos_w, (EXTRAPOLATED_FRAMES + 1, 1)), world.control.palm_speed_m_s)
 
 
-@EXPERTS.register("blind_path")
-class BlindPath(SingleWorldExpert):
-    """Follows a fixed path from home with closed fingers; its score needs neither perception nor prediction.
+@baseline("constant_velocity")
+def constant_velocity(world: WorldView) -> np.ndarray:
+    """Extrapolate the true velocity and replan in every frame, at the control class's full speed."""
+    moved = _ahead_s(world) * world.target_velocity_w
+    return approach(world, world.target_pos_w + moved, world.control.palm_speed_m_s)
+
+
+@baseline("constant_acceleration")
+def constant_acceleration(world: WorldView) -> np.ndarray:
+    """Extrapolate the true velocity and acceleration and replan in every frame, at full speed."""
+    ahead_s = _ahead_s(world)
+    moved = ahead_s * world.target_velocity_w + ahead_s**2 / 2 * _acceleration(world)
+    return approach(world, world.target_pos_w + moved, world.control.palm_speed_m_s)
+
+
+@baseline("blind_path", privileged=False)
+def blind_path(world: WorldView) -> np.ndarray:
+    """Follow a fixed path from home with closed fingers; its score needs neither perception nor prediction.
 
     The path is the best one found for the speed of the control class.
     """
-
-    name = "blind_path"
-    privileged = False
-
-    def command(self, world: WorldView) -> np.ndarray:
-        """Return (18,) the command of one world."""
-        path = fixed_path(world.control.name)
-        step = min(world.due_frame - world.spec.window_frames, len(path) - 1)
-        return np.concatenate([world.spec.home_pos_w + path[step], fist(world.spec.hand)])
+    return _along(fixed_path(world.control.name), world)
 
 
-@EXPERTS.register("nearest_home")
-class NearestHome(SingleWorldExpert):
-    """Follows the stored path of the nearest tabulated home; its score shows what the home gives away.
+@baseline("nearest_home")
+def nearest_home(world: WorldView) -> np.ndarray:
+    """Follow the stored path of the nearest tabulated home; its score shows what the home gives away.
 
     Policies cannot do this: they observe positions from their home, wherever that is.
     """
+    homes_w, paths = home_table()
+    return _along(paths[np.linalg.norm(homes_w - world.spec.home_pos_w, axis=1).argmin()], world)
 
-    name = "nearest_home"
 
-    def command(self, world: WorldView) -> np.ndarray:
-        """Return (18,) the command of one world."""
-        homes_w, paths = home_table()
-        path = paths[np.linalg.norm(homes_w - world.spec.home_pos_w, axis=1).argmin()]
-        step = min(world.due_frame - world.spec.window_frames, len(path) - 1)
-        return np.concatenate([world.spec.home_pos_w + path[step], fist(world.spec.hand)])
+def _ahead_s(world: WorldView) -> np.ndarray:
+    """Return (K, 1) the times [s] from now at which the target may be met, the first when a command takes effect."""
+    return (world.control.latency_frames + np.arange(EXTRAPOLATED_FRAMES + 1))[:, None] * CONTROL_DT
+
+
+def _along(path: np.ndarray, world: WorldView) -> np.ndarray:
+    """Return (18,) the next command of a closed hand on a path (K, 3) [m] from home."""
+    step = min(world.due_frame - world.spec.window_frames, len(path) - 1)
+    return np.concatenate([world.spec.home_pos_w + path[step], fist(world.spec.hand)])
 
 
 def _acceleration(world: WorldView) -> np.ndarray:

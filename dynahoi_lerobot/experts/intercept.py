@@ -38,8 +38,6 @@ class Intercept(Teacher):
     it labels any state, also after a disturbance or a miss, and arrives together with the target: no wait is needed.
     """
 
-    name = "intercept"
-
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
         return approach(world, _path_from(world.spec, world.due_frame), _speed(world.control))

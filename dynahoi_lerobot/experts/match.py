@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Meeting
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, GANTRY_SPEED_M_S, PALM_DOF
 from dynahoi_lerobot.core.numerics import norm, product, sin
+from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS, PlannedExpert
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 
 PALM_FACE_M = -0.036
 """The palm's surface, from the palm centre along x."""
@@ -56,9 +58,13 @@ class Catch:
         return Meeting(self.palm_w[self.contact_frame - self.start_frame], self.contact_frame)
 
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
-        """Return (18,) the command that takes effect at ``frame``, as a ``MotionPlan`` does.
+        """Return (18,) the command that takes effect at ``frame``: where the hand should be one frame later.
 
         A hand that was disturbed before contact comes back little by little, just in time.
+
+        Args:
+            frame: of the episode.
+            state: (18,) where the hand is then: palm centre [m], world, and joint angles [rad].
         """
         now, ahead = np.clip([frame - self.start_frame, frame + 1 - self.start_frame], 0, len(self.palm_w) - 1)
         left = self.contact_frame - max(frame, self.start_frame)
@@ -72,19 +78,37 @@ class Catch:
 
 
 @EXPERTS.register("match")
-class Match(PlannedExpert):
-    """Velocity-matched interception with a power grasp, for the capture rule ``contact``."""
+class Match(SingleWorldExpert):
+    """Velocity-matched interception with a power grasp, for the capture rule ``contact``.
 
-    name = "match"
+    It plans from the episode and the attempt alone, and keeps the plans of episodes for as long as they are played.
+    """
+
     retries = 3
 
-    def plan(self, spec: EpisodeSpec, attempt: int) -> Catch:
-        """Return the catch of the ``attempt``-th try (from 1)."""
-        return plan_catch(spec, attempt)
+    def __init__(self) -> None:
+        self._catches: WeakKeyDictionary[EpisodeSpec, dict[int, Catch]] = WeakKeyDictionary()
+
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        return self._catch(world.spec, world.attempt).command(world.due_frame, world.state)
+
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
+        """Return the meeting of the attempt's plan."""
+        return self._catch(spec, attempt).meeting
+
+    def _catch(self, spec: EpisodeSpec, attempt: int) -> Catch:
+        catches = self._catches.setdefault(spec, {})
+        if attempt not in catches:
+            catches[attempt] = plan_catch(spec, attempt)
+        return catches[attempt]
 
 
 def plan_catch(spec: EpisodeSpec, attempt: int = 1) -> Catch:
-    """Return the catch of the ``attempt``-th try (from 1): the easiest moments that the hand can make, in turn."""
+    """Return the catch of the ``attempt``-th try (from 1): the easiest moments that the hand can make, in turn.
+
+    Its first command takes effect as control starts.
+    """
     seat = np.array([PALM_FACE_M + spec.target.grasp_radius_m, SEAT_Y_M, SEAT_Z_M])
     goal = spec.oracle_path - seat  # (F, 3) where the palm must be for the target to sit in it
     moments = _ranked_moments(spec, goal)

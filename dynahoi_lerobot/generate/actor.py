@@ -34,7 +34,6 @@ class RecordedPolicy(Agent):
     """
 
     def __init__(self, policy: PolicyAgent, seed: int) -> None:
-        """Let ``policy`` act."""
         import torch
 
         self.name, self.sees_images = policy.name, policy.sees_images

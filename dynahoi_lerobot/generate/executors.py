@@ -9,14 +9,13 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from datatrove.executor import LocalPipelineExecutor, SlurmPipelineExecutor
 from datatrove.executor.ray import RayPipelineExecutor
-from datatrove.pipeline.base import PipelineStep
 from multiprocess.process import parent_process
 
 from dynahoi_lerobot.generate.pipeline import exit_with_parent, finished, open_workspace, workspace_path
@@ -26,6 +25,8 @@ from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 DEFAULT_TASKS = 1000
 """As many as Slurm takes in one array, if the plan has so many shards."""
+PER_TASK = ("workers", "cpus_per_task", "mem_per_cpu_gb", "gpus_per_task")
+"""What Slurm and Ray are told alike, by the name that ``ClusterResources`` and datatrove have for it."""
 
 
 @dataclass(frozen=True)
@@ -62,60 +63,34 @@ class ClusterResources:
             raise ValueError(f"the number of workers is {self.workers}; it must be 1 or more, or -1 for no limit")
 
 
-class MakeShards(PipelineStep):
-    """Task ``rank`` of N makes the shards rank, rank + N, rank + 2 N, ...; those that exist are kept."""
+def make_shards(maker: ShardMaker, data: Any, rank: int, world_size: int) -> None:
+    """Task ``rank`` of N makes the shards rank, rank + N, rank + 2 N, ...; those that exist are kept.
 
-    name = "shards"
-    type = "dynahoi"
-
-    def __init__(self, maker: ShardMaker) -> None:
-        """Make shards with ``maker``."""
-        super().__init__()
-        self.maker = maker
-
-    def run(self, data: Any, rank: int = 0, world_size: int = 1) -> Iterator[Any]:
-        """Make this task's shards.
-
-        Raises:
-            GenerationError: if this machine has other code than the plan.
-        """
-        yield from data or ()
-        if parent_process() is not None:
-            exit_with_parent(os.getppid())
-        if (here := code_fingerprint()) != self.maker.plan.code:
-            raise GenerationError(
-                f"the plan was made by code {self.maker.plan.code}, this machine has {here}; update it"
-            )
-        for shard in range(rank, self.maker.plan.shards, world_size):
-            self.maker.make(shard, lambda: self.stat_update("episodes"))
+    Raises:
+        GenerationError: if this machine has other code than the plan.
+    """
+    if parent_process() is not None:
+        exit_with_parent(os.getppid())
+    if (here := code_fingerprint()) != maker.plan.code:
+        raise GenerationError(f"the plan was made by code {maker.plan.code}, this machine has {here}; update it")
+    for shard in range(rank, maker.plan.shards, world_size):
+        maker.make(shard)
 
 
-class MergeShards(PipelineStep):
-    """One task merges all shards and removes them."""
+def merge_shards(maker: ShardMaker, root: Path, data: Any = None, rank: int = 0, world_size: int = 1) -> None:
+    """One task checks all shards, merges them into ``root`` unless that is done already, and removes them.
 
-    name = "merge"
-    type = "dynahoi"
-
-    def __init__(self, maker: ShardMaker, root: Path) -> None:
-        """Merge what ``maker`` made into ``root``."""
-        super().__init__()
-        self.maker, self.root = maker, root
-
-    def run(self, data: Any, rank: int = 0, world_size: int = 1) -> Iterator[Any]:
-        """Check the shards and merge them, unless it is done already.
-
-        Raises:
-            GenerationError: if a shard is missing, or was damaged after it was made.
-        """
-        yield from data or ()
-        if finished(self.maker.plan, self.root) is None:
-            damaged = self.maker.discard_damaged()
-            if missing := self.maker.plan.shards - len(self.maker.finished()):
-                found = f"{missing} of {self.maker.plan.shards} shards are missing, {len(damaged)} were damaged"
-                raise GenerationError(f"{found}; see {self.maker.folder / 'logs'}, and run the same command again")
-            self.maker.merge(self.root)
-        for shard in range(self.maker.plan.shards):
-            shutil.rmtree(self.maker.path(shard), ignore_errors=True)
+    Raises:
+        GenerationError: if a shard is missing, or was damaged after it was made.
+    """
+    if finished(maker.plan, root) is None:
+        damaged = maker.discard_damaged()
+        if missing := maker.plan.shards - len(maker.finished()):
+            found = f"{missing} of {maker.plan.shards} shards are missing, {len(damaged)} were damaged"
+            raise GenerationError(f"{found}; see {maker.folder / 'logs'}, and run the same command again")
+        maker.merge(root)
+    for shard in range(maker.plan.shards):
+        shutil.rmtree(maker.path(shard), ignore_errors=True)
 
 
 def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources) -> bool:
@@ -141,15 +116,15 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
     with open_workspace(plan, root) as workspace:
         maker = ShardMaker(plan, workspace, record)
         maker.discard_damaged()
-        shards = MakeShards(maker), min(resources.tasks or DEFAULT_TASKS, plan.shards)
-        merge = MergeShards(maker, root), 1
-        if kind == "slurm":
-            _slurm(*merge, resources, depends=_slurm(*shards, resources)).run()
-            return False
         if kind == "ray":
             _connect_to_ray()
-        for step, tasks in (shards, merge):
-            (_ray if kind == "ray" else _local)(step, tasks, resources).run()
+        shards, merge = _executors(kind, maker, root, resources)
+        if kind == "slurm":
+            merge.depends = shards
+            merge.run()
+            return False
+        shards.run()
+        merge.run()
     return True
 
 
@@ -160,51 +135,37 @@ def describe(kind: str, plan: GenerationPlan, root: Path, record: Record, resour
     if kind != "slurm":
         return f"{plan.shards} shards of up to {plan.shard_episodes} episodes in {tasks} tasks, merged into {root}"
     existed, scripts = maker.folder.exists(), []
-    for step, count in ((MakeShards(maker), tasks), (MergeShards(maker, root), 1)):
-        job = _slurm(step, count, resources)
+    for job in _executors(kind, maker, root, resources):
         launch = f"srun -l -n 1 launch_pickled_pipeline {job.logging_dir.resolve_paths('executor.pik')}"
-        scripts.append(job.get_launch_file_contents(job.get_sbatch_args(count), launch))
+        scripts.append(job.get_launch_file_contents(job.get_sbatch_args(job.tasks), launch))
     if not existed:  # datatrove makes the log folders while it writes the scripts
         shutil.rmtree(maker.folder, ignore_errors=True)
     return "\n# submitted with --dependency=afterok:<the job above>\n".join(scripts)
 
 
-def _local(step: Any, tasks: int, resources: ClusterResources) -> LocalPipelineExecutor:
-    workers = tasks if resources.workers == -1 else min(resources.workers, tasks)
-    logs = str(step.maker.folder / "logs" / step.name)
-    return LocalPipelineExecutor(
-        [step], tasks=tasks, workers=workers, logging_dir=logs, start_method="spawn", skip_completed=False
-    )
+def _executors(kind: str, maker: ShardMaker, root: Path, resources: ClusterResources) -> list[Any]:
+    """Return datatrove's executors of that kind, of the tasks that make shards and of the one that merges them."""
+    tasks = min(resources.tasks or DEFAULT_TASKS, maker.plan.shards)
+    steps = {"shards": (partial(make_shards, maker), tasks), "merge": (partial(merge_shards, maker, root), 1)}
+    return [_executor(kind, maker.folder, resources, name, step) for name, step in steps.items()]
 
 
-def _slurm(step: Any, tasks: int, resources: ClusterResources, **options: Any) -> SlurmPipelineExecutor:
+def _executor(kind: str, folder: Path, resources: ClusterResources, name: str, step: tuple[Any, int]) -> Any:
+    function, tasks = step
+    options = {"tasks": tasks, "logging_dir": str(folder / "logs" / name), "skip_completed": False}
+    if kind == "local":
+        workers = tasks if resources.workers == -1 else min(resources.workers, tasks)
+        return LocalPipelineExecutor([function], workers=workers, start_method="spawn", **options)
+    options |= {limit: getattr(resources, limit) for limit in PER_TASK}
+    if kind == "ray":
+        return RayPipelineExecutor([function], **options)
     return SlurmPipelineExecutor(
-        [step],
-        tasks=tasks,
+        [function],
         time=resources.time,
         partition=resources.partition,
-        cpus_per_task=resources.cpus_per_task,
-        mem_per_cpu_gb=resources.mem_per_cpu_gb,
-        gpus_per_task=resources.gpus_per_task,
-        workers=resources.workers,
-        job_name=f"dynahoi-{step.name}-{step.maker.folder.stem}",
+        job_name=f"dynahoi-{name}-{folder.stem}",
         env_command=f"source {sys.prefix}/bin/activate",
-        logging_dir=str(step.maker.folder / "logs" / step.name),
-        skip_completed=False,
         **options,
-    )
-
-
-def _ray(step: Any, tasks: int, resources: ClusterResources) -> RayPipelineExecutor:
-    return RayPipelineExecutor(
-        [step],
-        tasks=tasks,
-        workers=resources.workers,
-        cpus_per_task=resources.cpus_per_task,
-        gpus_per_task=resources.gpus_per_task,
-        mem_per_cpu_gb=resources.mem_per_cpu_gb,
-        logging_dir=str(step.maker.folder / "logs" / step.name),
-        skip_completed=False,
     )
 
 

@@ -5,14 +5,11 @@ Shards are made in the workspace ``<root>.partial`` by one run at a time, on one
 
 from __future__ import annotations
 
-import ctypes
 import itertools
 import logging
 import multiprocessing
 import os
 import shutil
-import signal
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -33,8 +30,6 @@ logger = logging.getLogger(__name__)
 
 PLAN, LOGS = "plan.json", "logs"
 MAX_WORKERS = 4096
-CHECKS = 3
-"""How often shards that are found damaged are made again before the disk is called unreliable."""
 STARTS = 3
 """How often a pool is started before processes that die are an error."""
 POLL_S = 0.2
@@ -67,8 +62,10 @@ def generate(
     check_output(root)
     if (manifest := finished(plan, root)) is None:
         with open_workspace(plan, root) as workspace:
-            # Another process may have finished while this one waited for the lock.
-            manifest = finished(plan, root) or _make(ShardMaker(plan, workspace, record), root, workers, progress)
+            maker = ShardMaker(plan, workspace, record)
+            maker.discard_damaged()
+            make_missing(maker, workers, progress)
+            manifest = maker.merge(root)
     progress(manifest.episodes)
     remove_workspace(plan, root)
     return manifest
@@ -92,14 +89,6 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
     if problem := next(file_problems(root, manifest), None):
         raise GenerationError(f"{root} is complete but damaged: {problem}; remove it to make it again")
     return manifest
-
-
-def _make(maker: ShardMaker, root: Path, workers: int, progress: Progress) -> Manifest:
-    for _ in range(CHECKS):
-        make_missing(maker, workers, progress)
-        if not maker.discard_damaged():
-            return maker.merge(root)
-    raise GenerationError(f"shards in {maker.folder} were damaged {CHECKS} times after they were made; check the disk")
 
 
 def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
@@ -168,12 +157,8 @@ def _count() -> None:
             _counter.value += 1
 
 
-PR_SET_PDEATHSIG = 1
-"""Option of Linux's ``prctl``: the signal that a process gets when its parent ends."""
-
-
 def exit_with_parent(parent: int) -> None:
-    """End this process when its parent has ended, however that happens: at once on Linux, soon elsewhere.
+    """End this process soon after its parent has ended, however that happens.
 
     Args:
         parent: the parent's process id. If it has ended already, this process ends here.
@@ -184,8 +169,6 @@ def exit_with_parent(parent: int) -> None:
             time.sleep(POLL_S)
         os._exit(1)
 
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     threading.Thread(target=watch, daemon=True).start()
 
 
@@ -204,7 +187,7 @@ def remove_workspace(plan: GenerationPlan, root: Path) -> None:
     workspace = workspace_path(root)
     if not workspace.is_dir() or read_task(workspace, PLAN) != plan.identity():
         return
-    for path in [*workspace.glob(f"{SHARD}*"), *workspace.glob(f".{SHARD}*.tmp"), workspace / LOGS]:
+    for path in [*workspace.glob(f"{SHARD}*"), *workspace.glob(".*.tmp"), workspace / LOGS]:
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
     for name in (LOCK, PLAN):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import Feature, episode_features
@@ -15,15 +15,9 @@ from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import REDRAW_STRIDE
 
-
-class Record(Protocol):
-    """Plays the expert: yields the episodes among ``seeds`` that are to be stored, in their order."""
-
-    def __call__(self, recipe: Any, seeds: Sequence[int], /) -> Iterator[Episode]:
-        """Yield at most one episode per seed, a deterministic function of (recipe, seed)."""
-        ...
-
-
+Record = Callable[[Any, Sequence[int]], Iterator[Episode]]
+"""Plays the expert in a recipe: yields the episodes among the seeds that are to be stored, in their order, at most one
+per seed, which is a deterministic function of (recipe, seed)."""
 Progress = Callable[[int], object]
 """Called now and then with the number of episodes that are done."""
 

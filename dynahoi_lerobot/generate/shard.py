@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from dynahoi_lerobot.core.atomic import new_folder
+from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
@@ -69,25 +69,56 @@ class ShardMaker:
             The shard's folder, a dataset of its own.
 
         Raises:
-            FileExistsError: if a file is in the shard's place.
-            GenerationError: if a slot fails MAX_DRAWS times.
+            GenerationError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of another seed.
             OSError: if the disk is full or refuses to be written.
         """
         target = self.path(shard)
         if is_whole(target):
             return target
-        _make_way(target)
+        if target.is_dir():
+            shutil.rmtree(target)
         with new_folder(target) as temporary:
             plan = self.plan
             writer = DatasetWriter.for_episodes(
                 temporary, plan.features, plan.encoding, plan.limits, subtasks=plan.subtasks
             )
             try:
-                tally = _Filling(self, writer, tick).fill(shard)
+                tally = self._fill(shard, writer, tick)
                 writer.finish(plan.identity(), tally)
             finally:
                 writer.abandon()
         return target
+
+    def _fill(self, shard: int, writer: DatasetWriter, tick: Tick) -> dict[str, int]:
+        """Write an episode for every slot of a shard; failed slots are drawn again, with other seeds, after all others.
+
+        Returns:
+            How many seeds were tried, kept (of these failed), missed and rejected.
+        """
+        slots, tally = list(self.plan.slots(shard)), Counter(tried=0, kept=0, failed=0, missed=0, rejected=0)
+        for draw in range(MAX_DRAWS):
+            seeds = [slot + draw * REDRAW_STRIDE for slot in slots]
+            missed, rejected = set(seeds), set[int]()
+            for episode in self.record(self.plan.recipe, seeds):
+                seed = episode.meta.seed
+                if seed not in missed:
+                    raise GenerationError(f"the recorder gave an episode of seed {seed}, which was not asked for")
+                missed.remove(seed)
+                if trajectory_problems(episode, limits_of(episode.meta.capture, episode.meta.control_class)):
+                    rejected.add(seed)
+                    continue
+                writer.add(episode)
+                tally["failed"] += not episode.success
+                tick()
+            kept = len(seeds) - len(missed) - len(rejected)
+            tally.update(tried=len(seeds), kept=kept, missed=len(missed), rejected=len(rejected))
+            again = missed | rejected
+            slots = [slot for slot, seed in zip(slots, seeds, strict=True) if seed in again]
+            if not slots:
+                return dict(tally)
+        raise GenerationError(
+            f"the expert failed {MAX_DRAWS} times on each of {len(slots)} slots, the first of seed {slots[0]}"
+        )
 
     def problem(self, shard: int) -> str | None:
         """Say what keeps a shard that is there from being the plan's; every byte of it is read."""
@@ -116,28 +147,17 @@ class ShardMaker:
 
     def merge(self, root: Path) -> Manifest:
         """Merge the shards, in the order of the plan, into the dataset ``root``."""
-        sources = [self.path(shard) for shard in range(self.plan.shards)]
-        return merge(sources, root, limits=self.plan.limits, provenance=self.plan.identity())
+        sources, whole = [self.path(shard) for shard in range(self.plan.shards)], self.folder / "merged"
+        shutil.rmtree(whole, ignore_errors=True)  # of a process that was killed before it renamed it
+        manifest = merge(sources, whole, limits=self.plan.limits, provenance=self.plan.identity())
+        whole.rename(root)
+        return manifest
 
 
 def _shard_number(name: str) -> int:
     """Return the number in the name of a shard's folder, -1 if it is not such a name."""
     digits = name.removeprefix(SHARD)
     return int(digits) if digits.isdecimal() else -1
-
-
-def _make_way(target: Path) -> None:
-    """Remove an incomplete shard, or an empty file in its place.
-
-    Raises:
-        FileExistsError: if a file with content is there.
-    """
-    if target.is_dir():
-        shutil.rmtree(target)
-    elif target.exists():
-        if target.stat().st_size:
-            raise FileExistsError(f"{target} is a file, where a shard belongs; remove it")
-        target.unlink()
 
 
 def is_whole(folder: Path) -> bool:
@@ -147,41 +167,3 @@ def is_whole(folder: Path) -> bool:
     except (OSError, ValueError):
         return False
     return all((folder / name).is_file() for name in manifest.files)
-
-
-class _Filling:
-    """Writes one episode per slot; failed slots are drawn again, with other seeds, after all others."""
-
-    def __init__(self, maker: ShardMaker, writer: DatasetWriter, tick: Tick) -> None:
-        self._maker, self._writer, self._tick = maker, writer, tick
-        self._tally = Counter(tried=0, kept=0, failed=0, missed=0, rejected=0)
-
-    def fill(self, shard: int) -> dict[str, int]:
-        """Fill every slot of the shard; return how many seeds were tried, kept (of these failed), missed, rejected."""
-        open_slots = list(self._maker.plan.slots(shard))
-        for draw in range(MAX_DRAWS):
-            seeds = [slot + draw * REDRAW_STRIDE for slot in open_slots]
-            kept = self._play(seeds)
-            open_slots = [slot for slot, seed in zip(open_slots, seeds, strict=True) if seed not in kept]
-            if not open_slots:
-                return dict(self._tally)
-        raise GenerationError(
-            f"the expert failed {MAX_DRAWS} times on each of {len(open_slots)} slots, the first of seed {open_slots[0]}"
-        )
-
-    def _play(self, seeds: list[int]) -> set[int]:
-        expected, seen, kept = set(seeds), set(), set()
-        for episode in self._maker.record(self._maker.plan.recipe, seeds):
-            seed = episode.meta.seed
-            if seed not in expected - seen:
-                raise GenerationError(f"the recorder gave an episode of seed {seed}, which was not asked for")
-            seen.add(seed)
-            limits = limits_of(episode.meta.capture, episode.meta.control_class)
-            if not trajectory_problems(episode, limits):
-                self._writer.add(episode)
-                kept.add(seed)
-                self._tally["failed"] += not episode.success
-                self._tick()
-        missed, rejected = len(seeds) - len(seen), len(seen) - len(kept)
-        self._tally.update(tried=len(seeds), kept=len(kept), missed=missed, rejected=rejected)
-        return kept

@@ -1,4 +1,4 @@
-"""Base classes of motions: a prescribed path with exact derivatives, or an initial condition for real dynamics.
+"""Base classes of motions: a prescribed path, or an initial condition for real dynamics.
 
 The paper names three tiers and eight categories (Section 3.2); the 22 kinds and their ranges are ours.
 """
@@ -129,19 +129,11 @@ class Motion(ABC):
 
 
 class PrescribedMotion(Motion):
-    """A path in closed form. The simulation drives the target along it, with the force its acceleration requires."""
+    """A path in closed form. The simulation drives the target along it, with the force that this path requires."""
 
     @abstractmethod
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m], world, at (K,) times [s]."""
-
-    @abstractmethod
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s], world, the exact derivative of ``position``."""
-
-    @abstractmethod
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2], world, the exact derivative of ``velocity``."""
 
 
 @dataclass(frozen=True)
@@ -182,18 +174,7 @@ class Retimed(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        return self.motion.position(self._path(time_s))
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        return self.rate * self.motion.velocity(self._path(time_s))
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]."""
-        return self.rate**2 * self.motion.acceleration(self._path(time_s))
-
-    def _path(self, time_s: np.ndarray) -> np.ndarray:
-        return self.path_s + self.rate * (time_s - self.time_s)
+        return self.motion.position(self.path_s + self.rate * (time_s - self.time_s))
 
 
 class PhysicalMotion(Motion):

@@ -47,20 +47,9 @@ class CircularMotion(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        return np.asarray(self.center) + self.radius_m * self._orbit(time_s, 0.0)
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        return self.radius_m * self.rate_rad_s * self._orbit(time_s, np.pi / 2)
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]."""
-        return self.radius_m * self.rate_rad_s**2 * self._orbit(time_s, np.pi)
-
-    def _orbit(self, time_s: np.ndarray, ahead: float) -> np.ndarray:
-        """(K, 3) unit vector from the centre, ``ahead`` [rad] of the target; a derivative is a quarter turn ahead."""
-        angle = self.rate_rad_s * time_s + self.phase_rad + ahead
-        return product(np.column_stack([cos(angle), sin(angle)]), self.axes())
+        angle = self.rate_rad_s * time_s + self.phase_rad
+        outwards = product(np.column_stack([cos(angle), sin(angle)]), self.axes())
+        return np.asarray(self.center) + self.radius_m * outwards
 
 
 @MOTIONS.register("horizontal_circle")
@@ -68,7 +57,6 @@ class CircularMotion(PrescribedMotion):
 class HorizontalCircle(CircularMotion):
     """Constant angular speed about the vertical."""
 
-    name: ClassVar[str] = "horizontal_circle"
     phrase: ClassVar[str] = "moving in a horizontal circle"
 
 
@@ -77,7 +65,6 @@ class HorizontalCircle(CircularMotion):
 class VerticalCircle(CircularMotion):
     """Constant angular speed about a horizontal axis."""
 
-    name: ClassVar[str] = "vertical_circle"
     phrase: ClassVar[str] = "moving in a vertical circle"
 
     def axes(self) -> np.ndarray:
@@ -97,7 +84,6 @@ class Helix(CircularMotion):
 
     climb_m_s: float = 0.0
     meeting_s: float = 0.0
-    name: ClassVar[str] = "helix"
     phrase: ClassVar[str] = "moving along a helix"
 
     @classmethod
@@ -112,10 +98,6 @@ class Helix(CircularMotion):
         """Return (K, 3) position [m]."""
         rise = np.outer(time_s - self.meeting_s, [0.0, 0.0, self.climb_m_s])
         return super().position(time_s) + rise
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        return super().velocity(time_s) + [0.0, 0.0, self.climb_m_s]
 
 
 @MOTIONS.register("swinging_arc")
@@ -138,7 +120,6 @@ class SwingingArc(PrescribedMotion):
     rate_rad_s: float
     phase_rad: float
     yaw_rad: float
-    name: ClassVar[str] = "swinging_arc"
     category: ClassVar[str] = "circular_arc"
     phrase: ClassVar[str] = "swinging to and fro along an arc"
 
@@ -152,29 +133,6 @@ class SwingingArc(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        radial, _ = self._frame(time_s)
-        return np.asarray(self.pivot) + self.radius_m * radial
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        _, tangent = self._frame(time_s)
-        return self.radius_m * self._angle_rate(time_s)[:, None] * tangent
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]: tangential and centripetal."""
-        radial, tangent = self._frame(time_s)
-        angular = -(self.rate_rad_s**2) * self._angle(time_s)
-        return self.radius_m * (angular[:, None] * tangent - self._angle_rate(time_s)[:, None] ** 2 * radial)
-
-    def _angle(self, time_s: np.ndarray) -> np.ndarray:
-        return self.swing_rad * sin(self.rate_rad_s * time_s + self.phase_rad)
-
-    def _angle_rate(self, time_s: np.ndarray) -> np.ndarray:
-        return self.swing_rad * self.rate_rad_s * cos(self.rate_rad_s * time_s + self.phase_rad)
-
-    def _frame(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(K, 3) unit vectors from the pivot to the target, and along growing angle."""
-        angle = self._angle(time_s)[:, None]
-        along = np.array([cos(self.yaw_rad), sin(self.yaw_rad), 0.0])
-        up = np.array([0.0, 0.0, 1.0])
-        return along * sin(angle) - up * cos(angle), along * cos(angle) + up * sin(angle)
+        angle = self.swing_rad * sin(self.rate_rad_s * time_s + self.phase_rad)[:, None]
+        along, up = np.array([cos(self.yaw_rad), sin(self.yaw_rad), 0.0]), np.array([0.0, 0.0, 1.0])
+        return np.asarray(self.pivot) + self.radius_m * (along * sin(angle) - up * cos(angle))

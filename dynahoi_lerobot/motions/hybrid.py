@@ -30,7 +30,6 @@ class FigureEight(PrescribedMotion):
     rate_rad_s: float
     phase_rad: float
     yaw_rad: float
-    name: ClassVar[str] = "figure_eight"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "tracing a figure of eight"
 
@@ -42,25 +41,10 @@ class FigureEight(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        q = self._angle(time_s)
-        return np.asarray(self.center) + self._plane(sin(q), sin(2 * q) / 2)
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        q = self._angle(time_s)
-        return self.rate_rad_s * self._plane(cos(q), cos(2 * q))
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]."""
-        q = self._angle(time_s)
-        return self.rate_rad_s**2 * self._plane(-sin(q), -2 * sin(2 * q))
-
-    def _angle(self, time_s: np.ndarray) -> np.ndarray:
-        return self.rate_rad_s * time_s + self.phase_rad
-
-    def _plane(self, along: np.ndarray, up: np.ndarray) -> np.ndarray:
-        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
-        return self.amplitude_m * np.column_stack([c * along, s * along, up])
+        q = self.rate_rad_s * time_s + self.phase_rad
+        along, up = sin(q), sin(2 * q) / 2
+        shape = np.column_stack([cos(self.yaw_rad) * along, sin(self.yaw_rad) * along, up])
+        return np.asarray(self.center) + self.amplitude_m * shape
 
 
 @MOTIONS.register("harmonic_drift")
@@ -85,7 +69,6 @@ class HarmonicDrift(PrescribedMotion):
     amplitude_m: float
     rate_rad_s: float
     phase_rad: float
-    name: ClassVar[str] = "harmonic_drift"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "oscillating while it drifts along"
 
@@ -104,21 +87,8 @@ class HarmonicDrift(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         drifted = (time_s - self.meeting_s)[:, None] * np.asarray(self.drift)
-        return np.asarray(self.meeting) + drifted + self._aside(sin(self._phase(time_s)))
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        return np.asarray(self.drift) + self._aside(self.rate_rad_s * cos(self._phase(time_s)))
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]."""
-        return self._aside(-(self.rate_rad_s**2) * sin(self._phase(time_s)))
-
-    def _phase(self, time_s: np.ndarray) -> np.ndarray:
-        return self.rate_rad_s * time_s + self.phase_rad
-
-    def _aside(self, amount: np.ndarray) -> np.ndarray:
-        return self.amplitude_m * amount[:, None] * np.asarray(self.across)
+        swing = sin(self.rate_rad_s * time_s + self.phase_rad)[:, None]
+        return np.asarray(self.meeting) + drifted + self.amplitude_m * swing * np.asarray(self.across)
 
 
 @MOTIONS.register("line_then_arc")
@@ -139,7 +109,6 @@ class LineThenArc(PrescribedMotion):
     bend_s: float
     speed_m_s: float
     radius_m: float
-    name: ClassVar[str] = "line_then_arc"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "moving in a line that bends into an arc"
 
@@ -152,30 +121,13 @@ class LineThenArc(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        line, turn = self._split(time_s)
-        along = self.speed_m_s * line + self.radius_m * sin(turn)
-        aside = self.radius_m * (1 - cos(turn))
-        return np.asarray(self.bend) + self._plane(along, aside)
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        _, turn = self._split(time_s)
-        return self.speed_m_s * self._plane(cos(turn), sin(turn))
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]: none on the line, centripetal on the arc."""
-        _, turn = self._split(time_s)
-        centripetal = (time_s > self.bend_s) * self.speed_m_s**2 / self.radius_m
-        return self._plane(-centripetal * sin(turn), centripetal * cos(turn))
-
-    def _split(self, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Time before the bend (negative) [s] and angle turned after it [rad], (K,) each."""
         since = time_s - self.bend_s
-        return np.minimum(since, 0.0), self.speed_m_s * np.maximum(since, 0.0) / self.radius_m
-
-    def _plane(self, along: np.ndarray, aside: np.ndarray) -> np.ndarray:
+        turn = self.speed_m_s * np.maximum(since, 0.0) / self.radius_m  # angle turned after the bend [rad]
+        along = self.speed_m_s * np.minimum(since, 0.0) + self.radius_m * sin(turn)
+        aside = self.radius_m * (1 - cos(turn))
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
-        return np.column_stack([along * c - aside * s, along * s + aside * c, np.zeros_like(along)])
+        level = np.column_stack([along * c - aside * s, along * s + aside * c, np.zeros_like(along)])
+        return np.asarray(self.bend) + level
 
 
 KNOT_S = 0.5
@@ -195,7 +147,6 @@ class RandomSpline(PrescribedMotion):
 
     points: tuple[Vector, ...]
     knot_s: float
-    name: ClassVar[str] = "random_spline"
     category: ClassVar[str] = "hybrid"
     phrase: ClassVar[str] = "wandering along a smooth random path"
 
@@ -215,27 +166,9 @@ class RandomSpline(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        return self._evaluate(time_s, 0)
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        return self._evaluate(time_s, 1) / self.knot_s
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]."""
-        return self._evaluate(time_s, 2) / self.knot_s**2
-
-    def _evaluate(self, time_s: np.ndarray, order: int) -> np.ndarray:
-        """(K, 3) the ``order``-th derivative with respect to the segment's parameter s."""
         points = np.asarray(self.points)
         segment = np.clip(np.floor(time_s / self.knot_s).astype(int), 0, len(points) - 4)
         s = time_s / self.knot_s - segment
-        power = np.cumprod([np.ones_like(s), s, s, s], axis=0)  # (4, K) 1, s, s^2, s^3: `**` rounds by processor
-        powers = [np.zeros_like(s)] * order + [_falling(k, order) * power[k - order] for k in range(order, 4)]
-        weights = product(np.column_stack(powers), BASIS)  # (K, 4)
+        powers = np.column_stack([np.ones_like(s), s, s * s, s * s * s])  # (K, 4); `**` rounds by processor
+        weights = product(powers, BASIS)  # (K, 4)
         return np.einsum("kw,kwd->kd", weights, points[segment[:, None] + np.arange(4)])
-
-
-def _falling(power: int, order: int) -> float:
-    """power (power - 1) ... over ``order`` factors."""
-    return float(np.prod(np.arange(power, power - order, -1))) if order else 1.0

@@ -75,7 +75,6 @@ STRIKER_RADIUS_M = 0.02
 class Struck(TabletopMotion):
     """Striker of equal mass at 0.6 to 1.2 m/s, restitution 0.5 to 0.85, table friction 0.02 to 0.06."""
 
-    name: ClassVar[str] = "struck"
     phrase: ClassVar[str] = "struck by a ball"
 
     @classmethod
@@ -110,7 +109,6 @@ WALL_HALF_M = (0.02, 0.3, 0.05)
 class WallRebound(TabletopMotion):
     """Meets the wall at 0.5 to 1.1 m/s, restitution 0.6 to 0.9, table friction 0.01 to 0.04."""
 
-    name: ClassVar[str] = "wall_rebound"
     phrase: ClassVar[str] = "rebounding from a wall"
 
     @classmethod

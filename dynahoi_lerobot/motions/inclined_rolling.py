@@ -113,7 +113,6 @@ def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
 class Ramp(RollingMotion):
     """Intercepted after 0.15 to 0.6 m of slope."""
 
-    name: ClassVar[str] = "ramp"
     phrase: ClassVar[str] = "rolling down a ramp"
 
     @classmethod
@@ -130,7 +129,6 @@ RUNOUT_HALF_M = 0.6
 class RampAndRunout(RollingMotion):
     """Rolls down 0.1 to 0.4 m of slope and is intercepted on level ground 0.15 to 0.5 s later."""
 
-    name: ClassVar[str] = "ramp_and_runout"
     phrase: ClassVar[str] = "rolling down a ramp and out onto a level track"
 
     @classmethod

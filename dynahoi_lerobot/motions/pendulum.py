@@ -79,7 +79,6 @@ def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarra
 class PlanarPendulum(SuspendedMotion):
     """Released at rest at 12 to 40 degrees."""
 
-    name: ClassVar[str] = "planar"
     phrase: ClassVar[str] = "swinging on a string"
 
     @classmethod
@@ -93,7 +92,6 @@ class PlanarPendulum(SuspendedMotion):
 class ConicalPendulum(SuspendedMotion):
     """Steady precession at 12 to 32 degrees, started at exactly the speed that keeps the angle."""
 
-    name: ClassVar[str] = "conical"
     phrase: ClassVar[str] = "circling on a string"
 
     @classmethod
@@ -113,7 +111,6 @@ class ConicalPendulum(SuspendedMotion):
 class DampedPendulum(SuspendedMotion):
     """Released at rest at 20 to 45 degrees; drag over mass 0.15 to 0.5 per second."""
 
-    name: ClassVar[str] = "damped"
     phrase: ClassVar[str] = "swinging on a string and slowly coming to rest"
 
     @classmethod

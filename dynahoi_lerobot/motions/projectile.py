@@ -64,7 +64,6 @@ class ThrowMotion(PhysicalMotion):
 class Lob(ThrowMotion):
     """From 0.8 to 1.5 m in front, 0.5 to 0.85 s before the meeting, released 0.2 to 0.6 m below it."""
 
-    name: ClassVar[str] = "lob"
     phrase: ClassVar[str] = "being lobbed towards the hand"
 
     @classmethod
@@ -79,7 +78,6 @@ class Lob(ThrowMotion):
 class CrossThrow(ThrowMotion):
     """From 0.4 to 0.8 m away, 40 to 66 degrees in front of the side, 0.45 to 0.75 s before the meeting."""
 
-    name: ClassVar[str] = "cross_throw"
     phrase: ClassVar[str] = "being thrown across the view"
 
     @classmethod
@@ -105,7 +103,6 @@ class Bounce(PhysicalMotion):
     velocity: Vector
     release_s: float
     restitution: float
-    name: ClassVar[str] = "bounce"
     category: ClassVar[str] = "projectile"
     phrase: ClassVar[str] = "bouncing off the floor"
     max_frames: ClassVar[int] = 59

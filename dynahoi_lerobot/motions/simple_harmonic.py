@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.numerics import cos, sin
+from dynahoi_lerobot.core.numerics import sin
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PrescribedMotion
 from dynahoi_lerobot.motions.launch import Vector
 
@@ -47,25 +47,9 @@ class HarmonicMotion(PrescribedMotion):
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
-        return np.asarray(self.center) + self._along(sin(self._phase(time_s)))
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        return self._along(self._rate * cos(self._phase(time_s)))
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]."""
-        return self._along(-(self._rate**2) * sin(self._phase(time_s)))
-
-    @property
-    def _rate(self) -> float:
-        return 2 * np.pi * self.frequency_hz
-
-    def _phase(self, time_s: np.ndarray) -> np.ndarray:
-        return self._rate * time_s + self.phase_rad
-
-    def _along(self, amount: np.ndarray) -> np.ndarray:
-        return self.amplitude_m * amount[:, None] * np.asarray(self.axis)
+        rate_rad_s = 2 * np.pi * self.frequency_hz
+        swing = sin(rate_rad_s * time_s + self.phase_rad)[:, None]
+        return np.asarray(self.center) + self.amplitude_m * swing * np.asarray(self.axis)
 
 
 @MOTIONS.register("lateral")
@@ -73,7 +57,6 @@ class HarmonicMotion(PrescribedMotion):
 class Lateral(HarmonicMotion):
     """Harmonic along y, across the view."""
 
-    name: ClassVar[str] = "lateral"
     phrase: ClassVar[str] = "oscillating from side to side"
     axis: ClassVar[Vector] = (0.0, 1.0, 0.0)
 
@@ -83,7 +66,6 @@ class Lateral(HarmonicMotion):
 class Depth(HarmonicMotion):
     """Harmonic along x, the direction that the palm faces."""
 
-    name: ClassVar[str] = "depth"
     phrase: ClassVar[str] = "oscillating towards and away from the hand"
     axis: ClassVar[Vector] = (1.0, 0.0, 0.0)
 
@@ -93,6 +75,5 @@ class Depth(HarmonicMotion):
 class Vertical(HarmonicMotion):
     """Harmonic along z."""
 
-    name: ClassVar[str] = "vertical"
     phrase: ClassVar[str] = "oscillating up and down"
     axis: ClassVar[Vector] = (0.0, 0.0, 1.0)

@@ -36,31 +36,16 @@ class StraightMotion(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         tau = time_s - self.meeting_s
-        return np.asarray(self.meeting) + self._along(self.speed_m_s * tau + self.acceleration_m_s2 * tau**2 / 2)
-
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s]."""
-        return self._along(self.speed_m_s + self.acceleration_m_s2 * (time_s - self.meeting_s))
-
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2]."""
-        return self._along(np.full_like(time_s, self.acceleration_m_s2))
+        travelled = self.speed_m_s * tau + self.acceleration_m_s2 * tau**2 / 2
+        return np.asarray(self.meeting) + travelled[:, None] * np.asarray(self.direction)
 
     @classmethod
-    def between(
-        cls,
-        meeting: Vector,
-        direction: Vector,
-        meeting_s: float,
-        speeds: tuple[float, float],
-        over_s: float,
-    ) -> Self:
-        """Return the line whose speed [m/s] changes evenly from ``speeds[0]`` at 0 s to ``speeds[1]`` at ``over_s``."""
-        acceleration = (speeds[1] - speeds[0]) / over_s
-        return cls(meeting, direction, meeting_s, speeds[0] + acceleration * meeting_s, acceleration)
-
-    def _along(self, amount: np.ndarray) -> np.ndarray:
-        return amount[:, None] * np.asarray(self.direction)
+    def between(cls, draw: Draw, speeds: tuple[float, float]) -> Self:
+        """Return a line off the floor; its speed [m/s] changes evenly from the first to the second, at the horizon."""
+        direction = draw.level_heading(RISE_M, sum(speeds) / 2 * draw.horizon_s)
+        acceleration = (speeds[1] - speeds[0]) / draw.horizon_s
+        speed = speeds[0] + acceleration * draw.intercept_s
+        return cls(draw.meeting_point(), direction, draw.intercept_s, speed, acceleration)
 
 
 @MOTIONS.register("constant")
@@ -68,7 +53,6 @@ class StraightMotion(PrescribedMotion):
 class Constant(StraightMotion):
     """Constant speed of 0.2 to 0.9 m/s."""
 
-    name: ClassVar[str] = "constant"
     phrase: ClassVar[str] = "moving in a straight line at constant speed"
 
     @classmethod
@@ -84,15 +68,12 @@ class Constant(StraightMotion):
 class Accelerating(StraightMotion):
     """Speed rises linearly from 0.03 to 0.15 m/s at the start to 0.6 to 1.4 m/s at the horizon."""
 
-    name: ClassVar[str] = "accelerating"
     phrase: ClassVar[str] = "moving in a straight line and speeding up"
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw the two speeds and a direction that stays off the floor."""
-        speeds = (draw.sample_speed(0.03, 0.15), draw.sample_speed(0.6, 1.4))
-        direction = draw.level_heading(RISE_M, sum(speeds) / 2 * draw.horizon_s)
-        return cls.between(draw.meeting_point(), direction, draw.intercept_s, speeds, draw.horizon_s)
+        """Draw the two speeds."""
+        return cls.between(draw, (draw.sample_speed(0.03, 0.15), draw.sample_speed(0.6, 1.4)))
 
 
 @MOTIONS.register("decelerating")
@@ -100,12 +81,9 @@ class Accelerating(StraightMotion):
 class Decelerating(StraightMotion):
     """Speed falls linearly from 0.6 to 1.4 m/s at the start to 0.03 to 0.12 m/s at the horizon."""
 
-    name: ClassVar[str] = "decelerating"
     phrase: ClassVar[str] = "moving in a straight line and slowing down"
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw the two speeds and a direction that stays off the floor."""
-        speeds = (draw.sample_speed(0.6, 1.4), draw.sample_speed(0.03, 0.12))
-        direction = draw.level_heading(RISE_M, sum(speeds) / 2 * draw.horizon_s)
-        return cls.between(draw.meeting_point(), direction, draw.intercept_s, speeds, draw.horizon_s)
+        """Draw the two speeds."""
+        return cls.between(draw, (draw.sample_speed(0.6, 1.4), draw.sample_speed(0.03, 0.12)))

@@ -64,7 +64,6 @@ class ObjectType:
     """
 
     def __init__(self, name: str, sample_geometry: SampleGeometry, *, rolls: bool, slides: bool) -> None:
-        """Wrap the function that draws the solids, and keep its name, module and docstring."""
         functools.update_wrapper(self, sample_geometry)  # type: ignore[arg-type]
         self.name, self.rolls, self.slides = name, rolls, slides
         self._sample_geometry = sample_geometry

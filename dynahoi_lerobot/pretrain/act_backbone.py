@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torchvision.models import get_model
 from torchvision.models._utils import IntermediateLayerGetter
 
-from dynahoi_lerobot.core.yaml_file import read_yaml
+from dynahoi_lerobot.core.files import read_yaml
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream
 

@@ -9,7 +9,7 @@ from typing import Any
 import draccus
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
-from dynahoi_lerobot.core.yaml_file import read_yaml
+from dynahoi_lerobot.core.files import read_yaml
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 

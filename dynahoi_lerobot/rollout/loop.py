@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,24 +27,6 @@ recorded plays consecutive seeds of a shard together, whoever records them."""
 
 MakeAgent = Callable[[int], Agent]
 """Returns the policy, whose random numbers follow from the seed given."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ended:
-    """Which worlds ended their episode in one step.
-
-    Attributes:
-        terminated: (n,) sorted worlds in which the capture rule has settled the outcome.
-        truncated: (n,) sorted worlds that reached their longest length before.
-    """
-
-    terminated: np.ndarray
-    truncated: np.ndarray
-
-    @property
-    def worlds(self) -> np.ndarray:
-        """(n,) all of them, sorted."""
-        return np.union1d(self.terminated, self.truncated).astype(int)
 
 
 class Session:
@@ -77,13 +59,17 @@ class Session:
         self.observation = self.batch.observe(images=images, ids=shown)
         return self.observation
 
-    def step(self, commands: np.ndarray, labels: np.ndarray | None = None) -> Ended:
-        """Record what was observed, move the worlds that play by one frame, and tell which have ended.
+    def step(self, commands: np.ndarray, labels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Record what was observed, and move the worlds that play by one frame.
 
         Args:
             commands: (N, 18), or (N, 4) in control mode ``grasp``, of all worlds; those of worlds that do not play are
                 ignored.
             labels: (N, 18) what a teacher wants from this frame; None without a teacher.
+
+        Returns:
+            (N,) bool each: worlds in which the capture rule has settled the outcome, and others that have reached
+            their longest length.
 
         Raises:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
@@ -100,9 +86,10 @@ class Session:
         wanted = None if labels is None else self._actions(labels, self.observation)
         for i, recorder in self._recorders.items():
             recorder.add_action(self.batch.commanded[i], None if wanted is None else wanted[i])
-        terminated = [i for i in ids if self._recorders[i].settled(self.batch.rule)]
-        truncated = [i for i in ids if self._recorders[i].full and i not in terminated]
-        return Ended(np.array(terminated, int), np.array(truncated, int))
+        terminated, full = np.zeros((2, self.batch.size), bool)
+        for i, recorder in self._recorders.items():
+            terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
+        return terminated, full & ~terminated
 
     def _actions(self, labels: np.ndarray, observation: Observation) -> np.ndarray:
         """(N, 18) or (N, 4) the labels as actions of the recipe's control mode."""
@@ -147,8 +134,8 @@ def play(
             return
         observation = session.observe(images=images or actor.sees_images)
         commands = actor.commands(observation, batch.world_state)
-        ended = session.step(commands, actor.labels)
-        for i in ended.worlds:
+        terminated, truncated = session.step(commands, actor.labels)
+        for i in np.flatnonzero(terminated | truncated):
             job = session.job(int(i))
             yield job, session.finish(int(i), actor.name, actor.first_meeting(job.spec, batch.control, job.attempt))
 

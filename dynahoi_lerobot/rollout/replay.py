@@ -41,7 +41,6 @@ class Player(Agent):
     name = "player"
 
     def __init__(self, logs: Sequence[ActionLog]) -> None:
-        """Take one log for each world."""
         self._logs = logs
         self._frame = 0
 

@@ -125,7 +125,6 @@ class Taught(Agent):
     """A policy that moves the hand while a teacher labels the states it gets into (DAgger; Ross et al., 2011)."""
 
     def __init__(self, agent: Agent, teacher: Teacher, name: str) -> None:
-        """Let ``agent`` act under a name."""
         self.name, self.sees_images, self._agent, self._teacher = name, agent.sees_images, agent, teacher
 
     def reset(self, count: int) -> None:

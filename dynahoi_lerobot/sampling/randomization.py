@@ -92,14 +92,3 @@ RANDOMIZATIONS: dict[str, Callable[[EpisodeSpec, np.random.Generator], Appearanc
     "distractors": _distractors,
 }
 """By the name that a recipe lists. The order decides the random numbers: append, do not insert."""
-
-
-def check_appearance(names: Sequence[str]) -> None:
-    """Refuse names that are not in ``RANDOMIZATIONS``.
-
-    Raises:
-        ValueError: naming the one received and those there are.
-    """
-    for name in names:
-        if name not in RANDOMIZATIONS:
-            raise ValueError(f"unknown appearance {name!r}; known: {', '.join(RANDOMIZATIONS)}")

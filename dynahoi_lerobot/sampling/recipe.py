@@ -17,8 +17,9 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import Feature, frame_features
+from dynahoi_lerobot.core.files import read_yaml
+from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, DEFAULT_PROTOCOL, PROTOCOLS
-from dynahoi_lerobot.core.yaml_file import read_yaml
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import Teacher
 from dynahoi_lerobot.motions import MOTIONS
@@ -27,10 +28,10 @@ from dynahoi_lerobot.renderers import DEFAULT_RENDERER
 from dynahoi_lerobot.renderers.views import check_views
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
-from dynahoi_lerobot.sampling.randomization import check_appearance
+from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.splits import check_salt, sealed, stream_label
 
-INSTRUCTION_STYLES = ("reveal", "neutral", "mixed")
+INSTRUCTION_STYLES: tuple[str, ...] = ("reveal", "neutral", "mixed")
 """``reveal`` names object and motion, ``neutral`` the object only, ``mixed`` is either with equal probability."""
 MAX_RENDER_NOISE = 64
 IMAGE_SIZES_PX = (16, 1024)
@@ -102,14 +103,14 @@ class Recipe:
             ValueError: naming the value received and the ones allowed.
         """
         for value, allowed, noun in (
-            (self.split, tuple(BENCHMARK.splits), "split"),
-            (self.protocol, tuple(PROTOCOLS), "protocol"),
-            (self.control_class, tuple(CONTROL_CLASSES), "control class"),
-            (self.control_mode, tuple(CONTROL_MODES), "control mode"),
-            (self.instructions, INSTRUCTION_STYLES, "instructions"),
+            (self.split, BENCHMARK.splits, "split"),
+            (self.protocol, PROTOCOLS, "protocol"),
+            (self.control_class, CONTROL_CLASSES, "control class"),
+            (self.control_mode, CONTROL_MODES, "control mode"),
+            (self.instructions, dict.fromkeys(INSTRUCTION_STYLES), "instructions"),
+            *((name, RANDOMIZATIONS, "appearance") for name in self.appearance),
         ):
-            if value not in allowed:
-                raise ValueError(f"unknown {noun} {value!r}; known: {', '.join(allowed)}")
+            known(noun, value, allowed)
         rule = CAPTURES[self.capture]
         object.__setattr__(self, "hand", self.hand or rule.hand)
         object.__setattr__(self, "expert", self.expert or rule.expert)
@@ -123,7 +124,6 @@ class Recipe:
         if len(self.path_speeds) > 1 and PROTOCOLS[self.protocol].has_screen:
             raise ValueError(f"split {self.split!r} has no protocol {self.protocol!r}: screens depend on the speed")
         check_salt(self.salt)
-        check_appearance(self.appearance)
         check_views(self.views)
         low, high = IMAGE_SIZES_PX
         if self.image_size and not low <= self.image_size <= high:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from dynahoi_lerobot.core.compatibility import refuse_to_mix
 from dynahoi_lerobot.core.conventions import SEED_LIMIT
+from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
 if TYPE_CHECKING:
@@ -49,10 +50,7 @@ def split_seeds(split: str) -> range:
     Raises:
         ValueError: for an unknown split, or for ``train``, which has no end.
     """
-    known = [name for name, entry in BENCHMARK.splits.items() if entry.size is not None]
-    if split not in known:
-        raise ValueError(f"unknown evaluation split {split!r}; known: {', '.join(known)}")
-    return range(BENCHMARK.splits[split].size or 0)
+    return range(known("evaluation split", split, {n: s.size for n, s in BENCHMARK.splits.items() if s.size}))
 
 
 def kind_seed(recipe: Recipe, kind: str | None, number: int) -> int:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 
@@ -11,30 +9,6 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, PALM_DOF, SUB
 
 ROUNDING = 1e-5
 """Relative excess that counts as rounding: replaying a stored, clipped command must not clip it again."""
-
-
-@dataclass(frozen=True)
-class SpeedLimits:
-    """Speed limits of the hand within one frame.
-
-    Attributes:
-        palm_speed_m_s: of the palm [m/s].
-        joint_speed_rad_s: of each joint [rad/s].
-        by_axis: the palm's limit holds for each axis of the gantry by itself instead of the norm of its velocity.
-    """
-
-    palm_speed_m_s: float
-    joint_speed_rad_s: float
-    by_axis: bool = False
-
-    def cut(self, step: np.ndarray) -> np.ndarray:
-        """Return (n, 18) the steps [m, rad] of one frame, cut to the limits; the palm's keeps its direction."""
-        palm, joints = step[:, :PALM_DOF], step[:, PALM_DOF:]
-        farthest_m, farthest_rad = self.palm_speed_m_s * CONTROL_DT, self.joint_speed_rad_s * CONTROL_DT
-        length = np.abs(palm) if self.by_axis else np.linalg.norm(palm, axis=1, keepdims=True)
-        return np.concatenate(
-            [_shortened(palm, length, farthest_m), _shortened(joints, np.abs(joints), farthest_rad)], axis=1
-        )
 
 
 def _shortened(step: np.ndarray, length: np.ndarray, farthest: float) -> np.ndarray:
@@ -52,15 +26,27 @@ class Servo:
     makes the joint arrive at the command exactly at the end of the frame.
     """
 
-    def __init__(self, model: mujoco.MjModel, limits: SpeedLimits) -> None:
-        """Read gains and joint ranges of the 18 actuated joints from ``model``, and keep to ``limits``."""
+    def __init__(
+        self, model: mujoco.MjModel, palm_speed_m_s: float, joint_speed_rad_s: float, *, by_axis: bool = False
+    ) -> None:
+        """Read gains and joint ranges of the 18 actuated joints from ``model``.
+
+        Args:
+            model: with the hand.
+            palm_speed_m_s: greatest speed of the palm [m/s].
+            joint_speed_rad_s: greatest speed of each joint [rad/s].
+            by_axis: the palm's limit holds for each axis of the gantry by itself instead of the norm of its velocity.
+        """
         joints = model.actuator_trnid[:HAND_DOF, 0]
         self.low, self.high = model.jnt_range[joints].T.copy()
         self._lead_s = -model.actuator_biasprm[:HAND_DOF, 2] / model.actuator_gainprm[:HAND_DOF, 0]
-        self._limits = limits
+        self._farthest_m, self._farthest_rad = palm_speed_m_s * CONTROL_DT, joint_speed_rad_s * CONTROL_DT
+        self._by_axis = by_axis
 
     def within_reach(self, command: np.ndarray, previous: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """Return (n, 18) commands towards ``command`` that a hand at ``previous`` can reach within one frame.
+
+        A palm that cannot get there keeps its direction, unless its limit holds ``by_axis``.
 
         Args:
             command: (n, 18) palm positions [m] and joint angles [rad].
@@ -68,7 +54,11 @@ class Servo:
             origin: (n, 18) from what both are counted: the homes' positions [m], world, and zero for joints.
         """
         step = command - previous
-        cut = self._limits.cut(step)
+        palm, joints = step[:, :PALM_DOF], step[:, PALM_DOF:]
+        length = np.abs(palm) if self._by_axis else np.linalg.norm(palm, axis=1, keepdims=True)
+        palm = _shortened(palm, length, self._farthest_m)
+        joints = _shortened(joints, np.abs(joints), self._farthest_rad)
+        cut = np.concatenate([palm, joints], axis=1)
         towards = np.where(cut == step, command, previous + cut)
         return np.clip(towards, self.low - origin, self.high - origin)
 

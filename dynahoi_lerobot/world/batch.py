@@ -19,9 +19,8 @@ from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers.views import MOTION_VIEW
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
-from dynahoi_lerobot.scene.servo import Servo, SpeedLimits, check_command
+from dynahoi_lerobot.scene.servo import Servo, check_command
 from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
-from dynahoi_lerobot.world.commands import CommandLatency
 from dynahoi_lerobot.world.physics import Physics, Targets
 from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, with_render_noise
 
@@ -79,9 +78,8 @@ class WorldBatch:
         self.control = control_class_of(recipe.control_class)
         self.palm_speed_m_s = self.rule.palm_speed_m_s(self.control)
         by_axis = self.rule.gantry_speed_m_s is not None
-        limits = SpeedLimits(self.palm_speed_m_s, self.control.joint_speed_rad_s, by_axis)
-        self.servo = Servo(self.scene.model, limits)
-        self._latency = CommandLatency(size, self.control.latency_frames)
+        self.servo = Servo(self.scene.model, self.palm_speed_m_s, self.control.joint_speed_rad_s, by_axis=by_axis)
+        self._pending = np.zeros((self.control.latency_frames, size, HAND_DOF))  # commands on their way, oldest first
         self._targets = Targets(self.scene, self._fields, size)
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
@@ -144,7 +142,7 @@ class WorldBatch:
             return
         previous, acting, origin = self.executed[chosen], self.acting[chosen], self._origin[chosen]
         commanded = self._accepted(wanted, chosen)
-        due = self._latency.exchange(chosen, commanded)
+        due = self._exchange(chosen, commanded)
         executed = self.servo.within_reach(due, previous, origin)
         force_w = np.stack([self._targets.force(int(i), int(self.frame[i])) for i in chosen])  # (n, 25, 3)
         control = self._physics.control(self.servo.set_points(executed, previous) + origin[:, None], force_w)
@@ -152,13 +150,6 @@ class WorldBatch:
         self.commanded[chosen], self.executed[chosen] = commanded, executed
         self.frame[chosen] += 1
         self._update_kinematics(chosen)
-
-    def accepted(self, commands: np.ndarray) -> np.ndarray:
-        """Return (N, 18) what commands to all worlds would become now, [m], home frame, and [rad].
-
-        They are cut to what hands can meet when they take effect; void ones become holding still.
-        """
-        return self._accepted(self.check(commands), np.arange(self.size))
 
     def as_commands(self, actions: np.ndarray, observation: Observation) -> np.ndarray:
         """Return (N, 18) the commands of actions given on an observation; experts' commands stay what they are.
@@ -314,11 +305,20 @@ class WorldBatch:
         )
 
     def _accepted(self, wanted: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """(n, 18) see ``accepted``, of some worlds."""
+        """(n, 18) commands cut to what hands can meet when they take effect; void ones become holding still."""
         # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
         reached = self.servo.within_reach(wanted, self._state_when_due()[chosen], self._origin[chosen])
         commanded = reached.astype(np.float32).astype(np.float64)
         return np.where(self.accepting[chosen, None], commanded, self.executed[chosen])
+
+    def _exchange(self, chosen: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+        """Take the commands (n, 18) given to worlds ``chosen`` (n,) and return (n, 18) those that are due."""
+        if not len(self._pending):
+            return commanded
+        due = self._pending[0, chosen].copy()
+        self._pending[:-1, chosen] = self._pending[1:, chosen]
+        self._pending[-1, chosen] = commanded
+        return due
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
         """Fill row ``i`` with an episode that is about to begin."""
@@ -331,7 +331,7 @@ class WorldBatch:
         # rounded as commands are, or the hand would creep and, by rounding, disturb what slides or rests
         rest = np.concatenate([np.zeros(PALM_DOF), self.scene.hand.open_joints()]).astype(np.float32)
         self.commanded[i] = self.executed[i] = rest
-        self._latency.reset(i, rest)
+        self._pending[:, i] = rest
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
         self._targets.reset(i, drive)
@@ -377,6 +377,6 @@ class WorldBatch:
     def _state_when_due(self) -> np.ndarray:
         """(N, 18) where hands will be when a command given now takes effect."""
         state = self.executed.copy()
-        for command in self._latency.pending():
+        for command in self._pending:
             state = self.servo.within_reach(command, state, self._origin)
         return state

@@ -24,7 +24,6 @@ class Targets:
     """
 
     def __init__(self, scene: Scene, fields: WorldFields, size: int) -> None:
-        """Serve ``size`` worlds."""
         self._scene, self._fields = scene, fields
         self.released = np.zeros(size, bool)
         self._force_w: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * size
@@ -88,7 +87,6 @@ class Physics:
     """
 
     def __init__(self, scene: Scene, batch: Batch, targets: Targets, rule: CaptureRule) -> None:
-        """Advance ``batch``, which runs ``scene.model``, under ``rule``."""
         self._scene, self._batch, self._targets, self._rule = scene, batch, targets, rule
         self.n_controls = scene.model.nu
         self.palm_distance = np.full(batch.nsim, np.inf)

@@ -127,7 +127,6 @@ class Fingertips:
     """Reads the five fingertips of N worlds from a batch whose kinematics are up to date."""
 
     def __init__(self, scene: Scene, batch: Batch, fields: WorldFields) -> None:
-        """Bind the poses of geoms and sites of ``batch``."""
         self._scene, self._fields = scene, fields
         self._geom_pos, self._geom_mat = batch.bind("geom_xpos"), batch.bind("geom_xmat")
         self._site_pos, self._site_mat = batch.bind("site_xpos"), batch.bind("site_xmat")

@@ -27,12 +27,10 @@ def remove(name: str) -> Callable[[Path], None]:
 
 DAMAGES = {
     "truncated info": (overwrite("meta/info.json", b'{"features": '), "meta/info.json cannot be read"),
-    "info that is a list": (overwrite("meta/info.json", b"[]"), "meta/info.json cannot be read"),
     "info without features": (
         overwrite("meta/info.json", b"{}"),
         "meta/info.json cannot be read (KeyError: 'features')",
     ),
-    "info that is no text": (overwrite("meta/info.json", GARBAGE), "meta/info.json cannot be read"),
     "manifest": (overwrite("meta/manifest.json", GARBAGE), "meta/manifest.json cannot be read"),
     "episode table": (overwrite("meta/episodes/*/*", GARBAGE), "file-000.parquet cannot be read"),
     "no episode table": (remove("meta/episodes"), "there is no file in meta/episodes"),
@@ -54,22 +52,6 @@ def test_filter_names_the_damaged_file(
     assert str(broken) in said
     assert "\n" not in said
     assert [path.name for path in tmp_path.iterdir()] == ["broken"]
-
-
-@pytest.mark.parametrize(
-    ("damage", "finding"),
-    [
-        ("episode table", "file-000.parquet cannot be read"),
-        ("no episode table", "there is no file in meta/episodes"),
-    ],
-)
-def test_verify_names_the_damaged_file(
-    damage: str, finding: str, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    broken, (apply, _) = shutil.copytree(dataset, tmp_path / "broken"), DAMAGES[damage]
-    apply(broken)
-    assert cli.main(["verify", str(broken)]) == 1, "an unreadable table is a finding"
-    assert finding in capsys.readouterr().out
 
 
 GENERATE = ["generate", "--root", "made", "--episodes", "1", "--motions", "constant"]

@@ -13,7 +13,6 @@ from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.listing import LISTS
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -28,11 +27,6 @@ def test_list_prints_every_entry_with_a_description(what: str, capsys: pytest.Ca
     table = capsys.readouterr().out.splitlines()
     assert len(table) == len(rows) + 2
     assert len({len(line) for line in table}) == 1, "columns are aligned"
-
-
-def test_list_knows_all_motions(capsys: pytest.CaptureFixture[str]) -> None:
-    cli.main(["list", "motions", "--json"])
-    assert sorted(row["name"] for row in json.loads(capsys.readouterr().out)) == MOTIONS.names()
 
 
 @pytest.mark.parametrize(

@@ -127,14 +127,6 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkey
     assert not partial.exists()
 
 
-def test_a_partial_folder_of_somebody_else_stays(tmp_path: Path) -> None:
-    (tmp_path / "results" / "obact.partial").mkdir(parents=True)
-    (tmp_path / "results" / "obact.partial" / "thesis.tex").write_text("mine")
-    with pytest.raises(FileExistsError, match=r"thesis\.tex"):
-        quickstart._evaluate(tmp_path, quickstart.TINY)
-    assert (tmp_path / "results" / "obact.partial" / "thesis.tex").exists()
-
-
 def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
     for name in ("_generate", "_train", "_evaluate", "_baselines"):
@@ -158,19 +150,3 @@ def test_the_core_install_is_told_what_the_quickstart_needs(
     assert main(["quickstart", "--out", str(out)]) == 2
     assert "training needs torch: pip install" in capsys.readouterr().err
     assert not out.exists()
-
-
-def test_open_opens_the_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: list[str] = []
-
-    def play(out: Path, *_: object) -> None:
-        for name in ("obact", *quickstart.BASELINES):
-            example_run(out / "results" / name, name, skill=0.5)
-
-    monkeypatch.setattr(quickstart.webbrowser, "open", opened.append)
-    monkeypatch.setattr(quickstart, "_run_stages", play)
-    monkeypatch.setattr(quickstart, "render_report", lambda _, page: page)
-    assert main(["quickstart", "--out", str(tmp_path)]) == 0
-    assert not opened
-    assert main(["quickstart", "--out", str(tmp_path), "--open"]) == 0
-    assert opened == [(tmp_path / "report.html").as_uri()]

@@ -12,7 +12,6 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot_env_dynahoi import DynahoiEnvConfig
 
-import dynahoi_lerobot.env  # noqa: F401 - registers the ids
 from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, from_grasp, to_grasp
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
@@ -119,8 +118,3 @@ def test_a_checkpoint_tells_by_the_size_of_its_actions(tmp_path: Path):
         output = {"action": PolicyFeature(FeatureType.ACTION, (size,))}
         ACTConfig(input_features=state, output_features=output, device="cpu").save_pretrained(tmp_path / str(size))
         assert trained_for(tmp_path / str(size)) == told
-
-
-def test_an_unknown_mode_is_refused():
-    with pytest.raises(ValueError, match="unknown control mode 'wrist'; known: joints, grasp"):
-        Recipe(control_mode="wrist")

@@ -70,14 +70,6 @@ def test_rotation_vectors_have_the_angle_and_turn_back_into_the_matrix(angle_rad
         np.testing.assert_allclose(back.reshape(3, 3), matrix, atol=1e-7)
 
 
-def test_many_at_once_are_each_alone():
-    matrices = np.stack([rotations(angle)[1][:7] for angle in ANGLES_RAD])  # (9, 7, 3, 3)
-    vectors = matrix_to_rotvec(matrices)
-    assert vectors.shape == (len(ANGLES_RAD), 7, 3)
-    alone = [[matrix_to_rotvec(matrix) for matrix in row] for row in matrices]
-    np.testing.assert_array_equal(vectors, np.array(alone))
-
-
 HERE = [name for name in __cpu_dispatch__ if __cpu_features__[name]]
 PROCESSORS = {
     "no AVX-512": {"NPY_DISABLE_CPU_FEATURES": " ".join(name for name in HERE if name.startswith("AVX512"))},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import yaml
 from dynahoi_lerobot.core.conventions import HAND_NAMES
 from dynahoi_lerobot.core.features import episode_features
 from dynahoi_lerobot.dataset.card import histogram_svg
-from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
+from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 
 
@@ -40,15 +39,6 @@ def test_it_counts_and_describes_what_is_there(dataset: Path, card: str):
     assert "{{" not in card.replace("{{DynaHOI}", "")
     for key in [*Store(dataset).features, *(feature.key for feature in episode_features())]:
         assert f"| `{key}` |" in card
-
-
-def test_people_may_edit_their_card_but_not_its_drawings(dataset: Path, tmp_path: Path):
-    copy = shutil.copytree(dataset, tmp_path / "copy")
-    (copy / "README.md").write_text("mine")
-    assert list(file_problems(copy, Manifest.read(copy))) == []
-    (copy / "assets/action.svg").write_text("<svg/>")
-    (problem,) = file_problems(copy, Manifest.read(copy))
-    assert "assets/action.svg" in problem
 
 
 def test_every_dimension_has_a_panel_and_its_tallest_bar_fills_it(dataset: Path):

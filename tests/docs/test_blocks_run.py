@@ -20,7 +20,6 @@ import yaml
 from tests.docs.documents import ROOT, Block, Page, pages
 
 if TYPE_CHECKING:
-    from dynahoi_lerobot.core.episode import Episode
     from dynahoi_lerobot.evaluate.results import Results
     from tests.docs.playing import Player
 
@@ -85,7 +84,7 @@ def check_data(folder: Path) -> None:
     """What generate.md, dataset.md and lerobot.md leave."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    from dynahoi_lerobot.dataset import frame_column, read_episodes
+    from dynahoi_lerobot.dataset import read_episodes
     from tests.docs.playing import run
 
     ours = sorted({path.parents[1] for path in folder.glob("data/*/meta/manifest.json")} - {folder / "data/slow"})
@@ -101,29 +100,11 @@ def check_data(folder: Path) -> None:
     assert digests["tasks"] == digests["plain"], "datatrove writes the same bytes"
     assert digests["dynahoi"] == digests["one_worker"] == digests["resumed"]
 
-    features = {root.name: json.loads((root / "meta/info.json").read_text())["features"] for root in ours}
-    assert sum(key.startswith("observation.images.") for key in features["views"]) == 4
-    assert "observation.touch" in features["contact"]
-    assert len(frame_column(folder / "data/onpolicy", "executed_action"))
-    assert "language_persistent" in features["told"]
-    assert len(list((folder / "data/one_file/videos").rglob("*.mp4"))) == 1
-
     for root in ours:
-        for episode in read_episodes(root):
-            assert episode.success or root.name == "onpolicy", root
-            assert palm_speed(episode) < 0.51 or root.name in ("unlimited", "contact"), root
+        assert root.name == "onpolicy" or all(episode.success for episode in read_episodes(root)), root
     (throw, _) = read_episodes(folder / "data/fast_throws")
     assert throw.meta.motion in ("lob", "cross_throw")
     assert throw.meta.protocol == "occluded"
-
-
-def palm_speed(episode: Episode) -> float:
-    """Return the palm's greatest speed between frames [m/s]."""
-    import numpy as np
-
-    from dynahoi_lerobot.core.conventions import CONTROL_HZ
-
-    return float(np.linalg.norm(np.diff(episode.state[:, :3], axis=0), axis=1).max() * CONTROL_HZ)
 
 
 def digest(root: Path) -> str:
@@ -164,8 +145,6 @@ def check_results(folder: Path) -> None:
     assert len(results.pop("lerobot").rows) == 1
     for label, found in results.items():
         assert len(found.rows) == 2, label
-        for row in found.rows:
-            assert 0 <= row["S_loc"] <= 1 and row["E_loc"] >= 0 and row["Q_line"] <= 1, label  # noqa: PT018
     assert {label for label, found in results.items() if found.privileged} >= {"act_state", "pursuit", "occluded"}
     assert not results["act"].privileged
     assert score(results["occluded"], "S_loc") == 1.0, "the expert knows where the target will be"

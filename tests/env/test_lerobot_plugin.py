@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import draccus
 import numpy as np
 import pytest
 import torch
 from lerobot.configs import PreTrainedConfig
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import (
@@ -33,7 +31,7 @@ from lerobot.scripts.lerobot_eval import eval_policy_all
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_env_dynahoi.command_line import new_results_folder, policy_name, policy_weights
-from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig, kinds_of
+from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Results, read_results
@@ -134,13 +132,6 @@ def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig])
     }
 
 
-def test_touch_is_a_feature_where_the_capture_rule_uses_contact_sensors(config_class: type[EnvConfig]) -> None:
-    config = config_class(**SMALL, capture="contact")
-    assert config.features["touch"].shape == (5,)
-    assert config.features_map["touch"] == "observation.touch"
-    assert "touch" not in config_class(**SMALL).features
-
-
 @pytest.mark.parametrize(
     ("option", "sentence"),
     [
@@ -165,28 +156,6 @@ def test_further_views_reach_the_policy(config_class: type[EnvConfig], tmp_path:
     observation, _ = env.reset(seed=[0])
     assert {key for key in preprocess_observation(observation) if "images" in key} == wanted
     assert env.observation_space.contains(observation)
-
-
-@dataclass
-class Command:
-    """A LeRobot command that takes an env."""
-
-    env: EnvConfig
-
-
-def test_config_comes_from_the_command_line(config_class: type[EnvConfig]) -> None:
-    words = ["--env.type=dynahoi", "--env.task=lob", "--env.split=val", "--env.image_size=64"]
-    config = draccus.parse(Command, args=words).env
-    assert isinstance(config, config_class)
-    assert (config.task, config.split, config.image_size, config.fps) == ("lob", "val", 64, 20)
-
-
-def test_tasks_are_kinds_or_categories() -> None:
-    known = list(BENCHMARK.splits["test"].motions)
-    assert kinds_of("pendulum", known) == ["conical", "damped", "planar"]
-    assert kinds_of("ramp, lob", known) == ["lob", "ramp"]
-    with pytest.raises(ValueError, match="unknown task 'loop'; known kinds and categories: accelerating"):
-        kinds_of("loop", known)
 
 
 def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
@@ -225,18 +194,6 @@ def test_an_evaluation_without_a_results_folder_leaves_its_metrics_with_lerobots
     evaluate_with_lerobot(config_class(task="constant", **SMALL), episodes=1)
     (folder,) = (tmp_path / "dynahoi").iterdir()
     assert len(read_results(folder).rows) == 2
-
-
-def test_lerobot_records_what_the_policy_saw(config_class: type[EnvConfig], tmp_path: Path) -> None:
-    config = config_class(task="constant", results_dir=str(tmp_path / "results"), **SMALL)
-    evaluate_with_lerobot(config, episodes=1, recording_dir=tmp_path / "recorded", env_features=config.features)
-    (root,) = (tmp_path / "recorded").glob("*/env_0")
-    recorded = LeRobotDataset("me/recorded", root=root, video_backend="pyav")
-    assert recorded.num_episodes == 1
-    sample = recorded[0]
-    assert sample["observation.images.ego"].shape == (3, 32, 32)
-    assert {"agent_pos", "phase", "action", "next.reward", "next.done"} <= set(sample)
-    assert 0.2 < sample["observation.images.ego"].mean() < 0.9, "an image, not black"
 
 
 def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(
@@ -343,10 +300,3 @@ def test_lerobot_loads_the_file_and_plays(tmp_path: Path, monkeypatch):
     observation, _ = env.reset(seed=[0, 1])
     assert observation["pixels"]["ego"].shape[0] == 2
     assert np.isfinite(env.step(observation["agent_pos"])[1]).all()
-
-
-@pytest.mark.slow
-def test_without_a_task_the_file_offers_every_motion() -> None:
-    module = _import_hub_module(str(FILE), "you/dynahoi")
-    everything = _normalize_hub_result(_call_make_env(module, n_envs=1, use_async_envs=False, cfg=None))
-    assert sum(map(len, everything.values())) == 22

@@ -18,7 +18,6 @@ from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
-from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
@@ -160,40 +159,6 @@ def test_bad_actions_are_refused_and_nothing_moves(action: np.ndarray) -> None:
     np.testing.assert_array_equal(env._batch._batch.state, before)
 
 
-def test_direct_act_has_no_window() -> None:
-    env = DynahoiEnv(kind="struck", protocol="direct_act", **BLIND)
-    observation, _ = env.reset(seed=0)
-    assert observation["phase"].tolist() == [0.0, 1.0]
-    assert env._vector._batch.specs[0].window_frames == 0
-
-
-def test_without_images_nothing_is_rendered() -> None:
-    env = DynahoiVectorEnv(1, **BLIND)
-    observation, _ = env.reset(seed=[0])
-    assert "pixels" not in observation
-    assert not env._batch.cameras._renderers
-
-
-def test_the_physical_track_shows_forces_and_succeeds_by_holding() -> None:
-    kept = []
-    contact = {"capture": "contact", "on_episode": kept.append}
-    env = DynahoiVectorEnv(1, kind="constant", image_size=0, **contact)
-    observation, _ = env.reset(seed=[0])
-    assert observation["touch"].shape == (1, 5)
-    expert, strongest = EXPERTS["match"](), 0.0
-    while not kept:
-        batch = env._batch
-        commands = expert.act(batch.world_state(batch.observe(images=False)))
-        observation, _, _, _, info = env.step(commands.astype(np.float32))
-        assert env.observation_space.contains(observation)
-        strongest = max(strongest, float(observation["touch"].max()))
-    assert strongest > 1.0
-    assert kept[0].stage == "held"
-    assert info["is_success"][0]
-    plain = DynahoiVectorEnv(1, kind="constant", image_size=0)
-    assert "touch" not in plain.reset(seed=[0])[0]
-
-
 def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Play one episode a world; return rewards, whether it acts and distances [m] (T, N) each, and successes (N,)."""
     observation, _ = env.reset(seed=0, options={"lerobot_new_rollout": True})
@@ -222,19 +187,6 @@ def test_the_sum_is_how_much_closer_the_palm_came_in_units_of_a_decimetre_and_th
         came_m = distances[first[world], world] - distances[-1, world]
         assert rewards[:, world].sum() == pytest.approx(came_m / 0.1 + success[world], abs=0.05)
     assert success.tolist() == [expert, expert]
-
-
-def test_a_sparse_reward_is_the_success_and_both_play_the_same_episode():
-    dense = played(DynahoiVectorEnv(2, reward="dense", **CONSTANT), expert=True)
-    sparse = played(DynahoiVectorEnv(2, **CONSTANT), expert=True)
-    assert sparse[0].sum(axis=0).tolist() == [1.0, 1.0]
-    np.testing.assert_array_equal(dense[2], sparse[2])
-
-
-def test_a_copy_has_the_same_reward_and_an_unknown_one_is_refused():
-    assert pickle.loads(pickle.dumps(DynahoiVectorEnv(1, reward="dense", **CONSTANT))).reward == "dense"
-    with pytest.raises(ValueError, match="unknown reward 'shaped'; known: sparse, dense"):
-        DynahoiVectorEnv(1, reward="shaped", **CONSTANT)
 
 
 OPTIONS: dict[str, Any] = {"kind": "lob", "image_size": 16, "views": ("side",), "capture": "contact", "threads": 1}
@@ -313,13 +265,6 @@ def test_the_first_call_is_reset(make: Callable) -> None:
 
 
 @ENVS
-@pytest.mark.parametrize("mode", ["human", "ansi"])
-def test_unknown_render_modes_are_refused(make: Callable, mode: str) -> None:
-    with pytest.raises(ValueError, match=f"unknown render mode '{mode}'; known: rgb_array, or None"):
-        make(render_mode=mode)
-
-
-@ENVS
 @pytest.mark.parametrize("seed", [-1, 1.5, "3", 2**40, True, np.float64(2.0)])
 def test_seeds_are_whole_numbers_below_two_to_the_forty(make: Callable, seed: Any) -> None:
     env = make(image_size=0)
@@ -338,21 +283,6 @@ def test_a_batch_takes_one_seed_for_each_world_of_any_kind_of_integer() -> None:
     assert env._numbers[1] == 2**40 - 1
     with pytest.raises(ValueError, match="one seed for each of 2 worlds, got 3"):
         env.reset(seed=[1, 2, 3])
-
-
-@ENVS
-@pytest.mark.parametrize("options", [[1], "text", 5])
-def test_the_options_of_a_reset_are_a_dictionary(make: Callable, options: Any) -> None:
-    with pytest.raises(ValueError, match="options of a reset must be a dictionary, or None, got"):
-        make(image_size=0).reset(options=options)
-
-
-@pytest.mark.parametrize("value", [-1, 1.5, "2", True, None])
-def test_numbers_of_worlds_and_threads_are_whole(value: Any) -> None:
-    with pytest.raises(ValueError, match=f"num_envs must be an integer of at least 1, got {value!r}"):
-        DynahoiVectorEnv(value, image_size=0)
-    with pytest.raises(ValueError, match=f"threads must be an integer of at least 0, got {value!r}"):
-        DynahoiVectorEnv(1, image_size=0, threads=value)
 
 
 def test_options_are_fields_of_a_recipe_and_unknown_ones_are_refused() -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
-import shutil
-import subprocess
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +24,7 @@ from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seeds
+from tests.docs.playing import check_installation
 
 
 class Server:
@@ -174,14 +173,6 @@ def test_every_episode_is_another_one(path: Path):
 
 
 DOCKERFILE = FOLDER / "Dockerfile"
-IMAGE_ROOT = "/workspace"
-VALIDATE = """
-import sys
-from pathlib import Path
-from vla_eval.cli.smoke import run_validate, smoke_test_from_path
-print(run_validate([smoke_test_from_path(Path(sys.argv[1]))]).message)
-"""
-"""What ``vla-eval test --validate`` does, for one config."""
 
 
 def instructions() -> list[tuple[str, str]]:
@@ -190,39 +181,13 @@ def instructions() -> list[tuple[str, str]]:
     return [(keyword, rest) for keyword, _, rest in (line.partition(" ") for line in lines)]
 
 
-def carry_out(keyword: str, rest: str, workspace: Path, environment: dict[str, str]) -> None:
-    """Do what COPY or RUN says in ``workspace``, installing with uv, which keeps downloads, as pip would."""
-    if keyword == "COPY":
-        *sources, target = rest.split()
-        for source in (path for pattern in sources for path in ROOT.glob(pattern.rstrip("/"))):
-            copy(source, workspace / target)
-    elif keyword == "RUN":
-        command = rest.replace("pip install --no-cache-dir", "uv pip install --quiet --no-sources")
-        subprocess.run(command, shell=True, cwd=workspace, env=environment, check=True)
-
-
-def copy(source: Path, target: Path) -> None:
-    """Copy as Docker does: what is in a folder, and a file into the folder that ``target`` is."""
-    target.mkdir(parents=True, exist_ok=True)
-    if source.is_dir():
-        shutil.copytree(source, target, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
-    else:
-        shutil.copy(source, target)
-
-
-@pytest.mark.slow
-def test_the_instructions_lead_to_a_harness_that_has_the_benchmark(tmp_path: Path):
-    workspace, environment = tmp_path / "workspace", tmp_path / "environment"
-    version = dict(instructions())["FROM"].removeprefix("python:").removesuffix("-slim")
-    subprocess.run(["uv", "venv", "--quiet", "--python", version, environment], check=True)
-    here = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "PYTEST"))}
-    here |= {"VIRTUAL_ENV": str(environment), "PATH": f"{environment / 'bin'}:{here['PATH']}", "MPLBACKEND": "Agg"}
+def test_the_image_copies_and_installs_what_is_here():
     for keyword, rest in instructions():
-        carry_out(keyword, rest, workspace, here)
+        if keyword == "COPY":
+            *sources, _ = rest.split()
+            assert all(list(ROOT.glob(source.rstrip("/"))) for source in sources), rest
+        elif keyword == "RUN":
+            check_installation(shlex.split(rest))
     said = {keyword: json.loads(rest) for keyword, rest in instructions() if keyword in ("ENTRYPOINT", "CMD")}
-    assert (environment / "bin" / said["ENTRYPOINT"][0]).is_file()
-    assert said["CMD"][0] == "run"
-    config = workspace / Path(said["CMD"][-1]).relative_to(IMAGE_ROOT)
-    command = [environment / "bin" / "python", "-c", VALIDATE, config]
-    said_of_config = subprocess.run(command, cwd=workspace, env=here, capture_output=True, text=True, check=True).stdout
-    assert said_of_config.strip() == "1/1 configs valid"
+    assert (said["ENTRYPOINT"][0], said["CMD"][0]) == ("vla-eval", "run")
+    assert (FOLDER / Path(said["CMD"][-1]).name).is_file()

@@ -50,16 +50,6 @@ def record_with_nan(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episod
             yield episode
 
 
-def record_one_twice(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
-    """Seed 2 gives the recording of seed 1 again."""
-    for episode in record(recipe, seeds):
-        if episode.meta.seed == 2:
-            twin = varied_episode(1, recipe.image_size)
-            yield replace(twin, meta=replace(twin.meta, seed=2))
-        else:
-            yield episode
-
-
 def record_and_die_once(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     """The first process that comes here dies in the middle of its shard."""
     marker = Path(recipe.name)
@@ -73,15 +63,3 @@ def record_and_die_once(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Ep
 def record_and_die(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     yield from record(recipe, seeds[:1])
     os._exit(9)
-
-
-STOP: list[Path] = []
-CALLS: list[Sequence[int]] = []
-
-
-def record_until_marked(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
-    """Notes what it is asked for; from seed 4 on it stops as long as a marker exists."""
-    CALLS.append(range(seeds[0], seeds[-1] + 1))
-    if seeds[0] >= 4 and any(marker.exists() for marker in STOP):
-        raise RuntimeError("stopped")
-    yield from record(recipe, seeds)

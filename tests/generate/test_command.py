@@ -63,13 +63,6 @@ def test_bad_input_is_one_sentence(tmp_path, capsys, words, sentence):
     assert not (tmp_path / "d").exists()
 
 
-def test_existing_folder_is_refused(tmp_path, capsys):
-    (tmp_path / "keep.txt").write_text("mine")
-    assert run("--root", tmp_path, "--episodes", 2) == 2
-    assert "exists" in capsys.readouterr().err
-    assert (tmp_path / "keep.txt").read_text() == "mine"
-
-
 def test_failure_and_interruption(tmp_path, capsys):
     def interrupted(recipe, seeds):
         yield from recorder.record(recipe, seeds[:1])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,7 +15,7 @@ import pytest
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate import executors
 from dynahoi_lerobot.generate.executors import ClusterResources
-from dynahoi_lerobot.generate.pipeline import generate, workspace_path
+from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from tests.generate import recorder
@@ -58,25 +57,6 @@ def test_local_processes_through_the_command(alone, tmp_path):
     assert run(*words, "--executor", "local", "--tasks", 2, "--workers", 2) == 0
     assert same(alone, tmp_path / "d")
     assert [path.name for path in tmp_path.iterdir()] == ["d"]
-
-
-def test_finished_shards_are_kept_and_lost_ones_are_made_again(plan, alone, tmp_path):
-    work = ("local", plan, tmp_path / "d", recorder.record_until_marked, ClusterResources(workers=1))
-    folder, stop = workspace_path(tmp_path / "d"), tmp_path / "stop"
-    stop.touch()
-    recorder.STOP.append(stop)
-    try:
-        with pytest.raises(RuntimeError, match="stopped"):
-            executors.run(*work)
-        assert sorted(path.name for path in folder.glob("shard-*")) == ["shard-000000", "shard-000001"]
-        stop.unlink()
-        shutil.rmtree(folder / "shard-000000")
-        made = recorder.CALLS.copy()
-        executors.run(*work)
-    finally:
-        recorder.STOP.clear()
-    assert recorder.CALLS[len(made) :] == [range(0, 2), range(4, 6), range(6, 7)]
-    assert same(alone, tmp_path / "d")
 
 
 BELOW_UV = "import subprocess, sys; sys.exit(subprocess.call(sys.argv[1:]))"
@@ -155,9 +135,9 @@ def test_machines_with_other_code_refuse_to_work(plan, tmp_path):
 
 
 def test_shards_that_are_missing_are_not_merged(plan, tmp_path):
-    step = executors.MergeShards(executors.ShardMaker(plan, tmp_path / "d.partial", recorder.record), tmp_path / "d")
+    maker = executors.ShardMaker(plan, tmp_path / "d.partial", recorder.record)
     with pytest.raises(GenerationError, match="4 of 4 shards are missing"):
-        list(step.run(None))
+        executors.merge_shards(maker, tmp_path / "d")
 
 
 def test_missing_library_is_named(tmp_path, capsys, monkeypatch):

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 import time
-import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,7 @@ from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate import pipeline
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, shard_size
+from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 from tests.generate import recorder
@@ -38,11 +37,6 @@ def reference(tmp_path_factory) -> Path:
 
 def same(first: Path, second: Path) -> bool:
     return hash_files(first) == hash_files(second) and Manifest.read(first) == Manifest.read(second)
-
-
-@pytest.mark.parametrize(("episodes", "size"), [(1, 1), (5, 1), (80, 10), (81, 11), (2048, 256), (10**6, 256)])
-def test_shards_grow_with_the_dataset_up_to_a_size_that_is_cheap_to_redo(episodes: int, size: int):
-    assert shard_size(episodes) == size
 
 
 def test_slots_follow_the_seed(reference):
@@ -87,14 +81,6 @@ def test_an_impossible_recipe_ends_with_a_sentence(tmp_path):
         generate(plan(), tmp_path / "d", record=recorder.record)
 
 
-def test_a_recorder_that_gives_other_seeds_is_caught(tmp_path):
-    def wrong(recipe, seeds):
-        yield from recorder.record(recipe, [seed + 1 for seed in seeds])
-
-    with pytest.raises(GenerationError, match="seed 3, which was not asked for"):
-        generate(plan(), tmp_path / "d", record=wrong)
-
-
 @pytest.mark.slow
 def test_a_dead_worker_is_replaced(tmp_path):
     marker = plan(name=str(tmp_path / "marker"))
@@ -134,31 +120,6 @@ def test_progress_counts_episodes(tmp_path):
 def test_impossible_plans_are_refused(change):
     with pytest.raises(ValueError, match=str(next(iter(change.values())))):
         plan(**change)
-
-
-BILLION = 10**9
-
-
-def test_a_plan_of_a_billion_episodes_begins_at_once(tmp_path, capsys):
-    """Its shards are numbered one by one, and no list of them is made."""
-    asked: list[list[int]] = []
-
-    def stopped(recipe, seeds):
-        asked.append(list(seeds))
-        raise KeyboardInterrupt
-
-    tracemalloc.start()
-    begin = time.monotonic()
-    assert run("--root", tmp_path / "d", "--episodes", BILLION, record=stopped) == 130
-    maker = ShardMaker(GenerationPlan(FakeRecipe(), BILLION), tmp_path, recorder.record)
-    shards = maker.missing()
-    assert [next(shards), next(shards)] == [0, 1]
-    assert maker.plan.slots(maker.plan.shards - 1) == range(BILLION - 256, BILLION)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert asked == [list(range(256))]
-    assert time.monotonic() - begin < 30
-    assert peak < 60e6
 
 
 WORKSPACE = GenerationPlan(FakeRecipe(), 6, shard_episodes=2)
@@ -202,11 +163,6 @@ def take_from_another_plan(workspace: Path) -> None:
     made.rename(workspace / "shard-000001")
 
 
-def become_an_empty_file(path: Path) -> None:
-    shutil.rmtree(path)
-    path.touch()
-
-
 VIDEO = "shard-000001/videos/observation.images.ego/chunk-000/file-000.mp4"
 
 
@@ -220,7 +176,6 @@ VIDEO = "shard-000001/videos/observation.images.ego/chunk-000/file-000.mp4"
         exchange_shards,
         take_from_another_plan,
         lambda folder: (folder / "shard-000001/meta/manifest.json").write_bytes(b""),
-        lambda folder: become_an_empty_file(folder / "shard-000001"),
     ],
 )
 def test_damaged_shards_are_made_again(interrupted, undamaged, tmp_path, damage):
@@ -230,30 +185,10 @@ def test_damaged_shards_are_made_again(interrupted, undamaged, tmp_path, damage)
     assert not interrupted.exists()
 
 
-def test_a_shard_of_another_plan_is_discarded(interrupted):
-    take_from_another_plan(interrupted)
-    assert ShardMaker(WORKSPACE, interrupted, recorder.record).discard_damaged() == [1]
-
-
 def test_intact_shards_are_kept(interrupted, undamaged, tmp_path):
     (interrupted / "shard-000000000009").mkdir()  # beyond the plan
     generate(WORKSPACE, tmp_path / "d", record=recorder.record_and_die)
     assert hash_files(tmp_path / "d") == undamaged
-
-
-def test_shards_that_are_damaged_again_and_again_end_with_a_sentence(tmp_path, monkeypatch):
-    monkeypatch.setattr(ShardMaker, "discard_damaged", lambda self: [0])
-    with pytest.raises(GenerationError, match="check the disk"):
-        generate(WORKSPACE, tmp_path / "d", record=recorder.record)
-    assert not (tmp_path / "d").exists()
-
-
-def test_a_file_in_the_place_of_a_shard_is_refused_and_kept(interrupted, tmp_path):
-    shutil.rmtree(interrupted / "shard-000001")
-    (interrupted / "shard-000001").write_text("mine")
-    with pytest.raises(FileExistsError, match="shard-000001 is a file"):
-        generate(WORKSPACE, tmp_path / "d", record=recorder.record)
-    assert (interrupted / "shard-000001").read_text() == "mine"
 
 
 def test_what_is_not_ours_is_refused_and_kept(interrupted, tmp_path, capsys):
@@ -270,12 +205,6 @@ def test_what_is_not_ours_is_refused_and_kept(interrupted, tmp_path, capsys):
     workspace_path(tmp_path / "f").touch()
     assert run("--root", tmp_path / "f") == 2
     assert capsys.readouterr().err.count("\n") == 4, "a sentence each"
-
-
-def test_files_that_generation_did_not_make_stay(interrupted, tmp_path):
-    (interrupted / "notes.txt").write_text("mine")
-    generate(WORKSPACE, tmp_path / "d", record=recorder.record)
-    assert [path.name for path in interrupted.iterdir()] == ["notes.txt"]
 
 
 def test_a_finished_dataset_is_checked(tmp_path, capsys):

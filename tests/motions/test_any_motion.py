@@ -19,8 +19,7 @@ from tests.drawing import draw_motion
 KINDS = MOTIONS.names()
 PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, PrescribedMotion)]
 SEEDS = range(5)
-STEP_S = 1e-5
-"""Of central differences: short enough for the kinks that a third derivative may have, long enough for rounding."""
+MAX_ACCELERATION_M_S2 = 30.0
 MIN_PATH_M = 0.015
 """Path from the start to the intercept: what the slowest accelerating line covers in its shortest episode."""
 
@@ -66,17 +65,13 @@ def test_parameters_are_finite_json_that_gives_the_motion_back(kind: str):
 
 
 @pytest.mark.parametrize("kind", PRESCRIBED)
-def test_velocity_and_acceleration_are_the_exact_derivatives(kind: str):
+def test_the_velocity_of_a_prescribed_path_never_jumps(kind: str):
+    """What drives the target along it would be an impulse, and no prediction could follow."""
     for seed in SEEDS:
         drawn = draw_motion(kind, seed)
-        motion = drawn.motion
-        assert isinstance(motion, PrescribedMotion)
-        times = np.linspace(0.0, drawn.horizon_s, 301)
-        bend_s = getattr(motion, "bend_s", -1.0)  # where an acceleration may jump
-        times = times[np.abs(times - bend_s) > 2 * STEP_S]
-        for lower, higher in ((motion.position, motion.velocity), (motion.velocity, motion.acceleration)):
-            slope = (lower(times + STEP_S) - lower(times - STEP_S)) / (2 * STEP_S)
-            np.testing.assert_allclose(higher(times), slope, atol=5e-5)
+        assert isinstance(drawn.motion, PrescribedMotion)
+        path = drawn.motion.position(np.arange(0.0, drawn.horizon_s, PHYSICS_DT))
+        assert np.abs(np.diff(path, n=2, axis=0)).max() / PHYSICS_DT**2 < MAX_ACCELERATION_M_S2
 
 
 @pytest.mark.parametrize("kind", PRESCRIBED)

@@ -7,7 +7,7 @@ import re
 import shutil
 import subprocess
 import tomllib
-from importlib.metadata import distributions, metadata, version
+from importlib.metadata import distributions, version
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,6 @@ PROJECTS = sorted(
 )
 TYPED = ("dynahoi_lerobot", "lerobot_env_dynahoi")
 CORE = "dynahoi_lerobot"
-NO_EXTRAS_OF_LEROBOT = {"lerobot", "scale", "vla-eval", "vlm", "openvla"}
-"""Extras for what LeRobot has no extra for; all others are named as its own are."""
 
 
 def project(path: Path) -> dict[str, Any]:
@@ -34,10 +32,6 @@ def test_a_package_tells_its_version_and_that_it_is_typed(name: str) -> None:
     assert package.__version__ == version(name)
     assert package.__version__ in {project(path)["version"] for path in PROJECTS if project(path)["name"] == name}
     assert (Path(package.__file__).parent / "py.typed").is_file()
-
-
-def test_all_distributions_want_the_same_pythons() -> None:
-    assert len({project(path)["requires-python"] for path in PROJECTS}) == 1
 
 
 def test_the_constraints_are_the_versions_that_are_tested_here() -> None:
@@ -95,10 +89,3 @@ def test_every_distribution_carries_readme_and_licence(path: Path) -> None:
     assert (table["license"], table["license-files"]) == ("Apache-2.0", ["LICENSE"])
     assert (path.parent / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
     assert (path.parent / table["readme"]).is_file()
-
-
-def test_extras_are_named_as_lerobots_are() -> None:
-    theirs = set(metadata("lerobot").get_all("Provides-Extra"))
-    ours = {name for path in PROJECTS for name in project(path).get("optional-dependencies", {})}
-    assert ours - NO_EXTRAS_OF_LEROBOT <= theirs
-    assert not NO_EXTRAS_OF_LEROBOT & theirs

@@ -39,9 +39,7 @@ def test_the_repository_names_nothing_that_is_not_registered():
     "line",
     [
         "pip install dynahoi_lerobot",
-        'pip install -q "dynahoi-lerobot[lerobot]"',
         "uvx dynahoi quickstart",
-        "pip install . lerobot_env_dynahoi",
         "lerobot-eval --policy.path=dynahoi/obact_standard",
         'LeRobotDataset("dynahoi/train")',
     ],

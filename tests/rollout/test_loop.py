@@ -146,12 +146,6 @@ def test_an_agent_cannot_change_the_world_through_what_it_is_shown(specs: list[E
     assert not (batch.observe(images=True).images["ego"] == 7).all()
 
 
-def test_what_an_agent_does_in_one_world_is_nothing_to_another(specs: list[EpisodeSpec]):
-    alone = [digest(e) for e in evaluate(WorldBatch(QUICK, 1, threads=1), Remembering(), specs[:3])]
-    together = evaluate(WorldBatch(QUICK, 3, threads=1), Remembering(), specs[:3])
-    assert sorted(alone) == sorted(digest(e) for e in together)
-
-
 class Closing(Expert):
     """Stays where it is and closes its fingers."""
 

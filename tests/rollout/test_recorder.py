@@ -125,11 +125,6 @@ def test_the_target_path_is_where_the_target_is_until_it_is_touched(capture: str
         assert np.abs(apart).max() < 1e-4, meta.motion
 
 
-def test_policies_plan_nothing(specs: list[EpisodeSpec]):
-    (episode,) = evaluate(WorldBatch(Recipe(split="test"), 1), EXPERTS["hold"](), specs[:1])
-    assert episode.first_plan.tolist() == [0.0, 0.0]
-
-
 def test_every_attempt_of_a_planned_catch_has_its_own_meeting(specs: list[EpisodeSpec]):
     expert, control = EXPERTS["match"](), CONTROL_CLASSES["standard"]
     spec = replace(specs[0], hand="opposed")

@@ -36,13 +36,6 @@ def test_an_edit_in_a_deciding_room_changes_the_fingerprint(copy, room):
     assert hash_sources(copy) != before
 
 
-@pytest.mark.parametrize("module", ["core/episode.py", "core/agent.py", "generate/plan.py", "generate/shard.py"])
-def test_an_edit_of_a_deciding_module_changes_the_fingerprint(copy, module):
-    before = hash_sources(copy)
-    edit(copy / module)
-    assert hash_sources(copy) != before
-
-
 @pytest.mark.parametrize("room", [*READING, "generate/executors.py", "hub.py", "doctor.py"])
 def test_an_edit_elsewhere_leaves_the_fingerprint(copy, room):
     before = hash_sources(copy)
@@ -50,14 +43,6 @@ def test_an_edit_elsewhere_leaves_the_fingerprint(copy, room):
     for path in place.rglob("*.py") if place.is_dir() else [place]:
         edit(path)
     assert hash_sources(copy) == before
-
-
-def test_a_new_or_renamed_file_in_a_deciding_room_changes_the_fingerprint(copy):
-    before = hash_sources(copy)
-    (copy / "motions/zigzag.py").touch()
-    added = hash_sources(copy)
-    (copy / "motions/zigzag.py").rename(copy / "motions/spiral.py")
-    assert len({before, added, hash_sources(copy)}) == 3
 
 
 def imported(path: Path) -> set[Path]:

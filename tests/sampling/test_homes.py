@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.sampling.homes import REFERENCE_HAND, keeps_clear
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -41,7 +39,8 @@ class Bystander:
 
     def __init__(self, spec: EpisodeSpec) -> None:
         scene = compile_scene(REFERENCE_HAND)
-        self.scene = replace(scene, model=copy.copy(scene.model))  # sizes are written below, and others share it
+        self.scene = copy.copy(scene)
+        self.scene.model = copy.copy(scene.model)  # sizes are written below, and others share it
         self.data = mujoco.MjData(self.scene.model)
         self.data.mocap_pos[list(self.scene.box_mocap)] = (0.0, 0.0, -50.0)
         self.boxes = self.scene.box_geoms[: len(boxes_of(spec))]
@@ -81,14 +80,6 @@ def test_no_palm_goes_through_a_fixture(beside_fixtures: list[EpisodeSpec]):
         way = np.linspace(spec.home_pos_w, spec.intercept_pos_w, 50)
         distance = [bystander.palm_distance(point) for point in way]
         assert min(distance) >= min(PALM_RADIUS_M, distance[-1]) - 1e-3, f"{spec.motion.name} of seed {spec.seed}"
-
-
-def test_every_kind_with_fixtures_is_looked_at():
-    with_boxes = set()
-    for spec in sample_specs(Recipe(), range(22)):
-        if boxes_of(spec):
-            with_boxes.add(spec.motion.name)
-    assert with_boxes <= {*KINDS, "bounce"} <= set(MOTIONS.names())
 
 
 def test_homes_beside_a_table():

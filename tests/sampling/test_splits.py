@@ -12,12 +12,12 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.compatibility import MixedError
+from dynahoi_lerobot.core.conventions import PHYSICS_DT
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.motions import PrescribedMotion
-from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.report.entries import read_entries
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -62,18 +62,6 @@ def test_ood_motion_has_only_held_out_kinds_and_ood_object_only_held_out_objects
     assert {s.target.name for s in objects} == HELD_OUT_OBJECTS
 
 
-@pytest.mark.parametrize("split", IN_DISTRIBUTION)
-def test_every_sampled_object_is_one_that_its_motion_and_split_allow(split: str):
-    for spec in sample_specs(Recipe(split=split), range(22)):
-        assert spec.motion.suits(OBJECTS[spec.target.name])
-        assert spec.target.name not in HELD_OUT_OBJECTS
-
-
-def test_every_kind_can_be_sampled_at_the_speed_of_ood_speed():
-    specs = sample_specs(Recipe(split="ood_speed"), range(22))
-    assert [spec.motion.name for spec in specs] == list(KINDS)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_draw_of_ood_speed_lies_outside_training(kind: str):
     """Each has some feature that no draw of training has: a speed, a rate, a steepness, a distance thrown."""
@@ -100,8 +88,8 @@ def _scalars(drawn: Drawn) -> dict[str, float]:
     circular = ("phase_rad", "yaw_rad")
     found = {name: abs(v) for name, v in values.items() if isinstance(v, float) and name not in circular}
     if isinstance(drawn.motion, PrescribedMotion):
-        times = np.linspace(0.0, drawn.horizon_s, 200)
-        found["peak speed"] = float(np.linalg.norm(drawn.motion.velocity(times), axis=1).max())
+        path = drawn.motion.position(np.arange(0.0, drawn.horizon_s, PHYSICS_DT))
+        found["peak speed"] = float(np.linalg.norm(np.diff(path, axis=0), axis=1).max()) / PHYSICS_DT
     elif "velocity" in values:
         speed = float(np.linalg.norm(values["velocity"][:2]))
         found |= {"level speed": speed, "thrown": speed * (drawn.intercept_s - values["release_s"])}
@@ -166,13 +154,6 @@ def test_a_hash_makes_no_episode():
     """Also not by being taken for a salt."""
     with pytest.raises(ValueError, match=r"of the salted stream sha256:\w{16}; only those who know its salt"):
         sample_spec(replace(PUBLIC, salt=seal(SALT)), 0)
-
-
-def test_a_recipe_read_back_has_the_fingerprint_of_the_salted_one():
-    recipe = replace(PUBLIC, salt=SALT)
-    assert Recipe(**recipe.stored()).fingerprint("code") == recipe.fingerprint("code")
-    assert recipe.fingerprint("code") != PUBLIC.fingerprint("code")
-    assert SALT not in repr(recipe)
 
 
 def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: dict[str, Path]):

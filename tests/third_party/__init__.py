@@ -7,5 +7,4 @@ import importlib
 
 def register() -> None:
     """Register both, as importing such a package would."""
-    importlib.import_module("tests.third_party.caltrop")
-    importlib.import_module("tests.third_party.drift")
+    importlib.import_module("tests.third_party.things")

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
@@ -209,12 +208,6 @@ def test_the_cameras_see_the_window_and_nothing_after_it():
             np.testing.assert_array_equal(blind.images[view][:window], seeing.images[view][:window])
             assert seeing.images[view][window:].any(axis=(1, 2, 3)).all()
             assert not blind.images[view][window:].any()
-
-
-def test_a_model_without_memory_is_refused(capsys: pytest.CaptureFixture):
-    words = ["evaluate", "--policy", "vlm", "--model", "m", "--protocol", "observe_then_blind"]
-    assert main(words) == 2
-    assert "decides by what it sees while acting, which is nothing under observe_then_blind" in capsys.readouterr().err
 
 
 ARRIVAL_PALM_M, ARRIVAL_JOINT_RAD = 0.001, 0.015

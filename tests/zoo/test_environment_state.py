@@ -14,14 +14,9 @@ from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.core.agent import Observation
-from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.env import register_envs
-from dynahoi_lerobot.evaluate.checkpoint import PolicyError
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.report.entries import unique_labels
 
 KEY = "observation.environment_state"
@@ -100,28 +95,10 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(
     assert results.privileged
 
 
-def test_a_policy_that_reads_it_gets_it_nowhere_else(checkpoint: str) -> None:
-    nothing = np.zeros((1, 1), np.float32)
-    with pytest.raises(PolicyError, match="the simulator's truth, which only `dynahoi evaluate --environment-state`"):
-        PolicyAgent(checkpoint).act(Observation({}, nothing, one_hot_phase(np.ones(1, bool)), ("",)))
-
-
 def test_it_is_no_actor_of_recordings(checkpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", "--actor", checkpoint, "--episodes", "1", "--root", str(tmp_path / "d")]) == 2
     assert f"reads {KEY}, the simulator's truth; an actor sees images and the hand" in capsys.readouterr().err
     assert not (tmp_path / "d").exists()
-
-
-def test_who_does_not_read_it_is_not_given_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["evaluate", "--policy", "hold", "--environment-state", "--out", str(tmp_path / "r")]) == 2
-    assert f"--environment-state is for policies that read {KEY}, and hold does not" in capsys.readouterr().err
-    assert not (tmp_path / "r").exists()
-
-
-def test_privileged_baselines_are_marked_alike(tmp_path: Path) -> None:
-    words = ["--policy", "pursuit", "--motions", "constant", "--episodes", "1", "--out", str(tmp_path)]
-    assert main(["evaluate", *words]) == 0
-    assert "pursuit (privileged)" in results_table([read_results(tmp_path)])
 
 
 def test_lerobot_evaluates_it(checkpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,24 +16,17 @@ from dynahoi_lerobot.evaluate.checkpoint import PolicyError, described_folder, f
 from dynahoi_lerobot.rollout.inference import QueuedPolicy
 
 
-def given(argv: Sequence[str]) -> dict[str, str]:
-    """Return the options of a command line, ``--name=value`` or ``--name value``, by name."""
-    options: dict[str, str] = {}
-    for word, following in zip(argv, [*argv[1:], "--"], strict=True):
-        name, equals, value = word.removeprefix("--").partition("=")
-        if word.startswith("--") and (equals or not following.startswith("--")):
-            options[name] = value if equals else following
-    return options
+def _policy_path(argv: Sequence[str]) -> str | None:
+    return parser.parse_arg("policy.path", argv) or parser.parse_arg("policy.pretrained_path", argv)
 
 
 def policy_name(argv: Sequence[str]) -> str:
     """Return what is being played: the policy's type, its path, or just ``policy``."""
-    options = given(argv)
-    path = options.get("policy.path") or options.get("policy.pretrained_path")
+    path = _policy_path(argv)
     config = Path(path or "") / "config.json"
     if path and config.is_file():
         return str(json.loads(config.read_text()).get("type", path))
-    return path or options.get("policy.type", "policy")
+    return path or parser.get_type_arg("policy", argv) or "policy"
 
 
 def policy_weights(argv: Sequence[str]) -> dict[str, str]:
@@ -41,16 +34,13 @@ def policy_weights(argv: Sequence[str]) -> dict[str, str]:
 
     In training the checkpoint of the command line is what training began with.
     """
-    options = given(argv)
-    path = options.get("policy.path") or options.get("policy.pretrained_path")
-    plays = Path(argv[0]).stem.replace("_", "-") == "lerobot-eval"
+    path, plays = _policy_path(argv), Path(argv[0]).stem.replace("_", "-") == "lerobot-eval"
     return folder_weights(Path(path)) if plays and path else {}
 
 
 def policy_rules(argv: Sequence[str]) -> dict[str, Any]:
     """Return the rules that the checkpoint of the command line was trained for, see ``trained_for``."""
-    options = given(argv)
-    path = options.get("policy.path") or options.get("policy.pretrained_path")
+    path = _policy_path(argv)
     try:
         return trained_for(described_folder(path)) if path else {}
     except PolicyError:
@@ -63,10 +53,9 @@ def new_results_folder(argv: Sequence[str]) -> Path:
     The file that ``--config_path`` names may give it, too. A training evaluates several times, so each evaluation has a
     folder of its own.
     """
-    options = given(argv)
-    config = Path(options.get("config_path", ""))
+    config = Path(parser.parse_arg("config_path", argv) or "")
     told = yaml.safe_load(config.read_text()) if config.is_file() else {}
-    folder = Path(options.get("output_dir") or told.get("output_dir") or "outputs")
+    folder = Path(parser.parse_arg("output_dir", argv) or told.get("output_dir") or "outputs")
     return folder / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
 
 

@@ -14,7 +14,8 @@ from lerobot.utils.constants import OBS_ENV_STATE
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.features import Feature
-from dynahoi_lerobot.env.vector_env import SPARSE, check_reward
+from dynahoi_lerobot.core.registry import known
+from dynahoi_lerobot.env.vector_env import REWARDS, SPARSE
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.renderers import RENDERERS
@@ -75,7 +76,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
                 setattr(self, name, getattr(recipe, name))
         kinds_of(self.task, recipe.motion_names)
         _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
-        check_reward(self.reward)
+        known("reward", self.reward, REWARDS)
         shown = {
             feature.key if feature.is_image else feature.gym_key: feature
             for feature in recipe.features()

@@ -62,7 +62,6 @@ class TaskEnv(DynahoiVectorEnv):
     """A vector env of one kind of motion that reports its episodes to a log."""
 
     def __init__(self, num_envs: int = 1, *, log: ResultsLog, **options: Any) -> None:
-        """Take the log and the arguments of ``DynahoiVectorEnv``."""
         super().__init__(num_envs, on_episode=log.add, **options)
         self._log = log
 

@@ -1,4 +1,4 @@
-"""A motion of somebody else, under a name that sorts before all of the core's."""
+"""A motion and an object of somebody else: its name sorts before all of the core's, it has more primitives than any."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from dynahoi_lerobot.motions import MOTIONS, Draw, PrescribedMotion
 from dynahoi_lerobot.motions.launch import Vector
+from dynahoi_lerobot.objects import ObjectGeometry, Primitive, object_type
 
 
 @MOTIONS.register("a_drift")
@@ -25,7 +26,6 @@ class Drift(PrescribedMotion):
     center: Vector
     center_s: float
     speed_m_s: float
-    name: ClassVar[str] = "a_drift"
     category: ClassVar[str] = "straight_line"
     phrase: ClassVar[str] = "drifting to the side"
 
@@ -38,10 +38,21 @@ class Drift(PrescribedMotion):
         """Return (K, 3) position [m], world."""
         return np.asarray(self.center) + np.outer(time_s - self.center_s, [0.0, self.speed_m_s, 0.0])
 
-    def velocity(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) velocity [m/s], world."""
-        return np.tile([0.0, self.speed_m_s, 0.0], (len(time_s), 1))
 
-    def acceleration(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) acceleration [m/s^2], world."""
-        return np.zeros((len(time_s), 3))
+SPIKES = 10
+SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
+"""How many half-sizes each shape has."""
+
+
+@object_type("caltrop")
+def caltrop(rng: np.random.Generator) -> ObjectGeometry:
+    """Ten spikes of every shape there is, 1 to 1.2 cm long, all around the centre."""
+    size = rng.uniform(0.005, 0.006)
+    spikes = [_spike(shape, number, size) for shape in SIZES for number in range(SPIKES)]
+    return ObjectGeometry(tuple(spikes), 0.025, 0.02 + 2 * size)
+
+
+def _spike(shape: str, number: int, size: float) -> Primitive:
+    angle = 2 * np.pi * number / SPIKES
+    height = 0.01 * (list(SIZES).index(shape) - 2)
+    return Primitive(shape, (size,) * SIZES[shape], (0.02 * float(np.cos(angle)), 0.02 * float(np.sin(angle)), height))

@@ -1,4 +1,4 @@
-"""Appearance changes images and nothing else; each randomization has random numbers of its own."""
+"""Appearance and furniture change images and nothing else, and hide no target; each draw has numbers of its own."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.sampling.furniture import furnish
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS, randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.world.batch import WorldBatch
-from tests.world.playing import world
+from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS
+from tests.world.playing import wait, world
 
 SIZE = 64
-LIGHT_DIR = (0.7, 0.2, -1.0)
-DARK = (0.1, 0.1, 0.1)
 
 
 def images(specs: list[EpisodeSpec], renderer: str = "tiles") -> np.ndarray:
@@ -77,44 +74,30 @@ def test_translucent_targets_are_blended_with_what_is_behind(few: list[EpisodeSp
     assert np.abs(seen(0.4) - (0.4 * solid + 0.6 * behind)).max() < 3
 
 
-def test_highlights_only_brighten_and_lie_where_the_light_is_reflected() -> None:
-    """On a ball, the brightest point is where its normal halves the angle between light and camera, to 1.5 pixels."""
-    balls = sample_specs(Recipe(motions=("constant", "lateral", "horizontal_circle"), objects=("ball",)), range(6))
-    batch, added = highlights(balls)
-    assert added.min() >= 0
-    compared = 0
-    for i in range(len(balls)):
-        on_target = np.isin(batch.cameras.segmentation()[i], batch.scene.target_geoms)
-        wanted = reflection_pixel(batch, i)
-        if on_target.sum() > 60 and on_target[tuple(np.round(wanted).astype(int))]:
-            brightest = np.argwhere(on_target & (added[i] >= 0.98 * added[i][on_target].max())).mean(axis=0)
-            assert np.linalg.norm(brightest - wanted) < 1.5
-            compared += 1
-    assert compared >= 4
+def test_every_seed_has_its_own_furniture(specs: list[EpisodeSpec]) -> None:
+    assert all(furnish(spec).appearance == spec.appearance for spec in specs[:22]), "it is a function of the episode"
+    rooms = {spec.appearance.furniture for spec in specs[:22]}
+    assert len(rooms) >= 20
+    assert np.median([len(room) for room in rooms]) >= 5
+    assert max(len(room) for room in rooms) <= FURNITURE_SLOTS
 
 
-def highlights(specs: list[EpisodeSpec]) -> tuple[WorldBatch, np.ndarray]:
-    """A batch of glossy targets under a light from behind the camera, and (N, H, W) what gloss adds [grey levels]."""
-    plain = {"light_dir": LIGHT_DIR, "target_pattern": "plain", "target_rgb": DARK}
-    dull, glossy = (
-        world([replace(s, appearance=replace(s.appearance, gloss=gloss, **plain)) for s in specs], image_size=2 * SIZE)
-        for gloss in (0.0, 0.25)
-    )
-    return glossy, (glossy.cameras.render().astype(int) - dull.cameras.render()).sum(axis=-1)
+def test_furniture_stands_in_the_room_and_clear_of_the_path(specs: list[EpisodeSpec]) -> None:
+    for spec in specs[:44]:
+        low, high = spec.oracle_path.min(axis=0) - 0.3, spec.oracle_path.max(axis=0) + 0.3
+        for solid in spec.appearance.furniture:
+            pos, half = np.asarray(solid.pos_w), np.asarray(solid.half_size)
+            assert (np.abs(pos[:2]) + half[:2] <= ARENA_HALF_M + 1e-6).all()
+            assert (pos - half > high).any() or (pos + half < low).any(), spec.motion.name
 
 
-def reflection_pixel(batch: WorldBatch, i: int) -> np.ndarray:
-    """(row, column) of the point of a ball at which light is reflected into the camera."""
-    scene, spec = batch.scene, batch.specs[i]
-    assert spec is not None
-    camera = scene.model.camera(scene.camera)
-    camera_pos = batch.state[i, :3] + camera.pos
-    to_light = -np.asarray(LIGHT_DIR) / np.linalg.norm(LIGHT_DIR)
-    point = centre = batch.target_pose[i, :3]
-    for _ in range(20):
-        to_camera = (camera_pos - point) / np.linalg.norm(camera_pos - point)
-        normal = (to_light + to_camera) / np.linalg.norm(to_light + to_camera)
-        point = centre + spec.target.grasp_radius_m * normal
-    right, up, back = (point - camera_pos) @ quat_to_matrix(np.asarray(camera.quat))
-    focal = SIZE / np.tan(np.radians(camera.fovy[0]) / 2)  # of images 2 * SIZE wide
-    return np.array([SIZE - focal * up / -back, SIZE + focal * right / -back]) - 0.5
+def test_furniture_hides_no_target(specs: list[EpisodeSpec]) -> None:
+    bare = [replace(spec, appearance=replace(spec.appearance, furniture=())) for spec in specs[:22]]
+    views = []
+    for some in (specs[:22], bare):
+        batch = world(some, image_size=96, views=("side",))
+        wait(batch)
+        labels = [batch.cameras._renderer(camera).segmentation(np.arange(22)) for camera in ("ego", "side")]
+        views.append(np.isin(labels, batch.scene.target_geoms))
+    assert views[1].any(axis=(2, 3)).mean() > 0.8
+    np.testing.assert_array_equal(views[0], views[1])

@@ -1,0 +1,132 @@
+"""What is made appears whole or not at all; folders are claimed by one process; YAML is refused in one sentence."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dynahoi_lerobot.core.files import new_folder, read_yaml, write_atomically
+from dynahoi_lerobot.core.working_folder import exclusive, working_folder
+from dynahoi_lerobot.sampling.recipe import load_recipe
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from dynahoi_lerobot.core.working_folder import exclusive
+with exclusive(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_killed_process_loses_its_lock(tmp_path: Path):
+    with subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(BlockingIOError, match=f"process {process.pid} on"), exclusive(tmp_path):
+            pass
+        process.kill()
+    assert (tmp_path / "lock").exists()
+    with exclusive(tmp_path):
+        assert str(os.getpid()) in (tmp_path / "lock").read_text()
+    assert not (tmp_path / "lock").exists()
+
+
+def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path: Path):
+    (tmp_path / "thesis.tex").write_text("mine")
+    (tmp_path / "lock").symlink_to(tmp_path / "thesis.tex")
+    with pytest.raises(FileExistsError), exclusive(tmp_path):
+        pass
+    assert (tmp_path / "thesis.tex").read_text() == "mine"
+
+
+def test_only_the_folder_of_the_same_task_is_entered(tmp_path: Path):
+    folder, foreign = tmp_path / "work", tmp_path / "foreign"
+    folder.mkdir()
+    (folder / ".plan.json.1.part").write_text('{"tas')  # of a start that was killed
+    with working_folder(folder, {"recipe": {"split": "val"}}):
+        (folder / "file").touch()
+    assert sorted(path.name for path in folder.iterdir()) == ["file", "plan.json"]
+    with pytest.raises(FileExistsError, match="other split"), working_folder(folder, {"recipe": {"split": "test"}}):
+        pass
+    foreign.mkdir()
+    (foreign / "thesis.tex").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"thesis.tex but no"), working_folder(foreign, {}):
+        pass
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path):
+    def fail() -> None:
+        with new_folder(tmp_path / "d") as folder:
+            folder.mkdir()
+            (folder / "half").touch()
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert not any(tmp_path.iterdir())
+    with new_folder(tmp_path / "d") as folder:
+        folder.mkdir()
+        (folder / "whole").touch()
+        assert not (tmp_path / "d").exists()
+    assert [path.name for path in tmp_path.rglob("*")] == ["d", "whole"]
+
+
+def test_the_first_of_two_processes_wins(tmp_path: Path):
+    with new_folder(tmp_path / "d") as folder:
+        folder.mkdir()
+        (folder / "second").touch()
+        (tmp_path / "d").mkdir()
+        (tmp_path / "d/first").touch()
+    assert [path.name for path in tmp_path.rglob("*")] == ["d", "first"]
+
+
+def test_files_that_belong_together_appear_together(tmp_path: Path):
+    files = [tmp_path / "out" / name for name in "ab"]
+
+    def fail(path: Path) -> None:
+        assert not any(file.exists() for file in files)
+        raise OSError("full")
+
+    with pytest.raises(OSError, match="full"):
+        write_atomically({files[0]: lambda path: path.write_text("new"), files[1]: fail})
+    assert not any((tmp_path / "out").iterdir())
+    for text in ("one", "two"):
+        write_atomically({file: lambda path, text=text, name=file.name: path.write_text(text + name) for file in files})
+    assert [file.read_text() for file in files] == ["twoa", "twob"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
+
+
+BROKEN = {
+    "deep lists": b"motions: " + b"[" * 20_000,
+    "another encoding": b"split: tr\xe4in",
+    "a number of 5,000 digits": b"image_size: " + b"9" * 5_000,
+    "a month too many": b"split: 2024-13-01",
+    "a key twice": b"split: train\nsplit: test",
+    "an object of Python": b"split: !!python/object/apply:os.getcwd []",
+    "two documents": b"split: train\n---\nsplit: test",
+    "no mapping": b"false",
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_recipe_is_refused_in_one_line_that_names_it(name: str, tmp_path: Path):
+    path = tmp_path / "recipe.yaml"
+    path.write_bytes(BROKEN[name])
+    with pytest.raises(ValueError) as error:  # noqa: PT011 - the message is looked at below
+        load_recipe(path)
+    assert str(error.value).startswith(str(path))
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 500
+
+
+def test_yaml_is_read(tmp_path: Path):
+    path = tmp_path / "plain.yaml"
+    path.write_text("# a comment\nmotions: [lateral, ramp]\nsalt: null\nwords: {a: [1.5, true]}\n")
+    assert read_yaml(path) == {"motions": ["lateral", "ramp"], "salt": None, "words": {"a": [1.5, True]}}
+    with pytest.raises(ValueError, match="cannot be read: Is a directory"):
+        read_yaml(tmp_path)
