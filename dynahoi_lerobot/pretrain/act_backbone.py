@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import ceil
 from pathlib import Path
+from typing import cast
 
 import draccus
 import torch
@@ -19,7 +20,7 @@ from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
 from lerobot.policies.factory import make_pre_post_processors
 from torch import Tensor, nn
-from torchvision.models import get_model
+from torchvision.models import ResNet, get_model
 from torchvision.models._utils import IntermediateLayerGetter
 
 from dynahoi_lerobot.core.files import read_yaml
@@ -42,9 +43,12 @@ class Localiser(nn.Module):
         size: side of the images [px].
     """
 
+    mean: Tensor
+    std: Tensor
+
     def __init__(self, config: ACTConfig, size: int) -> None:
         super().__init__()
-        resnet = get_model(config.vision_backbone, weights=config.pretrained_backbone_weights)
+        resnet = cast(ResNet, get_model(config.vision_backbone, weights=config.pretrained_backbone_weights))
         self.backbone = IntermediateLayerGetter(resnet, return_layers={"layer4": "feature_map"})
         self.place = nn.Linear(resnet.fc.in_features * ceil(size / 32) ** 2, 3)
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(-1, 1, 1))
@@ -68,6 +72,7 @@ class BackboneLearner:
     """
 
     def __init__(self, recipe: PretrainRecipe, images: ImageStream) -> None:
+        assert recipe.policy is not None
         self._config = act_config(recipe.policy)
         self.module = Localiser(self._config, recipe.episodes.image_size)
 

@@ -24,13 +24,12 @@ WARMUP_UPDATES, GRADIENT_CLIP = 200, 5.0
 
 
 class Learner(Protocol):
-    """What is trained.
+    """What is trained."""
 
-    Attributes:
-        module: with the weights that are learned.
-    """
-
-    module: nn.Module
+    @property
+    def module(self) -> nn.Module:
+        """Holds the weights that are learned."""
+        ...
 
     def loss(self, images: Tensor, place: Tensor) -> Tensor:
         """Return the loss of each image, ``(F,)``.

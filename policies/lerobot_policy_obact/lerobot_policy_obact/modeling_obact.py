@@ -70,7 +70,8 @@ class ObActModel(nn.Module):
         n_state, n_actions = config.n_state, config.n_actions
         n_inputs = 4 * len(FORECAST_FRAMES) if config.forecasts else n_state
         self.trunk = nn.Sequential(perceptron(n_inputs + N_FEATURES, config.width, config.width), nn.SiLU())
-        self.when = nn.Linear(config.width, config.horizon * len(FORECAST_FRAMES)) if config.forecasts else None
+        if config.forecasts:
+            self.when = nn.Linear(config.width, config.horizon * len(FORECAST_FRAMES))
         groups = [size for size in (config.relative_dims, n_actions - config.relative_dims) if size]
         self.head = HEADS[config.head](config.width, config.horizon, groups, **config.head_options)
         self.register_buffer("action_mean", torch.zeros(n_actions))
