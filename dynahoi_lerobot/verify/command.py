@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import draccus
 import numpy as np
@@ -22,9 +21,6 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.files import format_problems, manifest_problems, rewritten, tables_readable
 from dynahoi_lerobot.verify.replay import replay_problems
 from dynahoi_lerobot.verify.verdicts import derived_problems, verdict_problems
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.rollout.replay import Resimulate
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
 SHOWN, LONGEST = 5, 600
@@ -84,7 +80,6 @@ def verify(
     root: Path,
     *,
     replayed: int = 0,
-    resimulate: Resimulate | None = None,
     progress: Callable[[], object] = lambda: None,
     note: Callable[[str], object] = lambda _: None,
 ) -> list[Finding]:
@@ -93,7 +88,6 @@ def verify(
     Args:
         root: the dataset's folder.
         replayed: how many episodes are made again from their seeds and compared; they are drawn at random.
-        resimulate: makes the episode of a seed; by default the expert of the manifest's recipe.
         progress: called after each episode whose verdict was checked.
         note: told in a sentence what a replay found equal.
 
@@ -116,7 +110,7 @@ def verify(
     if replayed:
         drawn = drawn_evenly(store, replayed, np.random.default_rng())
         note(f"drawn for the replay: episodes {', '.join(map(str, drawn))}")
-        findings += _guarded("replay", replay_problems(store, drawn, recipe, resimulate, note))
+        findings += _guarded("replay", replay_problems(store, drawn, recipe, note))
     return findings
 
 

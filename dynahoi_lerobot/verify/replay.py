@@ -37,11 +37,7 @@ Compared = tuple[str, float]
 
 
 def replay_problems(
-    store: Store,
-    indices: list[int],
-    recipe: Recipe | None,
-    resimulate: Resimulate | None,
-    note: Callable[[str], object],
+    store: Store, indices: list[int], recipe: Recipe | None, note: Callable[[str], object]
 ) -> Iterator[str]:
     """Make episodes again and yield what differs.
 
@@ -49,14 +45,13 @@ def replay_problems(
         store: the dataset.
         indices: of the episodes.
         recipe: of the manifest, None if it cannot be read.
-        resimulate: makes the episode of a seed; by default the expert of the recipe.
         note: told in a sentence what was found equal.
     """
     made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
     if recipe is None or made_with != here:
         yield f"the dataset was made by other code ({made_with}, here is {here}); only the same code makes it again"
         return
-    resimulate = resimulate or _simulator(store, recipe)
+    resimulate = _simulator(store, recipe)
     images: list[Compared] = []
     for index in indices:
         row = store.row(index)

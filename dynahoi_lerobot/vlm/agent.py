@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -44,7 +43,7 @@ class VlmAgent(ChunkAgent):
         """
         due = [i for i, queue in enumerate(self._planned) if not queue and self._in_play(observation, i)]
         states = observation.state.astype(np.float64)
-        for i, (commands, _) in zip(due, self._decisions(observation, due), strict=True):
+        for i, commands in zip(due, self.plan(observation, np.array(due, int)).actions, strict=True):
             self._planned[i].extend(commands)
         return np.stack(
             [queue.popleft() if queue else state for queue, state in zip(self._planned, states, strict=True)]
@@ -65,15 +64,13 @@ class VlmAgent(ChunkAgent):
         shown = [i for i in worlds.tolist() if observation.images[EGO_VIEW][i].any()]
         actions = np.repeat(observation.state[:, None].astype(np.float64), HORIZON, axis=1)
         seconds = np.zeros(len(observation.state))
-        for i, (commands, took) in zip(shown, self._decisions(observation, shown), strict=True):
+        decisions = self._threads.map(lambda i: self._decision(observation, i), shown)
+        for i, (commands, took) in zip(shown, decisions, strict=True):
             actions[i], seconds[i] = commands, took
         return Plan(actions[worlds], seconds[worlds])
 
-    def _decisions(self, observation: Observation, worlds: Sequence[int]) -> list[tuple[np.ndarray, float]]:
-        """Request a chunk (10, 18) for each of ``worlds`` concurrently; also return the seconds that each took."""
-        return list(self._threads.map(lambda i: self._decision(observation, i), worlds))
-
     def _decision(self, observation: Observation, i: int) -> tuple[np.ndarray, float]:
+        """Request a chunk (10, 18) for world ``i``; also return the seconds that it took."""
         start, state = time.monotonic(), observation.state[i].astype(np.float64)
         commands = self._client.plan(observation.tasks[i], state, observation.images[EGO_VIEW][i])
         return np.repeat(state[None], HORIZON, axis=0) if commands is None else commands, time.monotonic() - start
