@@ -2,8 +2,9 @@
 
 One observation to one action, in the order of this file: `ObActPolicy.select_action` notes a frame and asks for a chunk
 when the last one is used up; `ObActModel.sight` encodes the images (`encoders.py`, whose attention over cells finds the
-target); `ObActModel.context` lets a decision attend to the frames before it (`belief.py`) and puts the forecast
-relative to the palm; the head samples actions (`heads.py`). `ObActPolicy.forward` is the only loss.
+target); `ObActModel.believe` lets a decision attend to the frames before it and forecasts the target (`belief.py`);
+`ObActModel.context` picks from that where to meet it; the head samples actions relative to that place (`heads.py`).
+`ObActPolicy.forward` is the only loss.
 """
 
 from __future__ import annotations
