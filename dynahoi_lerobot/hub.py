@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH
+from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
 from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, trained_for
 from dynahoi_lerobot.evaluate.replay_results import changed_rules
 from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
@@ -214,9 +214,13 @@ def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
     if findings := verify(args.folder):
         print(*findings, sep="\n", file=sys.stderr)
         raise HubError(f"{args.folder} was not pushed: `dynahoi verify` has findings")
-    repository.claim(args.folder, private=args.private)
+    manifest = Manifest.read(args.folder)
+    if MANIFEST_PATH in repository.claim(args.folder, private=args.private):
+        there = repository.api.hf_hub_download(repository.name, MANIFEST_PATH, repo_type=repository.kind)
+        if json.loads(Path(there).read_text())["sha256"] != manifest.digest:
+            raise HubError(f"{repository.name} holds another dataset; choose another name")
     repository.upload(args.folder)
-    versions = Manifest.read(args.folder).benchmark.split(", ")
+    versions = manifest.benchmark.split(", ")
     tags = [CODEBASE_VERSION, *(f"dynahoi-{version}" for version in versions if version)]
     for tag in tags:
         repository.tag(tag)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.hub.conftest import Push, write_split
 from tests.hub.server import TOKEN, Hub
@@ -34,6 +35,17 @@ def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(
     assert push(simulated, "me/catching", "--private")[0] == 0
     assert list(repo.commits) == commits
     assert not [line for line in hub.requests if line.startswith("PUT")]
+
+
+def test_another_dataset_of_the_same_files_is_not_overwritten(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
+    push(simulated, "me/catching")
+    before = dict(hub.repos[DATASET].commits)
+    root = tmp_path / "other"
+    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32", "--seed", "9"]) == 0
+    code, _, err = push(root, "me/catching")
+    assert code == 1
+    assert "me/catching holds another dataset" in err
+    assert hub.repos[DATASET].commits == before
 
 
 def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
