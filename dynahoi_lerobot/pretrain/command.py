@@ -40,10 +40,9 @@ def setting(text: str) -> tuple[str, Any]:
 
 def run(args: argparse.Namespace) -> int:
     """Train, print a line at each save, and return the exit code: 0 done, 1 the loss was not finite."""
+    from lerobot_policy_obact.act_backbone import BackboneLearner
     from lerobot_policy_obact.eye_training import EyeLearner
-
-    from dynahoi_lerobot.pretrain.act_backbone import BackboneLearner
-    from dynahoi_lerobot.pretrain.training import Training
+    from lerobot_policy_obact.pretraining import Training
 
     changes = dict(args.set) | ({} if args.out is None else {"out": str(args.out)})
     recipe = read_recipe(args.recipe, **changes)

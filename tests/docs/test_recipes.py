@@ -60,7 +60,7 @@ def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(pat
     assert (config.policy.push_to_hub, config.env.split, config.env_eval_freq) == (False, "val", 0)
     (size,) = {feature.shape[-1] for feature in config.policy.image_features.values()} or {config.env.image_size}
     assert config.env.image_size == size
-    generate, train, *_ = (words for words in commands(path) if words[1] not in ("run", "pretrain"))
+    generate, train, *_ = (words for words in commands(path) if words[0] != "uv" and words[1] != "pretrain")
     assert generate[:2] == ["dynahoi", "generate"]
     assert generate[generate.index("--root") + 1] == config.dataset.root
     assert train[:2] == ["lerobot-train", f"--config_path={path.relative_to(ROOT)}"]

@@ -49,7 +49,7 @@ def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
 
 
 class EyeLearner:
-    """An eye and its loss, see `dynahoi_lerobot.pretrain.training.Learner`.
+    """An eye and its loss, see `lerobot_policy_obact.pretraining.Learner`.
 
     Args:
         recipe: the options of the eye, and its camera.

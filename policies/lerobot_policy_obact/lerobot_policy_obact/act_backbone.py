@@ -61,7 +61,7 @@ class Localiser(nn.Module):
 
 
 class BackboneLearner:
-    """ACT's backbone and its loss, see `dynahoi_lerobot.pretrain.training.Learner`.
+    """ACT's backbone and its loss, see `lerobot_policy_obact.pretraining.Learner`.
 
     Args:
         recipe: which names the training recipe of the policy.
