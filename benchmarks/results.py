@@ -38,6 +38,7 @@ TINY = {
     "train": SMALLEST_TRAINING,
 }
 DONE = "minutes.json"
+NONE = "–"
 
 
 @dataclass(frozen=True)
@@ -87,13 +88,14 @@ class Plan:
         """Return the commands of a row in their order, each with the folder that it fills."""
         run = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
         data, training = self.root / "data" / row.dataset, self.root / "training" / run
-        episodes = ["--episodes", str(self.generate)] if self.generate else []
+        generate = self.datasets[row.dataset]
+        if self.generate:
+            generate = re.sub(r"--episodes \d+", f"--episodes {self.generate}", generate)
         limit = ["--episodes", str(self.episodes)] if self.episodes else []
         options = shlex.split(f"{row.train} {self.train}")
         return {
-            data: ["dynahoi", "generate", *shlex.split(self.datasets[row.dataset]), *episodes,
-                   "--workers", str(self.workers), "--root", str(data)],
-            training: ["lerobot-train", f"--config_path={REPOSITORY / row.recipe}", f"--dataset.root={data}",
+            data: ["dynahoi", "generate", *shlex.split(generate), "--workers", str(self.workers), "--root", str(data)],
+            training: ["lerobot-train", f"--config_path={row.recipe}", f"--dataset.root={data}",
                        f"--output_dir={training}", f"--seed={seed}", *options],
             self.root / self.split / run: [
                 "dynahoi", "evaluate", "--policy", str(training / "checkpoints/last/pretrained_model"),
@@ -119,7 +121,9 @@ def main() -> None:
     rows = [Row(**row) for row in table["rows"]]
     if unknown := set(args.only or []) - {row.name for row in rows}:
         parser.error(f"--only has {', '.join(sorted(unknown))}, but the rows are {', '.join(row.name for row in rows)}")
-    plan = Plan(args.root, table["datasets"], args.workers, args.split, args.generate, args.train, args.episodes)
+    plan = Plan(
+        args.root.resolve(), table["datasets"], args.workers, args.split, args.generate, args.train, args.episodes
+    )
     numbers = {}
     for row in rows:
         if args.only and row.name not in args.only:
@@ -154,7 +158,7 @@ def do(folder: Path, command: list[str]) -> None:
         shutil.rmtree(folder, ignore_errors=True)
     print(shlex.join(command), flush=True)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(command, check=True, env=os.environ | {"PYTHONUNBUFFERED": "1"})
+    subprocess.run(command, check=True, cwd=REPOSITORY, env=os.environ | {"PYTHONUNBUFFERED": "1"})
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     folder.with_suffix(f".{DONE}").write_text(json.dumps({"processor_minutes": round(spent_s / 60, 1)}) + "\n")
@@ -168,7 +172,7 @@ def as_markdown(numbers: dict[str, list[dict[str, Any]]]) -> str:
     ]
     for name, runs in numbers.items():
         cells = [percent(runs, metric, metric in PERCENT[:2]) for metric in PERCENT]
-        cells += [f"{mean(run[metric]['value'] for run in runs):.2f}" for metric in SCORES]
+        cells += [score(runs, metric) for metric in SCORES]
         cells.append(f"{mean(run['minutes'] for run in runs):.0f}")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
@@ -176,12 +180,25 @@ def as_markdown(numbers: dict[str, list[dict[str, Any]]]) -> str:
 
 def percent(runs: list[dict[str, Any]], metric: str, detailed: bool) -> str:
     """Return a rate in %, with its interval, or with the rates of all training seeds."""
-    values = [100 * run[metric]["value"] for run in runs]
+    values = values_of(runs, metric, 100)
+    if not values:
+        return NONE
     if not detailed:
         return f"{mean(values):.1f}"
-    if len(runs) > 1:
+    if len(values) > 1:
         return f"{mean(values):.1f} ({', '.join(f'{value:.1f}' for value in values)})"
     return f"{values[0]:.1f} [{100 * runs[0][metric]['low']:.1f}, {100 * runs[0][metric]['high']:.1f}]"
+
+
+def score(runs: list[dict[str, Any]], metric: str) -> str:
+    """Return the mean of a score."""
+    values = values_of(runs, metric)
+    return f"{mean(values):.2f}" if values else NONE
+
+
+def values_of(runs: list[dict[str, Any]], metric: str, unit: float = 1) -> list[float]:
+    """Return the values of a metric, times ``unit``, in the runs that have any episode to which it applies."""
+    return [unit * run[metric]["value"] for run in runs if run[metric]["value"] is not None]
 
 
 if __name__ == "__main__":

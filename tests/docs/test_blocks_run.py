@@ -153,7 +153,7 @@ def check_results(folder: Path) -> None:
     assert (results["direct_act"].protocol, results["blind"].protocol) == ("direct_act", "observe_then_blind")
     assert results["unlimited"].control_class == "unlimited"
     assert results["contact"].capture == "contact"
-    assert "150" in results["act_async"].inference
+    assert "150" in results["obact_async"].inference
 
     for clip in ("replayed.gif", "held.gif"):
         assert (folder / clip).read_bytes()[:4] == b"GIF8"
