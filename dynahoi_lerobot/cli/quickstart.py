@@ -72,7 +72,7 @@ class Size:
     steps: int = 600
     per_kind: int = 2
     kinds: int = len(KINDS)
-    batch_size: int = 8
+    batch_size: int = 2
 
 
 FULL = Size()
