@@ -18,16 +18,17 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import mean
 from typing import Any
 
 import yaml
 from support.options import benchmark_parser, write_numbers
 
+from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, metrics_table
+
 REPOSITORY = Path(__file__).parents[1]
 ROWS = Path(__file__).with_suffix(".yaml")
-PERCENT = ("S_loc", "S_joint", "S_gra_two_sided", "S_gra")
-SCORES = ("E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
 SMALLEST_TRAINING = "--steps=2 --batch_size=2 --save_freq=2 --num_workers=0 --policy.device=cpu"
 TINY = {
     "only": ["ACT, true state"],
@@ -37,8 +38,6 @@ TINY = {
     "generate": 4,
     "train": SMALLEST_TRAINING,
 }
-DONE = "minutes.json"
-NONE = "–"
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Plan:
 
     Attributes:
         root: folder of datasets, trainings and results.
-        datasets: options of ``dynahoi generate`` by name.
+        datasets: by name, the episodes of each and further options of ``dynahoi generate``.
         workers: processes of that.
         split: that is evaluated.
         generate: episodes of a dataset instead of its own number; 0 for that.
@@ -77,7 +76,7 @@ class Plan:
     """
 
     root: Path
-    datasets: dict[str, str]
+    datasets: dict[str, dict[str, Any]]
     workers: int
     split: str
     generate: int
@@ -88,13 +87,12 @@ class Plan:
         """Return the commands of a row in their order, each with the folder that it fills."""
         run = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
         data, training = self.root / "data" / row.dataset, self.root / "training" / run
-        generate = self.datasets[row.dataset]
-        if self.generate:
-            generate = re.sub(r"--episodes \d+", f"--episodes {self.generate}", generate)
+        dataset = self.datasets[row.dataset]
         limit = ["--episodes", str(self.episodes)] if self.episodes else []
         options = shlex.split(f"{row.train} {self.train}")
         return {
-            data: ["dynahoi", "generate", *shlex.split(generate), "--workers", str(self.workers), "--root", str(data)],
+            data: ["dynahoi", "generate", *shlex.split(dataset["options"]), "--workers", str(self.workers),
+                   "--episodes", str(self.generate or dataset["episodes"]), "--root", str(data)],
             training: ["lerobot-train", f"--config_path={row.recipe}", f"--dataset.root={data}",
                        f"--output_dir={training}", f"--seed={seed}", *options],
             self.root / self.split / run: [
@@ -124,29 +122,27 @@ def main() -> None:
     plan = Plan(
         args.root.resolve(), table["datasets"], args.workers, args.split, args.generate, args.train, args.episodes
     )
-    numbers = {}
-    for row in rows:
-        if args.only and row.name not in args.only:
-            continue
-        runs = [plan.commands(row, seed) for seed in range(args.seeds or row.seeds)]
-        if args.dry_run:
-            print(*(shlex.join(command) for run in runs for command in run.values()), sep="\n")
-        else:
-            numbers[row.name] = [measured(run) for run in runs]
+    runs, minutes = {}, {}
+    for row in rows if args.only is None else [row for row in rows if row.name in args.only]:
+        for seed in range(args.seeds or row.seeds):
+            commands = plan.commands(row, seed)
+            if args.dry_run:
+                print(*map(shlex.join, commands.values()), sep="\n")
+                continue
+            for folder, command in commands.items():
+                if not done(folder).is_file():
+                    do(folder, command)
+            _, training, runs[f"{row.name}, seed {seed}"] = commands
+            minutes[f"{row.name}, seed {seed}"] = json.loads(done(training).read_text())["processor_minutes"]
     if not args.dry_run:
-        print(as_markdown(numbers))
-        write_numbers(args, rows=numbers)
+        print(as_markdown(runs, minutes))
+        metrics = {name: json.loads((folder / METRICS_FILE).read_text())["metrics"] for name, folder in runs.items()}
+        write_numbers(args, metrics=metrics, minutes=minutes)
 
 
-def measured(commands: dict[Path, list[str]]) -> dict[str, Any]:
-    """Run what has not been run, and return the metrics of the result, the minutes of training and the parameters."""
-    for folder, command in commands.items():
-        if not (folder.with_suffix(f".{DONE}")).is_file():
-            do(folder, command)
-    _, training, result = commands
-    metrics = json.loads((result / "metrics.json").read_text())["metrics"]
-    minutes = json.loads(training.with_suffix(f".{DONE}").read_text())["processor_minutes"]
-    return metrics | {"minutes": minutes}
+def done(folder: Path) -> Path:
+    """Return the file that says that a folder is complete, and how long that took."""
+    return folder.with_suffix(".minutes.json")
 
 
 def do(folder: Path, command: list[str]) -> None:
@@ -161,44 +157,17 @@ def do(folder: Path, command: list[str]) -> None:
     subprocess.run(command, check=True, cwd=REPOSITORY, env=os.environ | {"PYTHONUNBUFFERED": "1"})
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    folder.with_suffix(f".{DONE}").write_text(json.dumps({"processor_minutes": round(spent_s / 60, 1)}) + "\n")
+    done(folder).write_text(json.dumps({"processor_minutes": round(spent_s / 60, 1)}) + "\n")
 
 
-def as_markdown(numbers: dict[str, list[dict[str, Any]]]) -> str:
-    """Return the table; a row of several training seeds shows their mean and, for S_loc, each of them."""
-    lines = [
-        "| | S_loc | S_joint | " + " | ".join([*PERCENT[2:], "E_loc [u]", "E_gra [u]", *SCORES[2:], "min"]) + " |",
-        "|---" * (len(PERCENT) + len(SCORES) + 2) + "|",
+def as_markdown(runs: dict[str, Path], minutes: dict[str, float]) -> str:
+    """Return the table of result folders and minutes of training, both by the name of a run."""
+    table = metrics_table(list(runs), [read_results(folder) for folder in runs.values()], MAIN_COLUMNS)
+    rows = [
+        (*(f"{cell.text} {cell.detail}".strip() for cell in row), f"{minutes[row[0].text]:.0f}") for row in table.rows
     ]
-    for name, runs in numbers.items():
-        cells = [percent(runs, metric, metric in PERCENT[:2]) for metric in PERCENT]
-        cells += [score(runs, metric) for metric in SCORES]
-        cells.append(f"{mean(run['minutes'] for run in runs):.0f}")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-def percent(runs: list[dict[str, Any]], metric: str, detailed: bool) -> str:
-    """Return a rate in %, with its interval, or with the rates of all training seeds."""
-    values = values_of(runs, metric, 100)
-    if not values:
-        return NONE
-    if not detailed:
-        return f"{mean(values):.1f}"
-    if len(values) > 1:
-        return f"{mean(values):.1f} ({', '.join(f'{value:.1f}' for value in values)})"
-    return f"{values[0]:.1f} [{100 * runs[0][metric]['low']:.1f}, {100 * runs[0][metric]['high']:.1f}]"
-
-
-def score(runs: list[dict[str, Any]], metric: str) -> str:
-    """Return the mean of a score."""
-    values = values_of(runs, metric)
-    return f"{mean(values):.2f}" if values else NONE
-
-
-def values_of(runs: list[dict[str, Any]], metric: str, unit: float = 1) -> list[float]:
-    """Return the values of a metric, times ``unit``, in the runs that have any episode to which it applies."""
-    return [unit * run[metric]["value"] for run in runs if run[metric]["value"] is not None]
+    lines = [(*table.head, "min"), ("---",) * (len(table.head) + 1), *rows]
+    return "\n".join([table.caption, "", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
 if __name__ == "__main__":

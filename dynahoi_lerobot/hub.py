@@ -217,7 +217,7 @@ def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
     manifest = Manifest.read(args.folder)
     if MANIFEST_PATH in repository.claim(args.folder, private=args.private):
         there = repository.api.hf_hub_download(repository.name, MANIFEST_PATH, repo_type=repository.kind)
-        if json.loads(Path(there).read_text())["sha256"] != manifest.digest:
+        if _json_value(Path(there), "sha256") != manifest.digest:
             raise HubError(f"{repository.name} holds another dataset; choose another name")
     repository.upload(args.folder)
     versions = manifest.benchmark.split(", ")

@@ -65,18 +65,16 @@ class Size:
         steps: of training, a multiple of ``LOG_STEPS``.
         per_kind: evaluation episodes per kind of motion.
         kinds: how many kinds of motion, from the first.
-        batch_size: samples a step.
     """
 
     episodes: int = 800
     steps: int = 600
     per_kind: int = 2
     kinds: int = len(KINDS)
-    batch_size: int = 2
 
 
 FULL = Size()
-TINY = Size(2, LOG_STEPS, 1, 2, 1)
+TINY = Size(2, LOG_STEPS, 1, 2)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -154,7 +152,6 @@ def _train(out: Path, size: Size) -> None:
         f"--steps={size.steps}",
         f"--save_freq={size.steps}",
         f"--log_freq={LOG_STEPS}",
-        f"--batch_size={size.batch_size}",
     ]
     bar = {"total": size.steps // LOG_STEPS, "desc": "encoding and training", "bar_format": BAR}
     with _lerobot("train", words, out, partial, STEPS_DONE, **bar):

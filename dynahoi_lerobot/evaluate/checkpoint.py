@@ -136,13 +136,16 @@ def trained_for(folder: Path) -> dict[str, Any]:
     dataset that it names, if that is on this machine.
     """
     config, training = (_read_object(file) if (file := folder / name).is_file() else {} for name in (CONFIG, TRAINING))
-    env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
-    rules = env if env.get("type") == "dynahoi" else _recipe_of(root)
-    told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
-    if camera := config.get("input_features", {}).get(CAMERA_KEY):
-        told["image_size"] = camera["shape"][-1]
-    if config.get("output_features", {}).get("action", {}).get("shape") == [len(CONTROL_MODES[GRASP])]:
-        told["control_mode"] = GRASP
+    try:
+        env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
+        rules = env if env.get("type") == "dynahoi" else _recipe_of(root)
+        told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
+        if camera := config.get("input_features", {}).get(CAMERA_KEY):
+            told["image_size"] = camera["shape"][-1]
+        if config.get("output_features", {}).get("action", {}).get("shape") == [len(CONTROL_MODES[GRASP])]:
+            told["control_mode"] = GRASP
+    except (AttributeError, LookupError, TypeError) as error:
+        raise PolicyError(f"{folder / CONFIG} or {TRAINING} is not as LeRobot writes it: {error}") from error
     return told
 
 
@@ -214,11 +217,13 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
     if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
         raise PolicyError(f"{file} holds no list of processor steps")
     for step in steps:
-        name = step.get("registry_name", step.get("class"))
+        name, config = step.get("registry_name", step.get("class")), step.get("config", {})
+        if not isinstance(config, dict):
+            raise PolicyError(f"{file} gives the step {name!r} the config {config!r}, which is no mapping")
         known = STEPS.get(str(step.get("registry_name")))
         if known is None:
             yield f"names the processor step {name!r}, which is not on the list of steps known to be safe"
-        elif surplus := sorted(set(step.get("config", {})) - known):
+        elif surplus := sorted(config.keys() - known):
             yield f"gives the step {name!r} the key {surplus[0]!r}, which is not on the list of its keys"
         if (state := step.get("state_file")) is not None and not STATE_FILE.fullmatch(str(state)):
             yield f"names the state file {state!r}, which is not inside the checkpoint"

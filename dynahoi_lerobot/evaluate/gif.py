@@ -12,6 +12,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.files import write_atomically
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -58,9 +59,9 @@ def frame_phases(acting: np.ndarray, localized: np.ndarray) -> list[str]:
 
 
 def write_gif(path: Path, frames: np.ndarray, **options: Any) -> None:
-    """Write frames as a GIF that repeats forever; frames and options are those of ``encode_gif``."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(encode_gif(frames, **options))
+    """Write frames as a GIF that loops forever, whole or not at all; see ``encode_gif`` for the options."""
+    data = encode_gif(frames, **options)
+    write_atomically({path: lambda draft: draft.write_bytes(data)})
 
 
 def encode_gif(

@@ -33,9 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def setting(text: str) -> tuple[str, Any]:
     """Parse ``KEY=VALUE``, the value as YAML."""
     key, separator, value = text.partition("=")
+    try:
+        parsed = yaml.safe_load(value)
+    except yaml.YAMLError:
+        separator = ""
     if not separator:
-        raise argparse.ArgumentTypeError(f"must be KEY=VALUE, got {text!r}")
-    return key, yaml.safe_load(value)
+        raise argparse.ArgumentTypeError(f"must be KEY=VALUE, the value as YAML, got {text!r}")
+    return key, parsed
 
 
 def run(args: argparse.Namespace) -> int:

@@ -152,7 +152,15 @@ def test_files_that_hold_or_ask_for_code_are_refused(name: str, content: bytes, 
 
 @pytest.mark.parametrize(
     ("name", "text"),
-    [(PREPROCESSOR, "{"), (PREPROCESSOR, '{"steps": [1]}'), ("config.json", "[]"), ("model.safetensors", "no tensors")],
+    [
+        (PREPROCESSOR, "{"),
+        (PREPROCESSOR, '{"steps": [1]}'),
+        (PREPROCESSOR, '{"steps": [{"registry_name": "device_processor", "config": 5}]}'),
+        ("config.json", "[]"),
+        ("train_config.json", '{"env": "x"}'),
+        ("train_config.json", '{"dataset": 3}'),
+        ("model.safetensors", "no tensors"),
+    ],
 )
 def test_damaged_files_are_one_sentence(name: str, text: str, checkpoint: Path, capsys: pytest.CaptureFixture) -> None:
     (checkpoint / name).write_text(text)

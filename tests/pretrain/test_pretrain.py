@@ -99,8 +99,18 @@ def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFi
     words = ["pretrain", "--recipe", str(tiny_recipe(tmp_path)), "--set"]
     assert main([*words, f"images={BATCH}"]) == 0
     assert json.loads(capsys.readouterr().out)["images"] == BATCH
-    assert main([*words, "images"]) == 2
-    assert "must be KEY=VALUE, got 'images'" in capsys.readouterr().err
+    for wrong in ("images", "images={"):
+        assert main([*words, wrong]) == 2
+        assert f"must be KEY=VALUE, the value as YAML, got {wrong!r}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("policy", ["a: 1", "policy: {type: diffusion}", "policy: {type: act}", "policy: 3"])
+def test_a_recipe_that_trains_no_act_is_refused_in_a_sentence(
+    policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "act.yaml").write_text(policy)
+    assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path, policy=str(tmp_path / "act.yaml")))]) == 2
+    assert str(tmp_path / "act.yaml") in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_finished_run_is_not_trained_again(

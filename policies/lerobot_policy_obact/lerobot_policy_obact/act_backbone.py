@@ -84,7 +84,10 @@ class BackboneLearner:
     def save(self, folder: Path) -> None:
         """Write an ACT checkpoint with this backbone; its other weights are random."""
         policy = ACTPolicy(self._config)
-        policy.model.backbone.load_state_dict(self.module.backbone.state_dict(), strict=False)
+        weights = self.module.backbone.state_dict()  # ACT's frozen normalisation counts no batches
+        policy.model.backbone.load_state_dict(
+            {k: v for k, v in weights.items() if not k.endswith("num_batches_tracked")}
+        )
         policy.save_pretrained(folder)
         for processor in make_pre_post_processors(self._config):
             processor.save_pretrained(folder)
@@ -96,8 +99,11 @@ def act_config(path: Path) -> ACTConfig:
     Raises:
         ValueError: if there is none, or its features are not named.
     """
-    values = read_yaml(path)["policy"]
-    config = draccus.decode(PreTrainedConfig, values)
+    values = read_yaml(path)
+    try:
+        config = draccus.decode(PreTrainedConfig, values.get("policy") if isinstance(values, dict) else None)
+    except (draccus.utils.DraccusException, TypeError) as error:
+        raise ValueError(f"{path} trains no policy: {error.__cause__ or error}") from error
     if not isinstance(config, ACTConfig):
         raise ValueError(f"policy must be a recipe that trains an act, but {path} trains a {config.type}")
     if not config.input_features or not config.output_features:

@@ -14,7 +14,8 @@ from .encoders import ENCODERS
 from .gr00t_head import Gr00tHead
 from .heads import DiffusionHead, FlowHead, RegressionHead
 
-MAX_SAMPLING_STEPS = 100
+MAX_SAMPLING = 100
+"""Most steps, and most draws, of a head."""
 HEADS: dict[str, Callable[..., Any]] = {
     "diffusion": DiffusionHead,
     "flow": FlowHead,
@@ -120,9 +121,9 @@ class ObActConfig(PreTrainedConfig):
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
         self._require(self.freeze_encoder or not self.encode_once, "freeze_encoder", "true with encode_once")
-        steps = self.head_options.get("n_steps", 1)
-        if not 1 <= steps <= MAX_SAMPLING_STEPS:
-            raise ValueError(f"head_options.n_steps is {steps}, but must be 1 to {MAX_SAMPLING_STEPS}.")
+        for name in ("n_steps", "n_draws"):
+            if not 1 <= (value := self.head_options.get(name, 1)) <= MAX_SAMPLING:
+                raise ValueError(f"head_options.{name} is {value}, but must be 1 to {MAX_SAMPLING}.")
 
     def _require(self, valid: bool, name: str, allowed: str) -> None:
         if not valid:

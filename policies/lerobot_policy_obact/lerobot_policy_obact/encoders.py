@@ -2,8 +2,7 @@
 
     cells      a grid of features, by whatever network
     attention  over the cells, whose values are viewing rays (`SpatialAttention`)
-    sighting   (u, v, log depth) in the camera's frame and the log scales of the errors across and along the line of
-    sight
+    sighting   (u, v, log depth) in the camera's frame, and log scales of the errors across and along the line of sight
 
 The default, the eye, looks twice: its attention says where, and a fovea, the pixels around that, says how far off and
 how far away. The change since the image before shows what moves. Errors are taken to be Laplace distributed.

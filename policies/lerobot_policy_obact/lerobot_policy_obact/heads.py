@@ -1,9 +1,9 @@
 """Action heads: what a context says about the next actions.
 
     base        mean of the chunk and the scale of its error, by regression (Laplace likelihood)
-    diffusion   the chunk's deviation from that mean in units of that scale, denoised from standard normal noise;
-    default flow        the same deviation, by flow matching
-    regression  the mean itself: no noise
+    diffusion   the default: the chunk's deviation from that mean, in units of that scale, denoised from normal noise
+    flow        the same deviation, by flow matching
+    regression  the mean itself, without noise
 
 Time runs from t = 0, noise, to t = 1, data. Diffusion mixes signal and noise as sin and cos of t pi / 2 (variance
 preserving) and predicts the signal; flow mixes them linearly and predicts the velocity. Dividing the former by the sum
@@ -48,7 +48,7 @@ class Guidance:
 
     Attributes:
         processor: LeRobot's ``RTCProcessor``.
-        leftover: those actions as the head predicts them, ``(B, n, A)``.
+        leftover: those actions as the head predicts them, ``(B, n, A)``, at most a chunk.
         inference_delay: how many of them are executed before this chunk is ready.
         execution_horizon: over how many actions the guidance fades out; None for the processor's own.
     """
@@ -108,8 +108,8 @@ class ActionHead(nn.Module):
         groups: sizes of the groups of an action's entries that are scaled together (palm, fingers), of sum A.
         width: of the denoiser.
         n_steps: sampling steps.
-        n_draws: chunks that are sampled for a decision. The one whose first group is nearest to the others' is taken:
-            it is likelier than most and, unlike their mean, never lies between two answers.
+        n_draws: chunks sampled for a decision. The chunk whose first group is closest to those of the others is
+            returned; unlike their mean, it cannot fall between two modes.
     """
 
     generative = False
@@ -184,7 +184,7 @@ class ActionHead(nn.Module):
         Args:
             context: see `loss`.
             noise: start of the sampling, ``(R, H, A)``; if None, ``n_draws`` chunks start from fresh noise.
-            guidance: towards the previous chunk, of which one chunk is sampled.
+            guidance: towards the previous chunk; a single chunk is sampled then.
         """
         if self.denoiser is None:
             return self.regress(context)[0]
@@ -205,8 +205,8 @@ class ActionHead(nn.Module):
         start = self.noise(context) if noise is None else noise
         options = {}
         if guidance is not None:
-            n = min(guidance.leftover.shape[1], self.horizon)
-            options = guidance.options((guidance.leftover[:, :n] - mean[:, :n]) / unit[:, :n])
+            n = guidance.leftover.shape[1]
+            options = guidance.options((guidance.leftover - mean[:, :n]) / unit[:, :n])
         return mean + unit * euler_integrate(towards_noise, start, self.n_steps, **options)
 
 
