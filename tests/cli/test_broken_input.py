@@ -76,11 +76,7 @@ GENERATE = ["generate", "--root", "made", "--episodes", "1", "--motions", "const
     ],
 )  # fmt: skip
 def test_a_sentence_names_what_was_received_and_what_is_allowed(
-    words: list[str],
-    sentence: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "recipe.yaml").write_text("motions: lob\n")

@@ -20,13 +20,7 @@ from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.evaluate.checkpoint import (
-    STEPS,
-    WEIGHTS,
-    PolicyError,
-    checked_folder,
-    trained_for,
-)
+from dynahoi_lerobot.evaluate.checkpoint import STEPS, WEIGHTS, PolicyError, checked_folder, trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 

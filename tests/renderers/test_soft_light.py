@@ -32,11 +32,7 @@ every_shape = pytest.mark.parametrize("geom_type", TYPES, ids=lambda one: one.na
 
 def _kernel_of(shadow: wp.Function) -> wp.Kernel:
     def shares(
-        size: wp.vec3,
-        spread: float,
-        points: wp.array[wp.vec3],
-        directions: wp.array[wp.vec3],
-        taken: wp.array[float],
+        size: wp.vec3, spread: float, points: wp.array[wp.vec3], directions: wp.array[wp.vec3], taken: wp.array[float]
     ):
         i = wp.tid()
         taken[i] = shadow(size, spread, points[i], directions[i])

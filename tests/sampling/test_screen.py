@@ -109,9 +109,7 @@ def test_the_expert_catches_every_target(occluded: list[EpisodeSpec], control_cl
     assert all(episode.success for episode in evaluate(batch, EXPERTS["intercept"](), occluded))
 
 
-def test_a_hand_of_half_a_metre_a_second_meets_no_target_earlier(
-    occluded: list[EpisodeSpec],
-):
+def test_a_hand_of_half_a_metre_a_second_meets_no_target_earlier(occluded: list[EpisodeSpec]):
     for spec in occluded:
         frames = np.arange(spec.window_frames + 2, earliest_meeting(spec))
         distance = np.linalg.norm(spec.oracle_path[frames] - spec.home_pos_w, axis=1)

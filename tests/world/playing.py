@@ -20,12 +20,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 SMALL = Recipe(split="test", image_size=32)
 
 
-def world(
-    specs: Sequence[EpisodeSpec],
-    *,
-    threads: int = 1,
-    **options,
-) -> WorldBatch:
+def world(specs: Sequence[EpisodeSpec], *, threads: int = 1, **options) -> WorldBatch:
     """A batch with one world for each spec, at the start of its episode; ``options`` are fields of the recipe."""
     batch = WorldBatch(SMALL.changed(**options), len(specs), threads)
     batch.reset(range(len(specs)), specs)
