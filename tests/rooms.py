@@ -69,15 +69,6 @@ def _run_time_nodes(tree: ast.AST) -> Iterator[ast.AST]:
             yield from _run_time_nodes(node)
 
 
-def room_imports() -> dict[str, set[str]]:
-    """Return, in the order of ``ROOMS``, the other rooms that each room imports."""
-    found: dict[str, set[str]] = {room: set() for room in ROOMS}
-    for module, imported in imports():
-        if module != PACKAGE.name and imported.startswith(f"{PACKAGE.name}."):
-            found[room_of(module)].add(room_of(imported))
-    return {room: others - {room} for room, others in found.items()}
-
-
 def _is_module(value: object) -> bool:
     """Tell whether a constant is the dotted name of a module of the core."""
     if not isinstance(value, str) or not re.fullmatch(rf"{PACKAGE.name}(\.\w+)+", value):

@@ -29,32 +29,6 @@ def test_list_prints_every_entry_with_a_description(what: str, capsys: pytest.Ca
     assert len({len(line) for line in table}) == 1, "columns are aligned"
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["evaluate", "--policy", "expertt"], "there is no policy 'expertt'"),
-        (["evaluate", "--policy", "hold", "--split", "exam"], "unknown split 'exam'; known: train, val, test"),
-        (["evaluate", "--policy", "hold", "--episodes", "0"], "must be 1 to 110, all of split test_small; got 0"),
-        (["evaluate", "--policy", "hold", "--episodes", "111"], "must be 1 to 110, all of split test_small; got 111"),
-        (["evaluate", "--policy", "hold", "--capture", "glue"], "unknown capture rule 'glue'; known: attach"),
-        (["evaluate", "--policy", "hold", "--set", "a=1"], "the config of a LeRobot policy, and 'hold' has none"),
-        (["evaluate", "--policy", "hold", "--motions", "lop"], "unknown motion 'lop' (did you mean 'lob'?)"),
-        (["view", "--motion", "lob", "--out", "x.avi"], "cannot write '.avi'; use .gif, .mp4, .html"),
-        (["report", "nowhere"], "nowhere; run `dynahoi evaluate`"),
-        (["generate", "--root", "x", "--episodes", "-1"], "-1"),
-    ],
-)
-def test_bad_input_is_one_sentence_and_a_non_zero_exit(
-    words: list[str], sentence: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(words) == cli.BAD_INPUT
-    message = capsys.readouterr().err.strip()
-    assert sentence in message
-    assert message.count("\n") == 0
-    assert list(tmp_path.iterdir()) == [], "nothing is left behind"
-
-
 @pytest.mark.slow
 def test_evaluate_writes_results_and_goes_on_where_it_stopped(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -76,17 +50,6 @@ def test_evaluate_writes_results_and_goes_on_where_it_stopped(
     page = tmp_path / "page.html"
     assert cli.main(["report", str(out), "--out", str(page)]) == 0
     assert "expert" in page.read_text()
-
-
-@pytest.mark.parametrize("words", [["verify", "x"], ["generate", "--root", "x", "--episodes", "1"]])
-def test_a_summary_that_could_not_be_written_is_refused_before_the_work(
-    words: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for file in ("missing/summary.json", "."):
-        assert cli.main([*words, "--json", file]) == cli.BAD_INPUT
-        assert f"--json must name a file in an existing folder, got {file}" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("capture", ["attach", pytest.param("contact", marks=pytest.mark.slow)])

@@ -76,24 +76,6 @@ def test_a_sample_has_as_many_of_each_kind() -> None:
     assert stratified(["lob", "ramp", "lob"], 9) == [0, 2, 1]
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--sample", "1", "--out", "x.gif"], "--out must end in .html, got x.gif"),
-        (["--sample", "1", "--view", "side", "--out", "x.html"], "has no view 'side'"),
-        (["--episode", "6"], "--episode must be 0 to 5, got 6"),
-        (["--episode", "-1"], "--episode must be 0 to 5, got -1"),
-        (["--view", "side"], "has no view 'side', only observation.images.ego"),
-    ],
-)
-def test_what_a_dataset_does_not_hold(
-    words: list[str], sentence: str, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert view("--dataset", dataset, "--out", tmp_path / "x.gif", *words) == cli.BAD_INPUT
-    assert sentence in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.slow
 def test_a_policy_plays_at_the_size_it_was_trained_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "policy.mp4"
@@ -101,24 +83,6 @@ def test_a_policy_plays_at_the_size_it_was_trained_for(tmp_path: Path, capsys: p
     assert capsys.readouterr().out.splitlines()[-1].startswith(f"{CHECKPOINT}: Catch")
     with av.open(str(out)) as film:
         assert next(film.decode(video=0)).width == 96
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        ([], "--results DIR"),
-        (["--motion", "lob", "--results", "r"], "--motion MOTION"),
-        (["--motion", "lop"], "unknown motion 'lop' (did you mean 'lob'?)"),
-        (["--motion", "lob", "--image-size", "0"], "--image-size is 0"),
-        (["--results", "nowhere"], "there is no result folder nowhere"),
-    ],
-)
-def test_bad_sources_are_one_sentence(
-    words: list[str], sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert view(*words, "--out", tmp_path / "x.gif") == cli.BAD_INPUT
-    assert sentence in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
 
 
 def test_frames_of_odd_size_become_a_video(tmp_path: Path) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lerobot.policies.tdmpc.configuration_tdmpc import TDMPCConfig
 from lerobot.rl.buffer import ReplayBuffer
 
 from dynahoi_lerobot.cli.main import main
@@ -44,37 +43,12 @@ def test_opens(dataset):
     assert not [name for name in opened.meta.episodes.column_names if name.startswith("stats/")]
 
 
-def test_windows_over_time(dataset):
-    window = {"observation.images.ego": [-0.5, -0.25, 0.0], "action": [0.0, 0.05, 0.1]}
-    opened = open_dataset(dataset, delta_timestamps=window)
-    item = opened[LENGTHS[0] + 12]
-    expected = varied_episode(1)
-    np.testing.assert_array_equal(item["action"], expected.action[12:15])
-    assert np.abs(hwc(item["observation.images.ego"]) - expected.images["ego"][[2, 7, 12]]).mean() < 6
-    last = opened[LENGTHS[0] - 1]
-    assert last["action_is_pad"].tolist() == [False, True, True]
-
-
 def test_episode_columns_can_be_filtered_and_read(dataset):
     opened = open_dataset(dataset, episode_filter=lambda ep: ep["seed"] >= 4 and ep["motion"] == "constant")
     assert opened.episodes == [4, 5]
     assert opened.num_frames == LENGTHS[4] + LENGTHS[5]
     assert opened.meta.episodes[4]["object"] == "ball"
     check_images(opened, 0, 4, 0)
-
-
-def edit(root: Path, output: Path, **operation):
-    from lerobot.datasets import dataset_tools
-
-    name, arguments = operation.popitem()
-    return getattr(dataset_tools, name)(open_dataset(root), output_dir=output, **arguments)
-
-
-def test_delete_episodes(dataset, tmp_path):
-    rest = edit(dataset, tmp_path / "rest", delete_episodes={"episode_indices": [0, 3], "repo_id": REPO})
-    assert rest.num_episodes == 4
-    assert rest.meta.features["observation.images.ego"]["info"]["video.codec"] == "h264"
-    check_images(rest, LENGTHS[1] + LENGTHS[2] + 5, 4, 5)
 
 
 @pytest.mark.parametrize("concatenate", [True, False])
@@ -99,23 +73,6 @@ def stream(root: Path, window: dict[str, list[float]] | None = None, **options):
 
     options = {"shuffle": False, "buffer_size": 1} | options
     return iter(StreamingLeRobotDataset(REPO, root=root, delta_timestamps=window, **options))
-
-
-def test_streams(tmp_path, monkeypatch):
-    from lerobot.datasets import streaming_dataset
-    from lerobot.datasets.video_utils import decode_video_frames_pyav
-
-    def decode(path, timestamps, tolerance_s, **_):
-        return decode_video_frames_pyav(path, timestamps, tolerance_s)
-
-    # Its only decoder, torchcodec, needs libraries of the system.
-    monkeypatch.setattr(streaming_dataset, "decode_video_frames_torchcodec", decode)
-    items = stream(write(tmp_path / "d", range(2)), {"action": [0.0, 0.05], "observation.images.ego": [-0.05, 0.0]})
-    item = next(item for item in items if int(item["episode_index"]) == 1 and int(item["frame_index"]) == 3)
-    expected = varied_episode(1)
-    np.testing.assert_array_equal(item["action"], expected.action[3:5])
-    shown = np.moveaxis(item["observation.images.ego"].numpy() * 255, -3, -1)
-    assert np.abs(shown - expected.images["ego"][2:4]).mean() < 6
 
 
 def test_streams_windows_over_every_observation(tmp_path):
@@ -178,15 +135,6 @@ def test_the_replay_buffer_gets_a_reward_per_success_and_an_end_per_episode(stor
     assert rewarded == first - 1, "the action that leads to success"
     assert torch.equal(transitions[rewarded]["next_state"][STATE][0], after)
     assert not transitions[rewarded]["done"]
-
-
-def test_the_reward_has_a_next_observation_which_tdmpc_needs(stored) -> None:
-    root, _ = stored
-    config = TDMPCConfig()
-    steps = {"next.reward": config.reward_delta_indices, STATE: config.observation_delta_indices}
-    opened = open_dataset(root, delta_timestamps={key: [step / 20 for step in deltas] for key, deltas in steps.items()})
-    learnt = [(item["next.reward"] * ~item[f"{STATE}_is_pad"][1:]).sum().item() for item in opened]
-    assert sum(learnt) == config.horizon, "each place within the horizon, as its loss masks padding"
 
 
 def test_the_columns_are_those_of_lerobots_own_recordings(stored) -> None:

@@ -93,12 +93,6 @@ def test_files_roll_over_at_their_limits(tmp_path):
         assert np.abs(images.astype(int) - varied_episode(row["seed"]).images["ego"]).mean() < 6
 
 
-def test_videos_stay_short_enough_to_open_quickly(tmp_path):
-    store = Store(write(tmp_path / "d", range(4), 16, limits=FileLimits(video_s=2.3)))
-    assert max(row["videos/observation.images.ego/to_timestamp"] for row in store.rows) <= 2.3
-    assert len({store.video_path(row, CAMERA_KEY) for row in store.rows}) == 2
-
-
 def test_an_episodes_packets_do_not_depend_on_its_place_in_the_file(dataset):
     store, stored = Store(dataset), []
     for row in store.rows:
@@ -111,13 +105,6 @@ def test_an_episodes_packets_do_not_depend_on_its_place_in_the_file(dataset):
         assert max(abs(packet.size - size) for packet, size in zip(there, alone, strict=True)) < 8
         assert there[0].is_keyframe
         assert [packet.pts for packet in there] == sorted(packet.pts for packet in there)
-
-
-def test_facts_are_columns_that_lerobot_reads(dataset):
-    for seed, row in enumerate(Store(dataset).rows):
-        episode = varied_episode(seed)
-        assert dataclasses.asdict(episode.meta).items() <= row.items()
-        assert json.loads(row["parameters"]) == episode.meta.motion_parameters
 
 
 def test_what_is_no_dataset_is_refused_and_leaves_nothing(tmp_path, dataset):

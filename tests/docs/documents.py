@@ -9,8 +9,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("_build", "jupyter_execute")
-MADE = ("data", "outputs", "results")
-"""Folders that commands make, and may have made in a checkout."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [path for path in sorted((ROOT / "docs").rglob("*.md")) if path.parts[-2] not in GENERATED]
 

@@ -187,15 +187,6 @@ def test_results_go_below_lerobots_output_folder(words: list[str], tmp_path: Pat
     assert new_results_folder(["lerobot-train", recipe, *words]).parent == Path("out/run/dynahoi")
 
 
-def test_an_evaluation_without_a_results_folder_leaves_its_metrics_with_lerobots(
-    config_class: type[EnvConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--output_dir={tmp_path}"])
-    evaluate_with_lerobot(config_class(task="constant", **SMALL), episodes=1)
-    (folder,) = (tmp_path / "dynahoi").iterdir()
-    assert len(read_results(folder).rows) == 2
-
-
 def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

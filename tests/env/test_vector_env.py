@@ -229,15 +229,6 @@ def test_a_copy_plays_what_the_original_plays(make: Callable, copied: Callable) 
     assert (twin.render_mode, twin.observation_space) == (env.render_mode, env.observation_space)
 
 
-@pytest.mark.parametrize("copied", COPIES)
-def test_a_copy_of_a_made_env_keeps_its_id_and_its_wrappers(copied: Callable) -> None:
-    register_envs()
-    env = gym.make("dynahoi/ramp-v0", image_size=0)
-    twin = copied(env)
-    assert twin.spec.id == env.spec.id == "dynahoi/ramp-v0"
-    assert_same(env.reset(seed=2)[0], twin.reset(seed=2)[0])
-
-
 def test_a_copy_of_lerobots_task_reports_to_a_log_of_the_same_folder(tmp_path: Path) -> None:
     env = TaskEnv(1, log=ResultsLog(tmp_path, Recipe(split="test", image_size=16)), **OPTIONS)
     twin = copy.deepcopy(env)

@@ -206,12 +206,6 @@ def test_a_policy_that_fails_while_it_plays_is_one_sentence(
     assert told in capsys.readouterr().err.splitlines()[-1]
 
 
-@pytest.mark.parametrize("name", ["a" * 5000, "a/" + "b" * 5000, "nowhere"])
-def test_a_path_that_cannot_be_is_one_sentence(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["evaluate", "--policy", name, "--episodes", "1"]) == 2
-    assert len(capsys.readouterr().err) < 1000
-
-
 def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(
     checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -120,23 +120,6 @@ def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: P
     assert "moves the hand, and" not in (tmp_path / "first" / "README.md").read_text()
 
 
-@pytest.mark.parametrize(
-    ("more", "told"),
-    [
-        (["--actor", "nowhere"], "there is no policy 'nowhere'"),
-        (["--actor", "user/name", "--trust"], "--trust needs a folder as the actor, got 'user/name'"),
-        (["--perturbed-share", "1.5"], "perturbed_share must be 0 to 1, got 1.5"),
-    ],
-    ids=str,
-)
-def test_bad_input_is_one_sentence(more: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(words(None, tmp_path / "d", *more)) == 2
-    error = capsys.readouterr().err
-    assert told in error
-    assert "Traceback" not in error
-    assert not (tmp_path / "d").exists()
-
-
 def test_a_checkpoint_that_could_run_code_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     hostile = edited(actor, tmp_path, "config.json", lambda content: content | {"auto_map": {"x": "y"}})
     assert main(words(hostile, tmp_path / "d")) == 2

@@ -6,8 +6,6 @@ import re
 import subprocess
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[2]
 UNREAD = (".gif", ".jpg", ".png", ".npz", ".parquet", ".pem", ".safetensors")
 DISTRIBUTION = r"(?:dynahoi(?:[-_]lerobot)?|lerobot[-_](?:env[-_]dynahoi|policy[-_](?:obact|actiontokens)))"
@@ -33,29 +31,3 @@ def test_the_repository_names_nothing_that_is_not_registered():
     assert len(paths) > 100
     found = {path.relative_to(ROOT).as_posix(): foreign_names(path.read_text()) for path in paths if path.is_file()}
     assert not {path: lines for path, lines in found.items() if lines}
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "pip install dynahoi_lerobot",
-        "uvx dynahoi quickstart",
-        "lerobot-eval --policy.path=dynahoi/obact_standard",
-        'LeRobotDataset("dynahoi/train")',
-    ],
-)
-def test_foreign_names_are_refused(line: str):
-    assert foreign_names(line)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi',
-        'gym.make("dynahoi/planar-v0")',
-        "--dataset.repo_id=dynahoi/train --dataset.root=data/train",
-        "dynahoi verify data/dynahoi/train",
-    ],
-)
-def test_paths_gymnasium_ids_and_local_datasets_are_fine(line: str):
-    assert not foreign_names(line)

@@ -186,9 +186,3 @@ def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
 def test_recorded_command_lines_hide_it(words: list[str]):
     assert SALT not in " ".join(without_salt(words))
     assert without_salt(words)[0] == "evaluate"
-
-
-def test_an_abbreviated_salt_is_refused_as_it_would_be_recorded(tmp_path: Path, capsys: pytest.CaptureFixture):
-    assert main(["evaluate", "--policy", "hold", "--episodes", "1", "--sal", SALT, "--out", str(tmp_path / "out")]) == 2
-    assert "unrecognized arguments: --sal" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

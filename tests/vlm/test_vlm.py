@@ -288,19 +288,6 @@ def test_the_model_is_told_how_far_the_palm_may_move(settings: list[str], told: 
     assert all(told in exchange.body["messages"][1]["content"][0]["text"] for exchange in seen)
 
 
-@pytest.mark.parametrize(
-    ("words", "problem"),
-    [
-        ([], "--policy vlm needs --model NAME"),
-        (["--model", "m", "--request-timeout", "0"], "got 0"),
-        (["--model", "m", "--protocol", "observe_then_blind"], "observe_then_blind"),
-    ],
-)
-def test_what_a_model_cannot_play_with_is_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture):
-    assert main(["evaluate", "--policy", "vlm", *words]) == 2
-    assert problem in capsys.readouterr().err
-
-
 class SlowClient:
     """Needs 120 ms, of a clock that nothing else moves, to say: go where the number of the request is."""
 
