@@ -13,9 +13,8 @@ from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import frame_features
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
-from dynahoi_lerobot.dataset.columns import LANGUAGE, SUBTASKS, dataset_features, subtask_rows
+from dynahoi_lerobot.dataset.columns import LANGUAGE, SUBTASKS, subtask_rows
 from dynahoi_lerobot.dataset.video import Encoding
-from dynahoi_lerobot.dataset.writer import DatasetWriter
 from tests.dataset.episodes import varied_episode, write
 from tests.dataset.lerobot_api import REPO, open_dataset
 from tests.synthetic import synthetic_episode
@@ -92,12 +91,7 @@ def test_streams_windows_over_every_observation(tmp_path):
 @pytest.mark.parametrize("codec", ["h264", "images"])
 def test_columns_have_types_and_shapes(codec: str, tmp_path: Path):
     datasets = pytest.importorskip("datasets")
-    writer = DatasetWriter.for_episodes(
-        tmp_path / "d", dataset_features(varied_episode(0)), encoding=Encoding(codec=codec)
-    )
-    for seed in range(2):
-        writer.add(varied_episode(seed))
-    writer.finish()
+    write(tmp_path / "d", range(2), encoding=Encoding(codec=codec))
     table = datasets.load_dataset(str(tmp_path / "d"), split="train", cache_dir=str(tmp_path / "cache"))
     episodes = list(read_episodes(tmp_path / "d"))
     assert len(table) == sum(map(len, episodes))

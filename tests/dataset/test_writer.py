@@ -224,12 +224,8 @@ def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
         for found, part in told:
             for name, share in shares.items():
                 np.testing.assert_array_equal(found[name], np.quantile(part, share, axis=0, method="inverted_cdf"))
-            for name, wanted in (
-                ("min", part.min(0)),
-                ("max", part.max(0)),
-                ("mean", part.mean(0)),
-                ("std", part.std(0)),
-            ):
+            for name in ("min", "max", "mean", "std"):
+                wanted = getattr(part, name)(axis=0)
                 np.testing.assert_allclose(found[name], wanted, rtol=1e-6, atol=1e-9, err_msg=f"{key} {name}")
             assert found["count"] == [len(part)]
 
@@ -237,11 +233,6 @@ def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
 def test_statistics_of_images_are_those_of_all_pixels(dataset):
     stats = json.loads((dataset / "meta/stats.json").read_text())[CAMERA_KEY]
     pixels = np.concatenate([varied_episode(seed).images["ego"].reshape(-1, 3) for seed in range(6)]) / 255
-    for name, wanted in (
-        ("min", pixels.min(0)),
-        ("max", pixels.max(0)),
-        ("mean", pixels.mean(0)),
-        ("std", pixels.std(0)),
-    ):
-        np.testing.assert_allclose(np.ravel(stats[name]), wanted, rtol=1e-9, err_msg=name)
+    for name in ("min", "max", "mean", "std"):
+        np.testing.assert_allclose(np.ravel(stats[name]), getattr(pixels, name)(axis=0), rtol=1e-9, err_msg=name)
     assert stats["count"] == [sum(row["length"] for row in Store(dataset).rows)]

@@ -8,7 +8,7 @@ from pathlib import Path
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.evaluate.rows import episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate
-from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, heading, metric_cell, results_table, stratum_table
+from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, heading, metric_cell, results_table
 from tests.synthetic import synthetic_episode
 
 
@@ -51,11 +51,3 @@ def test_the_contact_rule_leads_with_holding():
     assert header.index("capture") < header.index("S_hold") < header.index("S_loc")
     assert "capture" not in shared
     assert "S_hold" not in results_table([results()])
-
-
-def test_one_line_per_label_of_a_stratum():
-    lines = stratum_table(results()).as_text().split("\n")
-    assert lines[0].startswith("kind")
-    assert [line.split()[:3] for line in lines[2:]] == [["constant", "2", "50.0"], ["lob", "2", "100.0"]]
-    lines = stratum_table(results(), "duration", ["S_joint"]).as_text().split("\n")
-    assert [line.split() for line in lines[2:]] == [["20-40", "4", "75.0", "[30.1,", "95.4]"]]

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -212,30 +209,3 @@ def test_a_finished_dataset_is_checked(tmp_path, capsys):
     flip_byte(tmp_path / "d/data/chunk-000/file-000.parquet")
     assert run(*words) == 1
     assert "is complete but damaged: data/chunk-000/file-000.parquet" in capsys.readouterr().err
-
-
-PARENT = """
-import subprocess, sys, time
-child = subprocess.Popen([sys.executable, "-c", '''
-import os, time
-from dynahoi_lerobot.generate.pipeline import exit_with_parent
-exit_with_parent(os.getppid())
-print("ready", flush=True)
-time.sleep(60)
-'''], stdout=subprocess.PIPE)
-child.stdout.readline()
-print(child.pid, flush=True)
-time.sleep(60)
-"""
-
-
-def test_a_worker_ends_with_its_parent_however_that_ends():
-    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    child = int(parent.stdout.readline())
-    parent.kill()
-    parent.wait()
-    deadline = time.monotonic() + 20
-    while (status := Path(f"/proc/{child}/stat")).exists() and status.read_text().split()[2] != "Z":
-        assert time.monotonic() < deadline, "the child outlives its parent"
-        time.sleep(0.05)

@@ -11,11 +11,21 @@ import pytest
 import yaml
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.hub.conftest import Push, write_split
 from tests.hub.server import TOKEN, Hub
 
+ROOT = Path(__file__).parents[2]
 DATASET, MODEL = "datasets/me/catching", "models/me/policy"
+
+
+def refused(answer: tuple[int, str, str], sentence: str, wanted: int = 1) -> None:
+    """The command ended with an exit code and said so in one line."""
+    code, _, err = answer
+    assert (code, err.count("\n")) == (wanted, 1), err
+    assert sentence in err
+
 
 # -- datasets ---------------------------------------------------------------------------------------------------------
 
@@ -42,17 +52,13 @@ def test_another_dataset_of_the_same_files_is_not_overwritten(simulated: Path, t
     before = dict(hub.repos[DATASET].commits)
     root = tmp_path / "other"
     assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32", "--seed", "9"]) == 0
-    code, _, err = push(root, "me/catching")
-    assert code == 1
-    assert "me/catching holds another dataset" in err
+    refused(push(root, "me/catching"), "me/catching holds another dataset")
     assert hub.repos[DATASET].commits == before
 
 
 def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
     hub.uploads_left = 2
-    code, _, err = push(simulated, "me/catching")
-    assert code == 1
-    assert "507 (storage is full)" in err
+    refused(push(simulated, "me/catching"), "507 (storage is full)")
     assert hub.repos[DATASET].files == {}
     before = set(hub.blobs)
     hub.uploads_left = None
@@ -78,26 +84,20 @@ def test_stopping_it_says_how_to_go_on(simulated: Path, hub: Hub, push: Push, mo
 def test_a_damaged_dataset_is_refused(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
     broken = shutil.copytree(simulated, tmp_path / "broken")
     (broken / "meta/tasks.parquet").unlink()
-    code, _, err = push(broken, "me/catching")
-    assert code == 1
-    assert "tasks.parquet is missing" in err
+    refused(push(broken, "me/catching"), "tasks.parquet is missing")
     assert hub.repos == {}
 
 
 def test_a_repository_of_something_else_is_left_alone(simulated: Path, hub: Hub, push: Push):
     push(simulated, "me/catching")
     hub.repos[DATASET].commits["f" * 40] = {"thesis.pdf": b"years of work"}
-    code, _, err = push(simulated, "me/catching")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "me/catching holds other content (thesis.pdf); choose another name" in err
+    refused(push(simulated, "me/catching"), "me/catching holds other content (thesis.pdf); choose another name")
     assert hub.repos[DATASET].files == {"thesis.pdf": b"years of work"}
 
 
 def test_what_is_to_be_private_does_not_go_into_a_public_repository(simulated: Path, hub: Hub, push: Push):
     push(simulated, "me/catching")
-    code, _, err = push(simulated, "me/catching", "--private")
-    assert code == 1
-    assert "me/catching exists and is public" in err
+    refused(push(simulated, "me/catching", "--private"), "me/catching exists and is public")
 
 
 # -- what any push needs ----------------------------------------------------------------------------------------------
@@ -115,9 +115,7 @@ def test_tokens_that_will_not_do(
     repo: str, token: str, said: str, *, checkpoint: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("HF_TOKEN", token)
-    code, _, err = push(checkpoint, repo)
-    assert code == 1
-    assert said in err
+    refused(push(checkpoint, repo), said)
     assert hub.repos == {}
 
 
@@ -125,27 +123,27 @@ def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatc
     from huggingface_hub import constants
 
     monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
-    code, _, err = push(checkpoint, "me/policy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost" in err
+    refused(push(checkpoint, "me/policy"), "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost")
 
 
 @pytest.mark.parametrize("name", ["catching", "a/b/c", "me/a b", ""])
 def test_names_that_are_none(checkpoint: Path, hub: Hub, push: Push, name: str):
-    code, _, err = push(checkpoint, name)
-    assert code == 2
-    assert f"the repository is {name!r}; it must be USER/NAME" in err
+    refused(push(checkpoint, name), f"the repository is {name!r}; it must be USER/NAME", 2)
     assert hub.requests == []
 
 
 def test_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
     (tmp_path / "empty").mkdir()
-    code, _, err = push(tmp_path / "empty", "me/catching")
-    assert code == 2
-    assert "holds none of these: dataset (meta/info.json), results (metrics.json), checkpoint (config.json)" in err
-    code, _, err = push(checkpoint, "me/policy", "--policy", "me/x")
-    assert code == 2
-    assert f"--policy is for a push of results; {checkpoint} holds this: checkpoint" in err
+    refused(
+        push(tmp_path / "empty", "me/catching"),
+        "holds none of these: dataset (meta/info.json), results (metrics.json), checkpoint (config.json)",
+        2,
+    )
+    refused(
+        push(checkpoint, "me/policy", "--policy", "me/x"),
+        f"--policy is for a push of results; {checkpoint} holds this: checkpoint",
+        2,
+    )
     assert hub.repos == {}
 
 
@@ -197,9 +195,10 @@ def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_as
     assert push(checkpoint, "me/policy", "--replace")[0] == 0
     assert list(hub.repos[MODEL].commits) == commits, "the same weights keep their results"
     (checkpoint / "model.safetensors").write_bytes(b"better weights")
-    code, _, err = push(checkpoint, "me/policy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "me/policy holds other weights (model.safetensors); choose another name, or add --replace" in err
+    refused(
+        push(checkpoint, "me/policy"),
+        "me/policy holds other weights (model.safetensors); choose another name, or add --replace",
+    )
     assert list(hub.repos[MODEL].commits) == commits
     assert push(checkpoint, "me/policy", "--replace")[0] == 0
     files = hub.repos[MODEL].files
@@ -209,9 +208,7 @@ def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_as
 
 def test_pickles_are_refused(checkpoint: Path, hub: Hub, push: Push):
     (checkpoint / "optimizer.pt").write_bytes(b"pickle")
-    code, _, err = push(checkpoint, "me/policy")
-    assert code == 2
-    assert "holds the pickle optimizer.pt" in err
+    refused(push(checkpoint, "me/policy"), "holds the pickle optimizer.pt", 2)
     assert hub.repos == {}
 
 
@@ -225,9 +222,7 @@ def names(hub: Hub) -> set[str]:
 
 def test_results_need_their_checkpoint_and_must_be_whole(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
     results = write_split(tmp_path / "results", "ood_speed", range(220))
-    code, _, err = push(results, "me/policy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "me/policy holds no checkpoint" in err
+    refused(push(results, "me/policy"), "me/policy holds no checkpoint")
     assert hub.repos == {}
     push(checkpoint, "me/policy")
     (results / "actions.npz").write_bytes(b"")
@@ -265,9 +260,10 @@ def test_results_of_another_policy_are_refused_unless_they_are_said_to_be_of_thi
 ):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
-    code, _, err = push(results, "me/policy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert f"me/policy: {results} is of {policy}, and nothing shows that this repository holds it" in err
+    refused(
+        push(results, "me/policy"),
+        f"me/policy: {results} is of {policy}, and nothing shows that this repository holds it",
+    )
     assert names(hub) == set()
     code, _, err = push(results, "me/policy", "--policy", "you/third")
     assert f"{results} is of {policy}, not of you/third" in err
@@ -299,3 +295,23 @@ def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: 
     (entry,) = model["results"]
     assert entry["dataset"]["split"] == "ood_speed"
     assert {metric["type"] for metric in entry["metrics"]} == {"S_loc", "S_joint"}
+
+
+@pytest.mark.slow
+def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(hub: Hub, push: Push, tmp_path: Path):
+    results = tmp_path / "results"
+    assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0
+    assert main(["evaluate", "--policy", "me/policy", "--episodes", "2", "--out", str(results)]) == 0
+    assert push(results, "me/policy")[0] == 0
+    files, head = hub.repos[MODEL].files, json.loads((results / METRICS_FILE).read_text())
+    assert "model.safetensors" in files
+    name = "v2_test_small_attach_standard_image_size_96_2_episodes"
+    assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
+    assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, "results beside it are no obstacle"
+
+
+def test_an_environment_is_pushed(hub: Hub, push: Push):
+    code, out, err = push(ROOT / "envs/hub", "me/dynahoi-env")
+    assert code == 0, err
+    assert f"environment pushed to {hub.url}/me/dynahoi-env" in out
+    assert set(hub.repos["models/me/dynahoi-env"].files) == {"README.md", "env.py"}

@@ -14,7 +14,6 @@ import pytest
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.gif import write_gif
 from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
-from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import Table, metric_cell
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
@@ -135,13 +134,6 @@ def test_the_latency_of_an_evaluation_is_the_one_that_its_label_declares(inferen
     assert figures.latency_ms(Entry(named("a", inference=inference), "a", "#000")) == latency_ms
 
 
-def test_values_and_intervals_are_drawn_as_they_are_printed():
-    half = Estimate(0.5, 0.25, 0.75, "fraction", 4)
-    values, reach = figures.printed([None, Estimate(None, None, None, "score", 0), half])
-    np.testing.assert_array_equal(values, [np.nan, np.nan, 50.0])
-    np.testing.assert_array_equal(reach[:, 2], [25.0, 25.0])
-
-
 def test_deltas_are_those_of_the_control_phase(entries: list[Entry]):
     results = entries[0].results
     logs = [actions[row["window_frames"] :] for row, actions in zip(results.rows, results.actions, strict=True)]
@@ -200,11 +192,6 @@ def test_the_comparison_is_antisymmetric_and_under_equal_conditions(entries: lis
         assert column(tables[name], "holder")["strong"].text == "–"
         assert column(tables[name], "strong")["strong"].text == "–"
     assert comparison_tables(entries[:1]) == []
-
-
-def test_kind_tables_count_their_episodes(content: dict):
-    for table in content["per_kind"]:
-        assert sum(int(cell.text) for cell in column(table, "n").values()) == 24
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------

@@ -17,13 +17,13 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
-EPISODES = 220
+EPISODES = 110
 WORLDS = 44
 
 
 @pytest.fixture(scope="module")
 def many_specs() -> list[EpisodeSpec]:
-    """Every kind ten times, from ``test``."""
+    """Every kind five times, from ``test``."""
     return sample_specs(Recipe(split="test"), range(EPISODES))
 
 
