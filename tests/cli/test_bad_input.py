@@ -77,9 +77,7 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_one_sentence_names_what_was_received_and_what_is_allowed(
-    case: tuple[str, str], dataset: Path, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch
-):
+def test_one_sentence_names_what_was_received_and_what_is_allowed(case, dataset, tmp_path, capsys, monkeypatch):
     words, sentence = case
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("OPENAI_API_KEY", "secret")

@@ -142,9 +142,7 @@ def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeyp
     assert ran == ["_baselines"]
 
 
-def test_the_core_install_is_told_what_the_quickstart_needs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_core_install_is_told_what_the_quickstart_needs(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(quickstart.importlib.util, "find_spec", lambda name: None if name == "torch" else name)
     out = tmp_path / "quickstart"
     assert main(["quickstart", "--out", str(out)]) == 2

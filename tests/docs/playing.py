@@ -73,11 +73,7 @@ class Player:
                 self.run(words)
 
     def run(self, words: list[str]) -> None:
-        """Run a command with smaller counts.
-
-        Raises:
-            AssertionError: if it does not exit with 0, or installs what this repository does not offer.
-        """
+        """Run a command with smaller counts."""
         if words[0] in INSTALLERS:
             check_installation(words)
             words = wrapped(words)
@@ -111,11 +107,7 @@ def small(words: list[str]) -> list[str]:
 
 
 def run(words: list[str]) -> None:
-    """Run a command in this process, as its console script does.
-
-    Raises:
-        AssertionError: if it does not exit with 0.
-    """
+    """Run a command in this process, as its console script does."""
     AcceleratorState._reset_state(reset_partial_state=True)
     (script,) = entry_points(group="console_scripts", name=words[0])
     before, sys.argv = sys.argv, words
@@ -129,11 +121,7 @@ def run(words: list[str]) -> None:
 
 
 def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
-    """Run a command in a process of its own, because the Hub's client reads its settings once.
-
-    Raises:
-        AssertionError: if it does not exit with 0.
-    """
+    """Run a command in a process of its own, because the Hub's client reads its settings once."""
     (script,) = entry_points(group="console_scripts", name=words[0])
     start = (
         f"import sys; from {script.module} import {script.attr} as main; sys.argv[0] = {words[0]!r}; sys.exit(main())"
@@ -145,11 +133,7 @@ def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
 
 
 def check_installation(words: list[str]) -> None:
-    """Compare what a command installs with what this repository offers, because nothing is installed in a test.
-
-    Raises:
-        AssertionError: if a folder, extra or dependency group is not there.
-    """
+    """Compare what a command installs with what this repository offers, because nothing is installed in a test."""
     groups = [words[i + 1] for i, word in enumerate(words) if word == "--group"]
     assert set(groups) <= set(PROJECT["dependency-groups"]), words
     if "install" not in words:

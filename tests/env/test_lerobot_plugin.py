@@ -7,7 +7,6 @@ import json
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -82,9 +81,7 @@ def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig])
         ({"views": ("top",)}, "unknown view 'top'"),
     ],
 )
-def test_unknown_names_are_refused_by_the_config(
-    config_class: type[EnvConfig], option: dict[str, Any], sentence: str
-) -> None:
+def test_unknown_names_are_refused_by_the_config(config_class, option, sentence):
     with pytest.raises(ValueError, match=sentence):
         config_class(**SMALL, **option)
 
@@ -129,9 +126,7 @@ def test_results_go_below_lerobots_output_folder(words: list[str], tmp_path: Pat
     assert new_results_folder(["lerobot-train", recipe, *words]).parent == Path("out/run/dynahoi")
 
 
-def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, monkeypatch, capsys):
     checkpoint = shutil.copytree(SHIPPED, tmp_path / "late")
     training = {"env": {"type": "dynahoi", "control_class": "late"}}
     (checkpoint / "train_config.json").write_text(json.dumps(training))
@@ -196,9 +191,7 @@ def test_a_policy_with_a_queue_plays_the_same_episodes(act: Path, tmp_path: Path
         ((*LATE, "--env.n_action_steps=5"), "env.n_action_steps is 5, but the policy's is 8"),
     ],
 )
-def test_what_lerobots_loop_cannot_do_is_a_sentence(
-    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], sentence: str
-):
+def test_what_lerobots_loop_cannot_do_is_a_sentence(act, tmp_path, monkeypatch, options, sentence):
     with pytest.raises(ValueError, match=sentence):
         through_lerobot(act, tmp_path, monkeypatch, *options)
 

@@ -63,9 +63,7 @@ def marker(tmp_path: Path) -> Path:
     ("command", "pipeline"),
     [("evaluate --episodes 1", PREPROCESSOR), ("view --motion lob", "policy_postprocessor.json")],
 )
-def test_a_step_that_is_a_program_is_refused_by_every_command(
-    command: str, pipeline: str, checkpoint: Path, marker: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_step_that_is_a_program_is_refused_by_every_command(command, pipeline, checkpoint, marker, capsys):
     add_step(checkpoint, program(marker), pipeline)
     assert cli.main([*command.split(), "--policy", str(checkpoint), "--out", str(checkpoint.parent / "x.gif")]) == 2
     message = capsys.readouterr().err
@@ -74,9 +72,7 @@ def test_a_step_that_is_a_program_is_refused_by_every_command(
     assert not marker.exists()
 
 
-def test_trust_says_what_it_lets_lerobot_run(
-    checkpoint: Path, marker: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_trust_says_what_it_lets_lerobot_run(checkpoint, marker, capsys):
     add_step(checkpoint, program(marker))
     with pytest.raises(PolicyError, match="ProcessorStep"):
         PolicyAgent(str(checkpoint), trust=True)
@@ -198,17 +194,13 @@ def test_weights_that_do_not_fit_are_refused(damage: Callable[[dict[str, Any]], 
         ({"head_options": {"n_steps": 0}}, "head_options.n_steps is 0, but must be 1 to 100"),
     ],
 )
-def test_a_policy_that_fails_while_it_plays_is_one_sentence(
-    setting: dict[str, Any], told: str, checkpoint: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_policy_that_fails_while_it_plays_is_one_sentence(setting, told, checkpoint, capsys):
     change(checkpoint / "config.json", lambda config: config.update(setting))
     assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
     assert told in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(
-    checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_path, capsys):
     change(
         checkpoint / "train_config.json", lambda config: config.update(env={"type": "dynahoi", "control_class": "late"})
     )
@@ -253,9 +245,7 @@ def hub(checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> li
     return fetched
 
 
-def test_a_hub_repository_is_checked_before_its_weights_are_fetched(
-    checkpoint: Path, marker: Path, hub: list[str]
-) -> None:
+def test_a_hub_repository_is_checked_before_its_weights_are_fetched(checkpoint, marker, hub):
     add_step(checkpoint, program(marker))
     with pytest.raises(PolicyError, match=r"os\.mkdir"):
         PolicyAgent("you/obact")

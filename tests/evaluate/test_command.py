@@ -24,9 +24,7 @@ def test_files_of_somebody_else_stay_as_they_are(name: str, tmp_path: Path, caps
     assert (tmp_path / name).read_text() == "mine"
 
 
-def test_results_of_another_evaluation_stay_and_what_differs_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_results_of_another_evaluation_stay_and_what_differs_is_named(tmp_path, capsys):
     assert main([*HOLD, "--out", str(tmp_path)]) == 0
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     capsys.readouterr()
@@ -49,9 +47,7 @@ def test_two_processes_do_not_evaluate_into_one_folder(tmp_path: Path, capsys: p
     assert main([*HOLD, "--out", str(tmp_path)]) == 0
 
 
-def test_a_full_disk_is_one_sentence_and_the_run_resumes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, capsys):
     words = [*HOLD, "--episodes", "4", "--batch-size", "2", "--out", str(tmp_path)]
     write, calls = np.savez, []
 

@@ -74,9 +74,7 @@ def test_episodes_do_not_depend_on_those_before_them_in_their_shard(generated: P
     assert {name for name in held if found[name] != held[name]} == {"README.md"}, "which shows the plan"
 
 
-def test_another_checkpoint_is_another_dataset(
-    generated: Path, actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_another_checkpoint_is_another_dataset(generated, actor, tmp_path, capsys):
     other = edited(actor, tmp_path, "config.json", lambda content: content | {"n_action_steps": 1})
     assert actor_name(str(other)) != actor_name(str(actor))
     assert main(words(other, generated)) == 2

@@ -187,22 +187,6 @@ def test_intact_shards_are_kept(interrupted, undamaged, tmp_path):
     assert hash_files(tmp_path / "d") == undamaged
 
 
-def test_what_is_not_ours_is_refused_and_kept(interrupted, tmp_path, capsys):
-    words = ("--root", tmp_path / "d", "--episodes", 6, "--shard-episodes", 2)
-    (interrupted / "plan.json").write_bytes(b"")
-    assert run(*words) == 2
-    (interrupted / "plan.json").unlink()
-    assert run(*words, "--seed", 100) == 2
-    foreign = workspace_path(tmp_path / "e")
-    foreign.mkdir()
-    (foreign / "thesis.tex").write_text("mine")
-    assert run("--root", tmp_path / "e") == 2
-    assert [path.name for path in foreign.iterdir()] == ["thesis.tex"]
-    workspace_path(tmp_path / "f").touch()
-    assert run("--root", tmp_path / "f") == 2
-    assert capsys.readouterr().err.count("\n") == 4, "a sentence each"
-
-
 def test_a_finished_dataset_is_checked(tmp_path, capsys):
     words = ("--root", tmp_path / "d", "--episodes", 6, "--shard-episodes", 2)
     assert [run(*words), run(*words)] == [0, 0]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,9 +14,70 @@ import yaml
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
+from dynahoi_lerobot.evaluate.results import RunInfo, write_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from tests.hub.conftest import Push, write_split
-from tests.hub.server import TOKEN, Hub
+from dynahoi_lerobot.sampling.recipe import Recipe
+from tests.hub.server import TOKEN, Hub, serving
+from tests.synthetic import synthetic_episode
+
+Push = Callable[..., tuple[int, str, str]]
+"""Run ``dynahoi push`` and return its exit code and what it printed on both streams."""
+
+
+@pytest.fixture
+def hub() -> Iterator[Hub]:
+    with serving() as hub:
+        yield hub
+
+
+@pytest.fixture
+def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Push:
+    from huggingface_hub import constants
+
+    template = constants.HUGGINGFACE_CO_URL_TEMPLATE.replace(constants.ENDPOINT, hub.url)
+    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
+    monkeypatch.setattr(constants, "ENDPOINT", hub.url)
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub_cache"))
+    monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no_token"))
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)  # the server has only the large file storage
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+
+    def run(*words: object) -> tuple[int, str, str]:
+        code = main(["push", *map(str, words)])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("hub") / "dataset"
+    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32"]) == 0
+    return root
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path) -> Path:
+    folder = tmp_path / "pretrained_model"
+    (folder / "training_state").mkdir(parents=True)
+    (folder / "training_state/rng.safetensors").write_bytes(b"state")
+    (folder / "config.json").write_text(json.dumps({"type": "obact"}))
+    (folder / "model.safetensors").write_bytes(b"weights")
+    (folder / "train_config.json").write_text(json.dumps({"dataset": {"repo_id": "me/catching"}}))
+    return folder
+
+
+def write_split(
+    folder: Path, split: str, seeds: Iterable[int], *, policy: str = "me/policy", command: str = "dynahoi evaluate",
+    extra: dict | None = None, **recipe: object,
+) -> Path:  # fmt: skip
+    """Write the results of episodes that all are the same but for their seeds."""
+    episode = synthetic_episode(0, image_size=None)
+    played = Recipe(split=split, **recipe).stored()
+    info = RunInfo(policy, split, "attach", command, "f", {"recipe": played} | (extra or {}))
+    write_results(folder, [replace(episode, meta=replace(episode.meta, seed=seed)) for seed in seeds], info)
+    return folder
+
 
 ROOT = Path(__file__).parents[2]
 DATASET, MODEL = "datasets/me/catching", "models/me/policy"
@@ -111,9 +174,7 @@ def test_what_is_to_be_private_does_not_go_into_a_public_repository(simulated: P
         ("you/catching", TOKEN, "you/catching: the token has no write access"),
     ],
 )
-def test_tokens_that_will_not_do(
-    repo: str, token: str, said: str, *, checkpoint: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch
-):
+def test_tokens_that_will_not_do(repo, token, said, *, checkpoint, hub, push, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", token)
     refused(push(checkpoint, repo), said)
     assert hub.repos == {}
@@ -157,9 +218,7 @@ def test_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, h
         ({"type": "act", "output_features": {"action": {"shape": [4]}}}, "grasp", ""),
     ],
 )
-def test_a_checkpoint_without_a_card_gets_one(
-    config: dict, mode: str, needed: str, *, checkpoint: Path, hub: Hub, push: Push
-):
+def test_a_checkpoint_without_a_card_gets_one(config, mode, needed, *, checkpoint, hub, push):
     (checkpoint / "config.json").write_text(json.dumps(config))
     before = sorted(path.name for path in checkpoint.iterdir())
     code, _, err = push(checkpoint, "me/policy")
@@ -186,9 +245,7 @@ def test_a_card_that_is_there_stays(checkpoint: Path, hub: Hub, push: Push):
     assert hub.repos[MODEL].files["README.md"] == b"mine"
 
 
-def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     push(write_split(tmp_path / "results", "ood_speed", range(220)), "me/policy")
     commits = list(hub.repos[MODEL].commits)
@@ -241,9 +298,7 @@ CONDITIONS: list[tuple[dict, str]] = [
 ]
 
 
-def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     for number, (options, _) in enumerate(CONDITIONS):
         seeds, rest = options.get("seeds", range(220)), {k: v for k, v in options.items() if k != "seeds"}
@@ -271,9 +326,7 @@ def test_results_of_another_policy_are_refused_unless_they_are_said_to_be_of_thi
     assert push(results, "me/policy", "--policy", policy)[0] == 0
 
 
-def test_results_go_to_the_repository_with_the_weights_that_they_name(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_results_go_to_the_repository_with_the_weights_that_they_name(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
     for number, (weights, code) in enumerate((("0a" * 32, 1), (digest, 0))):

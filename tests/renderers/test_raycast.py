@@ -42,9 +42,7 @@ def test_images_have_the_promised_shape_and_content(images: np.ndarray):
     assert (images.reshape(22, -1).std(axis=1) > 10).all(), "no image is blank"
 
 
-def test_things_have_their_colours_where_the_labels_say_they_are(
-    watching: WorldBatch, images: np.ndarray, labels: np.ndarray, specs: list[EpisodeSpec]
-):
+def test_things_have_their_colours_where_the_labels_say_they_are(watching, images, labels, specs):
     scene, compared = watching.scene, dict.fromkeys(("target", "skin", "floor", "wall"), 0)
     geoms = {
         "target": scene.target_geoms,
@@ -112,9 +110,7 @@ def drawn(specs: list[EpisodeSpec]) -> tuple[np.ndarray, np.ndarray]:
     return play(specs[:22], "tiles")
 
 
-def test_without_soft_light_it_draws_what_mujoco_warp_draws(
-    drawn: tuple[np.ndarray, np.ndarray], specs: list[EpisodeSpec]
-) -> None:
+def test_without_soft_light_it_draws_what_mujoco_warp_draws(drawn, specs):
     """``flat`` is the same ray caster with shadows, soft light, filtering and smooth edges switched off."""
     flat, flat_labels = play(specs[:22], "flat")
     images, labels = play(specs[:22], "warp")

@@ -72,9 +72,7 @@ def test_entries_come_best_first_and_once(entries: list[Entry]):
     assert len(distinct_episodes(entries)) == 24
 
 
-def test_versions_of_the_benchmark_are_not_mixed_unless_asked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_versions_of_the_benchmark_are_not_mixed_unless_asked(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(figures, "FIGURES", figures.FIGURES[:1])
     example_run(tmp_path / "old", "old", 0.5, 4, benchmark="v0")
     example_run(tmp_path / "new", "new", 0.5, 4)
@@ -273,9 +271,7 @@ def test_no_folder_or_a_damaged_one_leaves_no_page(root: Path, tmp_path: Path):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_report_pairs_across_what_it_is_asked_to(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_the_report_pairs_across_what_it_is_asked_to(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(figures, "FIGURES", figures.FIGURES[:1])
     example_run(tmp_path / "a", "a", 0.9, 8, recipe={"render_noise": 0})
     example_run(tmp_path / "b", "a", 0.3, 8, recipe={"render_noise": 2})

@@ -62,9 +62,7 @@ def without_screen(spec: EpisodeSpec) -> EpisodeSpec:
     return replace(spec, appearance=replace(spec.appearance, screen=None))
 
 
-def test_episodes_are_those_of_observe_before_act_or_else_no_screen_can_stand_in_these(
-    specs: list[EpisodeSpec], occluded: list[EpisodeSpec]
-):
+def test_episodes_are_those_of_observe_before_act_or_else_no_screen_can_stand_in_these(specs, occluded):
     kept = 0
     for plain, spec in zip(specs[:22], occluded, strict=True):
         assert plain.appearance.screen is None

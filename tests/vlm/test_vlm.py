@@ -177,9 +177,7 @@ def test_whatever_a_server_does_costs_one_decision(name: str, tmp_path: Path):
         *(("k", url, "must be like") for url in ("localhost:8000", "ftp://h/v1", "http://h:port/v1", "")),
     ],
 )
-def test_a_key_or_address_that_cannot_be_is_refused_unseen(
-    key: str, url: str | None, problem: str, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_key_or_address_that_cannot_be_is_refused_unseen(key, url, problem, monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", key)
     with pytest.raises(ValueError, match=problem) as refused:
         VlmClient("tiny", url)

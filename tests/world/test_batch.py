@@ -166,6 +166,20 @@ def test_the_cameras_see_the_window_and_nothing_after_it():
             assert not blind.images[view][window:].any()
 
 
+def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_else():
+    for clean, noisy in zip(played(SEEING), played(replace(SEEING, render_noise=2)), strict=True):
+        np.testing.assert_array_equal(noisy.state, clean.state)
+        for view in ("ego", "side"):
+            change = noisy.images[view].astype(int) - clean.images[view]
+            within = change[(clean.images[view] > 2) & (clean.images[view] < 253)]
+            assert set(np.unique(within)) == {-2, -1, 0, 1, 2}
+            assert abs(within.mean()) < 0.1
+            assert (change != 0).any(axis=(1, 2, 3)).all()
+            assert not np.array_equal(change[0], change[1])
+    (blind, *_) = played(replace(BLIND, render_noise=2))
+    assert not blind.images["ego"][blind.meta.window_frames :].any(), "black images stay black"
+
+
 ARRIVAL_PALM_M, ARRIVAL_JOINT_RAD = 0.001, 0.015
 """How close a joint is at the end of the frame, at 1 m/s and 10 rad/s; links pull at each other a little."""
 

@@ -63,9 +63,7 @@ def test_an_environment_shows_it_on_request() -> None:
     assert "environment_state" not in blind.observation_space.spaces
 
 
-def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(
-    checkpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, tmp_path, capsys):
     words = ["evaluate", "--policy", checkpoint, "--motions", "constant", "--episodes", "1", "--out", f"{tmp_path}/r"]
     assert main(words) != 0
     assert "add --environment-state to let it" in capsys.readouterr().err

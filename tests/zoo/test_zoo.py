@@ -134,9 +134,7 @@ def test_every_recipe_of_the_zoo_is_trained():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 @pytest.mark.usefixtures("tiny_gemma")
-def test_two_steps_and_an_episode(
-    name: str, models: dict[str, str], data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_steps_and_an_episode(name, models, data, tmp_path, monkeypatch):
     monkeypatch.chdir(models["HUB"])
     policy = {key: models.get(value, value) if isinstance(value, str) else value for key, value in SMALL[name].items()}
     camera = {"observation.images.ego": {"type": "VISUAL", "shape": [3, SIZE, SIZE]}}

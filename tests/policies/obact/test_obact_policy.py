@@ -99,9 +99,7 @@ def hand_policy(**changes: object) -> ObActPolicy:
 
 
 @pytest.mark.parametrize("head", ["diffusion", "flow", "regression"])
-def test_it_trains_on_a_dataset_that_is_not_ours(
-    head: str, push_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_it_trains_on_a_dataset_that_is_not_ours(head, push_root, tmp_path, monkeypatch):
     options = {"head": head, "head_options": {} if head == "regression" else TINY["head_options"]}
     checkpoint = lerobot_train(monkeypatch, push_root, tmp_path / "out", **options)
     policy = ObActPolicy.from_pretrained(checkpoint)
@@ -110,9 +108,7 @@ def test_it_trains_on_a_dataset_that_is_not_ours(
     assert policy.select_action(step(policy)).isfinite().all()
 
 
-def test_it_learns_from_recorded_episodes_with_the_target_s_path(
-    hand_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, hand_root, tmp_path / "out", **RECORDED))
     config = policy.config
@@ -124,9 +120,7 @@ def test_it_learns_from_recorded_episodes_with_the_target_s_path(
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_the_loss_falls_on_recorded_and_on_virtual_episodes(
-    share: float, hand_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_the_loss_falls_on_recorded_and_on_virtual_episodes(share, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     torch.manual_seed(0)
     meta = LeRobotDataset("local/tiny", root=hand_root).meta
