@@ -20,6 +20,7 @@ from tests.docs.documents import ROOT, Block
 LINKED = ("recipes", "envs", "checkpoints", "policies", "benchmarks")
 """Folders of the repository that commands name."""
 COUNTS = {
+    "dynahoi generate --recipe": {"--episodes": "2", "--workers": "1"},
     "dynahoi generate": {"--episodes": "2"},
     "dynahoi evaluate": {"--episodes": "2", "--gifs": "1"},
     "dynahoi verify": {"--replay": "1"},
@@ -40,6 +41,7 @@ FEWER = {
 """What is added to commands that do not have it: all of a split are too many, and so are all kinds of motion."""
 FEWER_WITH = {
     "--env.type=dynahoi": ["--env.task=lob"],
+    "--policy.type=act": ["--policy.dim_model=64", "--policy.n_heads=2", "--policy.dim_feedforward=64"],
     "--resume=true": ["--steps=3"],
     "--config_path=recipes/train/vqbet.yaml": ["--policy.n_vqvae_training_steps=1"],
 }
