@@ -15,7 +15,6 @@ from lerobot.envs.utils import (
     _call_make_env,
     _import_hub_module,
     _normalize_hub_result,
-    add_envs_task,
     env_to_policy_features,
     preprocess_observation,
 )
@@ -94,7 +93,7 @@ def test_further_views_reach_the_policy(config_class: type[EnvConfig], tmp_path:
     observation, _ = env.reset(seed=[0])
     assert {key for key in preprocess_observation(observation) if "images" in key} == wanted
     assert env.observation_space.contains(observation)
-    assert "Catch" in add_envs_task(env, preprocess_observation(observation))["task"][0]
+    assert "Catch" in env.call("task_description")[0], "LeRobot's loop asks for it"
 
 
 def test_results_are_named_after_the_policy(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from dynahoi_lerobot.sampling.fingerprint import deciding_sources, extension_fin
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.rooms import ROOMS
+from tests.test_imports import ROOMS
 
 BAD_VALUES = [
     {"split": "trian"},
