@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from hypothesis import strategies as st
 
 from dynahoi_lerobot.metrics import METRICS, measure
 from tests.metrics.hand_made import WINDOW, hand_made
+from tests.recompute_metrics import linearity, smoothness
 from tests.synthetic import synthetic_episode
 
 LINE = [(0.1 * i, 0.0, 1.0) for i in range(5)]
@@ -153,45 +153,24 @@ def test_relative_speed_is_that_of_the_step_in_which_they_meet():
     assert METRICS["relative_speed"](hand_made(LINE)) is None
 
 
-def steps_of(points):
-    return [[b - a for a, b in zip(p, q, strict=True)] for p, q in pairwise(points)]
-
-
-def plain_smoothness(points):
-    lengths = [math.sqrt(sum(x * x for x in step)) for step in steps_of(points)]
-    mean = sum(lengths) / len(lengths)
-    sigma = math.sqrt(sum((length - mean) ** 2 for length in lengths) / len(lengths))
-    return 1 / (1 + (sigma / mean if mean else 0.0))
-
-
-def plain_linearity(points):
-    whole = [b - a for a, b in zip(points[0], points[-1], strict=True)]
-    size = math.sqrt(sum(x * x for x in whole))
-    total = 0.0
-    for step in steps_of(points):
-        length = math.sqrt(sum(x * x for x in step))
-        total += sum(a * b for a, b in zip(step, whole, strict=True)) / (length * size)
-    return total / (len(points) - 1)
-
-
-def random_path(seed: int, points: int = 7) -> list[list[float]]:
-    return np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).tolist()
+def random_path(seed: int, points: int = 7) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_quality_is_the_papers_formula_over_the_control_phase(seed: int):
     path = random_path(seed)
     episode = hand_made(path)
-    assert METRICS["Q_smooth"](episode) == pytest.approx(plain_smoothness(path), abs=1e-9)
-    assert METRICS["Q_line"](episode) == pytest.approx(plain_linearity(path), abs=1e-9)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(smoothness(path), abs=1e-9)
+    assert METRICS["Q_line"](episode) == pytest.approx(linearity(path), abs=1e-9)
 
 
 @pytest.mark.parametrize("localized_from", [1, 2, 5])
 def test_the_trajectory_ends_with_the_first_localised_frame(localized_from: int):
     path = random_path(3)
     episode = hand_made(path, localized_from=localized_from)
-    assert METRICS["Q_smooth"](episode) == pytest.approx(plain_smoothness(path[: localized_from + 1]), abs=1e-9)
-    assert METRICS["Q_line"](episode) == pytest.approx(plain_linearity(path[: localized_from + 1]), abs=1e-9)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(smoothness(path[: localized_from + 1]), abs=1e-9)
+    assert METRICS["Q_line"](episode) == pytest.approx(linearity(path[: localized_from + 1]), abs=1e-9)
 
 
 @pytest.mark.parametrize("points", [1, 2, 9])
@@ -213,7 +192,7 @@ def test_flicker_of_the_last_bit_is_no_motion():
 def test_a_palm_that_only_recoils_from_the_fingers_stands_still(reach_m: float, still: bool):
     path = [(0, 0, 1.0), (0, reach_m, 1.0), (0, 0, 1.0), (0, 0, 1.0), (0, reach_m / 2, 1.0)]
     episode = hand_made(path)
-    assert METRICS["Q_smooth"](episode) == pytest.approx(1.0 if still else plain_smoothness(path), abs=1e-3)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(1.0 if still else smoothness(np.array(path)), abs=1e-3)
     assert METRICS["Q_line"](episode) == pytest.approx(0.0 if still else 1 / 4, abs=1e-3)
 
 
