@@ -135,7 +135,6 @@ class Fist(Expert):
 
     def act(self, world: WorldState) -> np.ndarray:
         spec = world.specs[0]
-        assert spec is not None
         return np.concatenate([np.zeros(3), spec.reference_joints])[None]
 
 
@@ -152,7 +151,6 @@ def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
     assert [missed[name] for name in ("S_loc", "S_gra", "S_joint", "R_time")] == [0, None, 0, 0]
     assert [caught[name] for name in ("S_loc", "S_gra", "S_joint")] == [1, 1, 1]
     first = lenient.first_localized
-    assert first is not None
     assert caught["R_time"] == pytest.approx(1 - (first - lenient.meta.window_frames) / lenient.meta.length_frames)
     assert lenient.palm_distance[first] < LENIENT_RADIUS_M
     assert (lenient.stage, lenient.success, strict.stage) == ("captured", True, "missed")

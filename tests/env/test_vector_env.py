@@ -81,7 +81,6 @@ def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_
     env = DynahoiVectorEnv(1, kind="vertical_circle", **BLIND)
     observation, _ = env.reset(seed=[0])
     spec = env._batch.specs[0]
-    assert spec is not None
     hold = observation["agent_pos"]
     flags = [env.step(hold)[2:4] for _ in range(spec.window_frames + spec.length_frames + 1)]
     assert [bool(t or u) for (t, u) in [(f[0][0], f[1][0]) for f in flags]].index(True) == len(flags) - 1
@@ -98,7 +97,6 @@ def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
     assert env._batch.specs[0] is first, "the terminal observation still belongs to the episode that ended"
     observation, reward, terminated, truncated, _ = env.step(np.zeros((1, 18), np.float32))
     fresh = env._batch.specs[0]
-    assert fresh is not None
     assert fresh is not first
     assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
     np.testing.assert_allclose(observation["agent_pos"][0, :3], 0.0, atol=1e-6)

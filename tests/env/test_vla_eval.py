@@ -122,7 +122,6 @@ def test_the_harness_takes_the_config(path: Path):
     assert test.category == "benchmark"
     assert (run_validate([test]).status, run_validate([test]).message) == ("pass", "1/1 configs valid")
     docker = DockerConfig.from_dict(load_config(str(path))["docker"])
-    assert docker.build is not None
     assert Path(docker.build.dockerfile_path).resolve() == FOLDER / "Dockerfile"
 
 

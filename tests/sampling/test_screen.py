@@ -78,7 +78,6 @@ def test_episodes_are_those_of_observe_before_act_or_else_no_screen_can_stand_in
 def test_the_screen_is_clear_of_palm_target_fixtures_and_floor(occluded: list[EpisodeSpec]):
     for spec in occluded:
         screen, share = spec.appearance.screen, np.linspace(0.0, 1.0, 50)[:, None]
-        assert screen is not None
         panel = Box(screen.pos_w, (screen.half_size[0], screen.half_size[1], screen.half_size[2]))
         way = spec.home_pos_w + share * (spec.intercept_pos_w - spec.home_pos_w)
         assert box_distance(way, panel).min() > 0.025, spec.motion.name

@@ -152,7 +152,6 @@ def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
     for one in (env, pickle.loads(pickle.dumps(env))):
         one.reset(seed=[5])
         spec = one._batch.specs[0]
-        assert spec is not None
         np.testing.assert_array_equal(spec.home_pos_w, sample_spec(Recipe(split="test", salt=SALT), 5).home_pos_w)
 
 
