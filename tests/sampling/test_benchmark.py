@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -106,13 +105,11 @@ def test_every_seed_of_all_streams_is_pinned():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("split", BENCHMARK.streams)
-def test_all_specs_are_the_pinned_ones(split: str):
-    compare(split, pin.spec_digests(split, pin.pinned_seeds(split)))
-
-
-def compare(split: str, found: Mapping[int, str]) -> None:
-    wanted = PINNED["specs"][split]
-    assert found == {seed: wanted[seed] for seed in found}
+def test_specs_are_the_pinned_ones(split: str):
+    """A seventh of them, of all kinds of motion; ``benchmarks/pin.py --check`` compares all."""
+    found = pin.spec_digests(split, pin.pinned_seeds(split)[BENCHMARK.streams.index(split) :: 7])
+    assert found == {seed: PINNED["specs"][split][seed] for seed in found}
+    assert len(found) > 30
 
 
 @pytest.mark.parametrize("split", BENCHMARK.streams)
