@@ -63,8 +63,8 @@ def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
         "S_gra": np.nan if first is None else float(_grasps(episode, state[first, 3:])),
         "E_loc": palm_distance[start:].min() / UNIT_M,
         "E_gra": np.asarray(episode["stats/fingertip_distance"], float)[start:].min() / UNIT_M,
-        "Q_smooth": _smoothness(path),
-        "Q_line": _linearity(path),
+        "Q_smooth": smoothness(path),
+        "Q_line": linearity(path),
         "R_time": 0.0 if first is None else float(np.clip(1 - (first - start) / episode["length_frames"], 0, 1)),
     }
 
@@ -83,12 +83,12 @@ def _steps(path: np.ndarray) -> np.ndarray:
     return np.where(np.linalg.norm(steps, axis=1, keepdims=True) > REST_M, steps, 0.0)
 
 
-def _smoothness(path: np.ndarray) -> float:
+def smoothness(path: np.ndarray) -> float:
     lengths = np.linalg.norm(_steps(path), axis=1)
     return 1.0 if not lengths.any() else float(1 / (1 + lengths.std() / lengths.mean()))
 
 
-def _linearity(path: np.ndarray) -> float:
+def linearity(path: np.ndarray) -> float:
     steps, way = _steps(path), path[-1] - path[0]
     if not len(steps) or np.linalg.norm(way) <= REST_M:
         return 0.0

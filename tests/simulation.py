@@ -35,8 +35,8 @@ class Track:
     striker_speed: np.ndarray
 
 
-def simulate(motion: Motion, target: TargetObject, seconds: float) -> Track:
-    """Let ``target`` perform ``motion`` with nobody near."""
+def simulate(motion: Motion, target: TargetObject, seconds: float, driven_frames: int | None = None) -> Track:
+    """Let ``target`` perform ``motion`` with nobody near; what drives it may stop after some frames."""
     scene = compile_scene()
     batch = Batch(scene.model, nsim=1, nthread=1)
     rows, one = WorldFields(batch, scene), np.array([0])
@@ -48,6 +48,7 @@ def simulate(motion: Motion, target: TargetObject, seconds: float) -> Track:
     rows.finish(one)
     force = np.zeros((1, frames * SUBSTEPS, scene.model.nv))
     force[0, :, scene.target_dof : scene.target_dof + 3] = drive.force_w.reshape(-1, 3)
+    force[0, frames * SUBSTEPS if driven_frames is None else driven_frames * SUBSTEPS :] = 0.0
     first_qpos, first_qvel = rows.qpos[0].copy(), rows.qvel[0].copy()
     applied = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
     record = batch.rollout(force.shape[1], force, applied, record=("qpos", "qvel"))

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
-from tests.rooms import PACKAGE, ROOMS, imports, room_of
+import dynahoi_lerobot
 
+PACKAGE = Path(dynahoi_lerobot.__file__).parent
+ROOMS = (
+    "core", "objects", "motions", "hands", "metrics", "scene", "renderers", "captures", "experts", "sampling",
+    "world", "rollout", "env", "dataset", "verify", "vlm", "evaluate", "generate", "pretrain", "hub", "report",
+    "doctor", "cli",
+)  # fmt: skip
+"""Folders and modules of the package, in the order in which they may import each other: each only those before it."""
 PROGRAM = """
 import importlib, pkgutil, sys
 package, *heavy = sys.argv[1:]
@@ -25,6 +36,44 @@ HEAVY = {
     "dynahoi_lerobot.dataset": ("mujoco", "mujoco_warp", "warp", "torch", "lerobot", "datasets", "pandas"),
 }
 """What no module of a package may import."""
+
+
+def room_of(module: str) -> str:
+    """Return the room of a dotted module of ``dynahoi_lerobot``."""
+    return module.split(".")[1]
+
+
+def imports() -> Iterator[tuple[str, str]]:
+    """Yield (importing, imported) module of every import within the core.
+
+    Imports inside functions count, and so do modules that are imported by name, as the commands are. Imports for type
+    checkers alone do not.
+    """
+    for path in sorted(PACKAGE.rglob("*.py")):
+        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+        for node in _run_time_nodes(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                yield module, node.module
+            elif isinstance(node, ast.Import):
+                yield from ((module, alias.name) for alias in node.names)
+            elif isinstance(node, ast.Constant) and _is_module(node.value):
+                yield module, str(node.value)
+
+
+def _run_time_nodes(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield all nodes of a module that are not below ``if TYPE_CHECKING``."""
+    for node in ast.iter_child_nodes(tree):
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"):
+            yield node
+            yield from _run_time_nodes(node)
+
+
+def _is_module(value: object) -> bool:
+    """Tell whether a constant is the dotted name of a module of the core."""
+    if not isinstance(value, str) or not re.fullmatch(rf"{PACKAGE.name}(\.\w+)+", value):
+        return False
+    path = PACKAGE.parent.joinpath(*value.split("."))
+    return path.is_dir() or path.with_suffix(".py").is_file()
 
 
 def test_rooms_import_only_rooms_before_them():

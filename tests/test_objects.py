@@ -1,10 +1,8 @@
-"""What must hold of every registered object, with no line per object."""
+"""What must hold of every registered object, with no line per object, and distances from solids."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from itertools import chain
 
 import mujoco
 import numpy as np
@@ -48,21 +46,6 @@ def test_mass_friction_and_sizes_are_in_range(name: str):
         assert (target.roll_radius_m > 0) == OBJECTS[name].rolls
         for primitive in target.primitives:
             assert all(0.0 < size < LARGEST_SLOT_M for size in primitive.size)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_lengths_its_docstring_states_are_the_lengths_drawn(name: str):
-    """Every 'a to b' of the docstring is the range of some length: a size, a diameter, a distance or a ratio."""
-    text = OBJECTS[name].__doc__ or ""
-    stated = [(float(a), float(b)) for a, b in re.findall(r"([\d.]+) to ([\d.]+)", text)]
-    assert stated
-    lengths = _lengths(draws(name))
-    low, high = lengths.min(axis=0), lengths.max(axis=0)
-    for first, last in stated:
-        slack = 0.05 * (last - first)
-        inside = (low >= first - 1e-9) & (high <= last + 1e-9)
-        spans = inside & (low < first + slack) & (high > last - slack)
-        assert spans.any(), f"nothing is drawn from {first} to {last}"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -129,17 +112,6 @@ def test_larger_objects_are_grasped_with_smaller_rotations(hand: str):
     assert (joints > 0).all(), "every joint takes part in every grasp"
 
 
-def _lengths(targets: list[TargetObject]) -> np.ndarray:
-    """(K, L) candidate lengths [cm] and ratios of one kind."""
-    rows = []
-    for target in targets:
-        sizes = [size for primitive in target.primitives for size in primitive.size]
-        away = [float(np.linalg.norm(primitive.pos)) for primitive in target.primitives]
-        ratios = [a / b for p in target.primitives for a in p.size for b in p.size]
-        rows.append([*chain.from_iterable((100 * v, 200 * v) for v in (*sizes, *away)), *ratios])
-    return np.array(rows)
-
-
 def _top(primitive: Primitive, direction: np.ndarray) -> float:
     """How far a solid extends along a unit vector (3,) from the object's origin [m], from its support function."""
     x, y, z = direction @ quat_to_matrix(np.asarray(primitive.quat))
@@ -187,3 +159,53 @@ def _inside(target: TargetObject, points: np.ndarray) -> np.ndarray:
         size = np.broadcast_to(primitive.half_size, local.shape)
         inside |= signed_distance(primitive.shape, local, size) < 0
     return points[inside]
+
+
+SIZES = {
+    "sphere": (0.03, 0.0, 0.0),
+    "capsule": (0.02, 0.03, 0.0),
+    "cylinder": (0.03, 0.02, 0.0),
+    "ellipsoid": (0.02, 0.025, 0.035),
+    "box": (0.02, 0.03, 0.025),
+}
+POINT_M = 1e-5
+NEAR_M = 0.005
+
+
+def test_every_shape_of_the_scene_is_measured():
+    assert set(SHAPES) == set(SIZES)
+
+
+@pytest.mark.parametrize("shape", [name for name in SIZES if name != "ellipsoid"])
+def test_distances_are_exact_outside_and_inside(shape: str):
+    points, expected = _measured_by_mujoco(shape)
+    assert (expected < 0).sum() > 5, "some points must lie inside"
+    np.testing.assert_allclose(_ours(shape, points), expected, atol=1e-9)
+
+
+def test_an_ellipsoid_is_exact_near_its_surface_and_close_elsewhere():
+    points, expected = _measured_by_mujoco("ellipsoid")
+    error = np.abs(_ours("ellipsoid", points) - expected)
+    assert error[np.abs(expected) < NEAR_M].max() < 1e-4
+    assert (error / np.abs(expected))[expected > NEAR_M].max() < 0.1
+    assert _ours("ellipsoid", np.zeros((1, 3)))[0] == pytest.approx(-0.02), "the centre is one half axis deep"
+
+
+def _ours(shape: str, points: np.ndarray) -> np.ndarray:
+    return signed_distance(shape, points, np.broadcast_to(SIZES[shape], points.shape))
+
+
+def _measured_by_mujoco(shape: str) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 3) points around the shape and their (K,) distances."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(type=SHAPES[shape], size=SIZES[shape])
+    spec.worldbody.add_body(mocap=True).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(POINT_M, 0, 0))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    points = np.random.default_rng(0).uniform(-0.06, 0.06, (400, 3))
+    distances = np.zeros(len(points))
+    for i, point in enumerate(points):
+        data.mocap_pos[0] = point
+        mujoco.mj_kinematics(model, data)
+        distances[i] = mujoco.mj_geomDistance(model, data, 0, 1, 1.0, None) + POINT_M
+    return points, distances

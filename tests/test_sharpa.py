@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
-import pytest
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.core.conventions import FINGERS, HAND_NAMES
@@ -69,9 +66,7 @@ def test_it_is_seen() -> None:
     assert len(np.unique(shown[np.isin(shown, batch.scene.hand_geoms)])) > 5
 
 
-def test_without_menagerie_one_sentence_says_what_to_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_without_menagerie_one_sentence_says_what_to_do(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv(MENAGERIE_ROOT, str(tmp_path))
     scene._compile.cache_clear()
     words = ["--policy", "hold", "--hand", "sharpa", "--split", "test_small", "--episodes", "1"]

@@ -64,9 +64,7 @@ def test_an_eye_is_tested_on_what_a_policy_sees(run: Callable[..., dict[str, Any
 
 
 @pytest.mark.parametrize(("place", "sentence"), [("file/n.json", "file is a file"), (".", "is a folder; name a file")])
-def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(
-    place: str, sentence: str, run: Callable[..., dict[str, Any]], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(place, sentence, run, capsys):
     Path("file").touch()
     with pytest.raises(SystemExit):
         run("pin", "--json", place)

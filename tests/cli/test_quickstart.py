@@ -2,15 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
-import json
-import os
-import pty
-import struct
-import subprocess
-import sys
-import termios
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -52,59 +43,6 @@ def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.Mon
     assert sorted(quickstart.KINDS[: quickstart.FULL.kinds]) == sorted(MOTIONS)
 
 
-def on_a_terminal(command: list[str]) -> tuple[int, str]:
-    """Run a command on a terminal of 120 columns; return its exit code and what it wrote there."""
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
-    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs)
-    os.close(theirs)
-    said = b""
-    with suppress(OSError):  # which a closed terminal raises
-        while chunk := os.read(ours, 65536):
-            said += chunk
-    os.close(ours)
-    return process.wait(), said.decode()
-
-
-@pytest.mark.slow
-def test_a_run_shows_its_progress_and_leaves_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "tiny"
-    program = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"]
-    code, said = on_a_terminal([*program, "--out", str(out)])
-    assert code == 0, said
-    check_what_it_said(said, out)
-    check_what_it_left(out)
-
-    capsys.readouterr()
-    assert main(["quickstart", "--tiny", "--out", str(out)]) == 0
-    assert capsys.readouterr().out.count("already done") == 4, "a second run must find everything there"
-
-
-def check_what_it_said(said: str, out: Path) -> None:
-    """Every stage shows a bar with the time left, nothing else speaks, and the last line opens the report."""
-    stages = said.split("[1/4]")[1].replace("[2/4]", "[3/4]").replace("[4/4]", "[3/4]").split("[3/4]")
-    units = ("generating", "encoding and training", "evaluating", "hold on test_small")
-    for stage, unit in zip(stages, units, strict=True):
-        bars = [part for part in stage.replace("\n", "\r").split("\r") if part.strip().startswith(unit)]
-        assert any("100%|" in bar for bar in bars), (unit, stage)
-        assert all("<" in bar for bar in bars), "elapsed<remaining"
-    assert not [word for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec") if word in said]
-    assert said.strip().splitlines()[-1].strip() == f"python -m webbrowser {(out / 'report.html').as_uri()}"
-
-
-def check_what_it_left(out: Path) -> None:
-    """A dataset, a checkpoint, results and a report."""
-    assert main(["verify", str(out / "dataset")]) == 0
-    config = json.loads((out / "training/pretrained_model/config.json").read_text())
-    assert config["type"] == "obact"
-    kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
-    for name in ("obact", *quickstart.BASELINES):
-        assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
-    page = (out / "report.html").read_text()
-    assert all(name in page for name in ("obact", *quickstart.BASELINES))
-    assert "S_loc" in (out / "table.txt").read_text()
-
-
 def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The environment writes results after every kind of motion, so a folder with some of them is not all."""
     partial, results = tmp_path / "results" / "obact.partial", tmp_path / "results" / "obact"
@@ -142,9 +80,7 @@ def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeyp
     assert ran == ["_baselines"]
 
 
-def test_the_core_install_is_told_what_the_quickstart_needs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_core_install_is_told_what_the_quickstart_needs(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(quickstart.importlib.util, "find_spec", lambda name: None if name == "torch" else name)
     out = tmp_path / "quickstart"
     assert main(["quickstart", "--out", str(out)]) == 2

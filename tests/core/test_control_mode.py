@@ -19,7 +19,6 @@ from dynahoi_lerobot.dataset import open_dataset, read_episodes
 from dynahoi_lerobot.env.single_env import DynahoiEnv
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.checkpoint import trained_for
-from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.hands import HANDS
@@ -85,11 +84,6 @@ def test_an_agent_that_gives_them_catches():
     (again,) = evaluate(WorldBatch(RECIPE, 1), Reaching(episode.action), sample_specs(RECIPE, [0]))
     assert again.success
     np.testing.assert_allclose(again.state, episode.state, atol=1e-4)
-
-
-def test_experts_play_by_their_own_commands():
-    specs = sample_specs(RECIPE, range(2))
-    assert all(episode.success for episode in evaluate(WorldBatch(RECIPE, 2), Intercept(), specs))
 
 
 def test_environments_take_four_numbers():

@@ -1,15 +1,20 @@
-"""One feature table: a new entry is found in spaces, env config, recordings, datasets and documentation."""
+"""One feature table for spaces, recordings and datasets; options derived from a dataclass."""
 
 from __future__ import annotations
 
+from argparse import ArgumentParser
 from dataclasses import fields
 from math import prod
 
+import pytest
+
 from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.arguments import add_field_arguments, field_docs, given_fields
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 
 def test_every_array_of_an_episode_is_in_the_table_and_nothing_else() -> None:
@@ -37,3 +42,38 @@ def test_elements_are_named_and_keys_are_unique() -> None:
 
 def test_the_hands_camera_is_the_first_view() -> None:
     assert next(iter(VIEWS)) == EGO_CAMERA == "ego"
+
+
+NAMES = tuple(entry.name for entry in fields(Recipe))
+
+
+@pytest.fixture
+def parser() -> ArgumentParser:
+    made = ArgumentParser()
+    add_field_arguments(made, Recipe, NAMES, protocol="more of it")
+    return made
+
+
+def test_every_field_of_a_recipe_is_documented_and_an_option(parser: ArgumentParser):
+    assert tuple(field_docs(Recipe)) == NAMES
+    for name, text in field_docs(Recipe).items():
+        assert f"--{name.replace('_', '-')}" in parser.format_help()
+        assert text
+
+
+def test_only_what_is_said_is_given_and_has_the_type_of_its_field(parser: ArgumentParser):
+    assert given_fields(parser.parse_args([]), NAMES) == {}
+    words = ["--motions=lob,ramp", "--image-size=0", "--perturbed-share=0.1", "--keep-failures"]
+    given = given_fields(parser.parse_args([*words, "--capture", "contact"]), NAMES)
+    assert given == {
+        "motions": ("lob", "ramp"), "image_size": 0, "perturbed_share": 0.1, "keep_failures": True,
+        "capture": "contact",
+    }  # fmt: skip
+    recipe = Recipe().changed(**given)
+    assert (recipe.hand, recipe.expert) == ("opposed", "match"), "they come with the capture rule"
+    assert Recipe(capture="contact").changed(image_size=32).hand == "opposed"
+
+
+def test_a_wrong_type_is_refused(parser: ArgumentParser):
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--image-size", "large"])

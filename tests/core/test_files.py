@@ -25,7 +25,6 @@ with exclusive(Path(sys.argv[1])):
 
 def test_a_killed_process_loses_its_lock(tmp_path: Path):
     with subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
         assert process.stdout.readline() == b"held\n"
         with pytest.raises(BlockingIOError, match=f"process {process.pid} on"), exclusive(tmp_path):
             pass

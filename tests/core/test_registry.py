@@ -63,25 +63,17 @@ def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
     motions = dynahoi(tmp_path, "list", "motions", "--json")
     assert "glide" in names(motions)
     assert names(motions).count("lob") == 1
-    assert (
-        "the plugin 'broken_motion' of broken (broken_motion) could not be imported: ZeroDivisionError"
-        in motions.stderr
-    )
+    assert "plugin 'broken_motion' of broken (broken_motion) could not be imported: ZeroDivision" in motions.stderr
     assert "the plugin 'greedy_motion' of broken" in motions.stderr
     assert "the motion name 'lob' is taken" in motions.stderr
     assert "marble" in names(dynahoi(tmp_path, "list", "objects", "--json"))
 
 
 def test_an_edit_in_any_module_of_a_plugins_package_changes_the_code_fingerprint(tmp_path: Path) -> None:
-    def fingerprint() -> str:
+    def fingerprint() -> bytes:
         script = "from dynahoi_lerobot.sampling.fingerprint import code_fingerprint; print(code_fingerprint())"
-        return subprocess.run(
-            [sys.executable, "-c", script],
-            env=os.environ | {"PYTHONPATH": str(tmp_path)},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
+        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+        return subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, check=True).stdout
 
     without = fingerprint()
     (tmp_path / "borrowed").mkdir()

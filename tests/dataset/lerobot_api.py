@@ -35,13 +35,7 @@ def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobot
         feature["shape"] = tuple(feature["shape"])
     encoder = RGBEncoderConfig(vcodec="h264", crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1)
     dataset = LeRobotDataset.create(
-        "local/dataset",
-        20,
-        features,
-        root=root,
-        robot_type="dynahoi_hand",
-        rgb_encoder=encoder,
-        encoder_threads=1,
+        "local/dataset", 20, features, root=root, robot_type="dynahoi_hand", rgb_encoder=encoder, encoder_threads=1
     )
     for episode in episodes:
         arrays = content_arrays(episode, columns)

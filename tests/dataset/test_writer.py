@@ -1,19 +1,23 @@
-"""Episodes on disk: written, read, merged and copied, always with the same bytes."""
+"""Episodes on disk: written, read, merged and copied, always with the same bytes; their card."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from dynahoi_lerobot.core.compatibility import MixedError
+from dynahoi_lerobot.core.conventions import HAND_NAMES
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES
+from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, episode_features
 from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes, write_episodes
+from dynahoi_lerobot.dataset.card import histogram_svg
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import copy_subset, merge
 from dynahoi_lerobot.dataset.paths import FileLimits
@@ -93,12 +97,6 @@ def test_files_roll_over_at_their_limits(tmp_path):
         assert np.abs(images.astype(int) - varied_episode(row["seed"]).images["ego"]).mean() < 6
 
 
-def test_videos_stay_short_enough_to_open_quickly(tmp_path):
-    store = Store(write(tmp_path / "d", range(4), 16, limits=FileLimits(video_s=2.3)))
-    assert max(row["videos/observation.images.ego/to_timestamp"] for row in store.rows) <= 2.3
-    assert len({store.video_path(row, CAMERA_KEY) for row in store.rows}) == 2
-
-
 def test_an_episodes_packets_do_not_depend_on_its_place_in_the_file(dataset):
     store, stored = Store(dataset), []
     for row in store.rows:
@@ -111,13 +109,6 @@ def test_an_episodes_packets_do_not_depend_on_its_place_in_the_file(dataset):
         assert max(abs(packet.size - size) for packet, size in zip(there, alone, strict=True)) < 8
         assert there[0].is_keyframe
         assert [packet.pts for packet in there] == sorted(packet.pts for packet in there)
-
-
-def test_facts_are_columns_that_lerobot_reads(dataset):
-    for seed, row in enumerate(Store(dataset).rows):
-        episode = varied_episode(seed)
-        assert dataclasses.asdict(episode.meta).items() <= row.items()
-        assert json.loads(row["parameters"]) == episode.meta.motion_parameters
 
 
 def test_what_is_no_dataset_is_refused_and_leaves_nothing(tmp_path, dataset):
@@ -237,12 +228,8 @@ def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
         for found, part in told:
             for name, share in shares.items():
                 np.testing.assert_array_equal(found[name], np.quantile(part, share, axis=0, method="inverted_cdf"))
-            for name, wanted in (
-                ("min", part.min(0)),
-                ("max", part.max(0)),
-                ("mean", part.mean(0)),
-                ("std", part.std(0)),
-            ):
+            for name in ("min", "max", "mean", "std"):
+                wanted = getattr(part, name)(axis=0)
                 np.testing.assert_allclose(found[name], wanted, rtol=1e-6, atol=1e-9, err_msg=f"{key} {name}")
             assert found["count"] == [len(part)]
 
@@ -250,11 +237,38 @@ def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
 def test_statistics_of_images_are_those_of_all_pixels(dataset):
     stats = json.loads((dataset / "meta/stats.json").read_text())[CAMERA_KEY]
     pixels = np.concatenate([varied_episode(seed).images["ego"].reshape(-1, 3) for seed in range(6)]) / 255
-    for name, wanted in (
-        ("min", pixels.min(0)),
-        ("max", pixels.max(0)),
-        ("mean", pixels.mean(0)),
-        ("std", pixels.std(0)),
-    ):
-        np.testing.assert_allclose(np.ravel(stats[name]), wanted, rtol=1e-9, err_msg=name)
+    for name in ("min", "max", "mean", "std"):
+        np.testing.assert_allclose(np.ravel(stats[name]), getattr(pixels, name)(axis=0), rtol=1e-9, err_msg=name)
     assert stats["count"] == [sum(row["length"] for row in Store(dataset).rows)]
+
+
+@pytest.fixture(scope="module")
+def card(dataset: Path) -> str:
+    return (dataset / "README.md").read_text()
+
+
+def test_its_metadata_are_lerobots_and_more(card: str):
+    from lerobot.datasets.utils import create_lerobot_dataset_card
+
+    theirs = create_lerobot_dataset_card(license="apache-2.0").data.to_dict()
+    ours = yaml.safe_load(card.split("---")[1])
+    assert set(theirs["tags"]) <= set(ours["tags"])
+    assert {name: ours[name] for name in theirs if name != "tags"} == {n: v for n, v in theirs.items() if n != "tags"}
+    assert ours["size_categories"] == ["n<1K"]
+
+
+def test_it_counts_and_describes_what_is_there(dataset: Path, card: str):
+    manifest = Manifest.read(dataset)
+    assert f"{manifest.episodes} episodes ({manifest.frames} frames" in card
+    assert "| constant | 6 | 6 |" in card
+    assert "| control mode | `joints`, an action of 18 numbers |" in card
+    assert "{{" not in card.replace("{{DynaHOI}", "")
+    for key in [*Store(dataset).features, *(feature.key for feature in episode_features())]:
+        assert f"| `{key}` |" in card
+
+
+def test_every_dimension_has_a_panel_and_its_tallest_bar_fills_it(dataset: Path):
+    panels = ET.fromstring((dataset / "assets/action.svg").read_text()).findall("{http://www.w3.org/2000/svg}g")
+    assert tuple(panel[0].text for panel in panels) == HAND_NAMES
+    assert all("V16.0h" in panel[1].attrib["d"] for panel in panels)
+    assert "V16.0h" in histogram_svg(np.full((3, 1), 2.0), ["still"])

@@ -9,8 +9,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("_build", "jupyter_execute")
-MADE = ("data", "outputs", "results")
-"""Folders that commands make, and may have made in a checkout."""
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += [path for path in sorted((ROOT / "docs").rglob("*.md")) if path.parts[-2] not in GENERATED]
 
@@ -36,14 +34,7 @@ CODE_SUFFIXES = (".py", ".yaml", ".md", ".toml")
 
 @dataclass(frozen=True)
 class Block:
-    """One block of code.
-
-    Attributes:
-        language: what its fence names, "" if nothing.
-        body: the code.
-        need: why no test runs it, "" if one does.
-        file: the file that it shall be saved as, "" if none.
-    """
+    """One block of code: what its fence names, the code, why no test runs it, the file that it shall be saved as."""
 
     language: str
     body: str
@@ -59,12 +50,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Page:
-    """One Markdown file.
-
-    Attributes:
-        path: where it is.
-        text: all of it.
-    """
+    """One Markdown file."""
 
     path: Path
     text: str
@@ -141,8 +127,6 @@ def _is_path(word: str) -> bool:
     if not re.fullmatch(r"[\w.\-/]+", word) or "..." in word:
         return False
     first = word.split("/", maxsplit=1)[0]
-    if first in ("data", "outputs", "results") or word.endswith(
-        GENERATED
-    ):  # what commands make, and may have made here
+    if first in ("data", "outputs", "results") or word.endswith(GENERATED):  # what commands may have made here
         return False
     return ("/" in word and (ROOT / first).is_dir()) or word.endswith(CODE_SUFFIXES)

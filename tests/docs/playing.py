@@ -20,12 +20,14 @@ from tests.docs.documents import ROOT, Block
 LINKED = ("recipes", "envs", "checkpoints", "policies", "benchmarks")
 """Folders of the repository that commands name."""
 COUNTS = {
+    "dynahoi generate --recipe": {"--episodes": "2", "--workers": "1"},
     "dynahoi generate": {"--episodes": "2"},
     "dynahoi evaluate": {"--episodes": "2", "--gifs": "1"},
     "dynahoi verify": {"--replay": "1"},
     "dynahoi filter": {"--drop": "0"},
     "lerobot-train": {
         "--steps": "2", "--batch_size": "2", "--env_eval_freq": "2", "--eval.n_episodes": "1", "--eval.batch_size": "1",
+        "--num_processes": "1",
     },
     "lerobot-eval": {"--eval.n_episodes": "1", "--eval.batch_size": "1"},
 }  # fmt: skip
@@ -40,6 +42,7 @@ FEWER = {
 """What is added to commands that do not have it: all of a split are too many, and so are all kinds of motion."""
 FEWER_WITH = {
     "--env.type=dynahoi": ["--env.task=lob"],
+    "--policy.type=act": ["--policy.dim_model=64", "--policy.n_heads=2", "--policy.dim_feedforward=64"],
     "--resume=true": ["--steps=3"],
     "--config_path=recipes/train/vqbet.yaml": ["--policy.n_vqvae_training_steps=1"],
 }
@@ -73,11 +76,7 @@ class Player:
                 self.run(words)
 
     def run(self, words: list[str]) -> None:
-        """Run a command with smaller counts.
-
-        Raises:
-            AssertionError: if it does not exit with 0, or installs what this repository does not offer.
-        """
+        """Run a command with smaller counts."""
         if words[0] in INSTALLERS:
             check_installation(words)
             words = wrapped(words)
@@ -111,11 +110,7 @@ def small(words: list[str]) -> list[str]:
 
 
 def run(words: list[str]) -> None:
-    """Run a command in this process, as its console script does.
-
-    Raises:
-        AssertionError: if it does not exit with 0.
-    """
+    """Run a command in this process, as its console script does."""
     AcceleratorState._reset_state(reset_partial_state=True)
     (script,) = entry_points(group="console_scripts", name=words[0])
     before, sys.argv = sys.argv, words
@@ -129,11 +124,7 @@ def run(words: list[str]) -> None:
 
 
 def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
-    """Run a command in a process of its own, because the Hub's client reads its settings once.
-
-    Raises:
-        AssertionError: if it does not exit with 0.
-    """
+    """Run a command in a process of its own, because the Hub's client reads its settings once."""
     (script,) = entry_points(group="console_scripts", name=words[0])
     start = (
         f"import sys; from {script.module} import {script.attr} as main; sys.argv[0] = {words[0]!r}; sys.exit(main())"
@@ -145,11 +136,7 @@ def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
 
 
 def check_installation(words: list[str]) -> None:
-    """Compare what a command installs with what this repository offers, because nothing is installed in a test.
-
-    Raises:
-        AssertionError: if a folder, extra or dependency group is not there.
-    """
+    """Compare what a command installs with what this repository offers, because nothing is installed in a test."""
     groups = [words[i + 1] for i, word in enumerate(words) if word == "--group"]
     assert set(groups) <= set(PROJECT["dependency-groups"]), words
     if "install" not in words:

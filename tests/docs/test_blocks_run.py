@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
 import importlib
+import io
 import json
 import os
-import signal
+import pty
+import struct
 import subprocess
 import sys
+import termios
 import time
 import tomllib
 from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,7 +93,7 @@ def check_data(folder: Path) -> None:
     from tests.docs.playing import run
 
     ours = sorted({path.parents[1] for path in folder.glob("data/*/meta/manifest.json")} - {folder / "data/slow"})
-    assert len(ours) >= 11
+    assert len(ours) >= 10
     for root in ours:
         run(["dynahoi", "verify", str(root)])
     edited = {path.parents[1] for path in folder.glob("data/**/meta/info.json")} - {*ours, folder / "data/slow"}
@@ -98,7 +103,7 @@ def check_data(folder: Path) -> None:
 
     digests = {root.name: digest(root) for root in ours}
     assert digests["tasks"] == digests["plain"], "datatrove writes the same bytes"
-    assert digests["dynahoi"] == digests["one_worker"] == digests["resumed"]
+    assert digests["dynahoi"] == digests["one_worker"]
 
     for root in ours:
         assert root.name == "onpolicy" or all(episode.success for episode in read_episodes(root)), root
@@ -111,26 +116,12 @@ def digest(root: Path) -> str:
     return json.loads((root / "meta/manifest.json").read_text())["sha256"]
 
 
-def _heed_interrupts() -> None:
-    """What a shell starts in the background ignores interrupts, and so do its children unless told otherwise."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 def before_data(folder: Path) -> None:
-    """Generate what documented datasets are compared with: by one worker, interrupted and resumed, not by datatrove."""
+    """Generate what documented datasets are compared with: by one worker, and not by datatrove."""
     from tests.docs.playing import run
 
-    size = ["--episodes", "2", "--image-size", "96"]
-    run(["dynahoi", "generate", "--root", "data/one_worker", *size])
+    run(["dynahoi", "generate", "--root", "data/one_worker", "--episodes", "2", "--image-size", "96"])
     run(["dynahoi", "generate", "--root", "data/plain", "--episodes", "2"])
-    command = ["dynahoi", "generate", "--root", "data/resumed", *size]
-    program = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *command[1:]]
-    started = subprocess.Popen(program, preexec_fn=_heed_interrupts)  # noqa: PLW1509
-    while started.poll() is None and not (folder / "data/resumed.partial").exists():
-        time.sleep(0.01)
-    started.send_signal(signal.SIGINT)
-    assert started.wait(), "it was over before it could be interrupted"
-    run(command)
 
 
 def check_results(folder: Path) -> None:
@@ -167,6 +158,53 @@ def score(results: Results, metric: str) -> float:
     return results.as_json()["metrics"][metric]["value"]
 
 
+def on_a_terminal(command: list[str]) -> tuple[int, str]:
+    """Run a command on a terminal of 120 columns; return its exit code and what it wrote there."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    said = b""
+    with suppress(OSError):  # which a closed terminal raises
+        while chunk := os.read(ours, 65536):
+            said += chunk
+    os.close(ours)
+    return process.wait(), said.decode()
+
+
+def before_first_hour(folder: Path) -> None:
+    """Run the quickstart where its progress is seen: a bar with the time left for each stage, and nothing else.
+
+    It leaves a dataset, a checkpoint, results and a report, and the pages find them there.
+    """
+    from dynahoi_lerobot.cli import quickstart
+    from dynahoi_lerobot.evaluate.results import read_results
+    from tests.docs.playing import run
+
+    out = folder / "outputs/quickstart"
+    code, said = on_a_terminal([sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"])
+    assert code == 0, said
+    stages = said.split("[1/4]")[1].replace("[2/4]", "[3/4]").replace("[4/4]", "[3/4]").split("[3/4]")
+    units = ("generating", "encoding and training", "evaluating", "hold on test_small")
+    for stage, unit in zip(stages, units, strict=True):
+        bars = [part for part in stage.replace("\n", "\r").split("\r") if part.strip().startswith(unit)]
+        assert any("100%|" in bar for bar in bars), (unit, stage)
+        assert all("<" in bar for bar in bars), "elapsed<remaining"
+    assert not [word for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec") if word in said]
+    assert said.strip().splitlines()[-1].strip() == f"python -m webbrowser {(out / 'report.html').as_uri()}"
+
+    run(["dynahoi", "verify", str(out / "dataset")])
+    assert json.loads((out / "training/pretrained_model/config.json").read_text())["type"] == "obact"
+    kinds, names = sorted(quickstart.KINDS[: quickstart.TINY.kinds]), ("obact", *quickstart.BASELINES)
+    for name in names:
+        assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
+    assert all(name in (out / "report.html").read_text() for name in names)
+    assert "S_loc" in (out / "table.txt").read_text()
+    with redirect_stdout(io.StringIO()) as again:
+        run(["dynahoi", "quickstart", "--tiny"])
+    assert again.getvalue().count("already done") == 4, "a second run must find everything there"
+
+
 def check_first_hour(folder: Path) -> None:
     """What README and the pages for beginners leave."""
     from dynahoi_lerobot.evaluate.results import read_results
@@ -183,7 +221,7 @@ def check_first_hour(folder: Path) -> None:
 GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] = {
     "generate.md dataset.md lerobot.md": (before_data, check_data),
     "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
-    "README.md quickstart.md environment.md install.md extend.md": (None, check_first_hour),
+    "README.md quickstart.md environment.md install.md extend.md": (before_first_hour, check_first_hour),
 }
 """Pages that are played one after the other in one folder; what is done before, and what is checked afterwards."""
 REASONS: dict[str, Callable[[], bool]] = {

@@ -6,28 +6,19 @@ import hashlib
 import json
 import shutil
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from lerobot.configs import PreTrainedConfig
 from lerobot.envs.configs import EnvConfig
-from lerobot.envs.factory import make_env
 from lerobot.envs.utils import (
     _call_make_env,
     _import_hub_module,
     _normalize_hub_result,
-    close_envs,
     env_to_policy_features,
     preprocess_observation,
 )
 from lerobot.policies.act.configuration_act import ACTConfig
-from lerobot.policies.pretrained import PreTrainedPolicy
-from lerobot.processor import PolicyProcessorPipeline
-from lerobot.scripts.lerobot_eval import eval_policy_all
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_env_dynahoi.command_line import new_results_folder, policy_name, policy_weights
@@ -52,55 +43,6 @@ def config_class() -> type[EnvConfig]:
     return EnvConfig.get_choice_class("dynahoi")
 
 
-@PreTrainedConfig.register_subclass("stand_still")
-@dataclass
-class StandStillConfig(PreTrainedConfig):
-    """Nothing to configure."""
-
-    observation_delta_indices = action_delta_indices = reward_delta_indices = None
-
-    def get_optimizer_preset(self) -> None: ...
-
-    def get_scheduler_preset(self) -> None: ...
-
-    def validate_features(self) -> None: ...
-
-
-class StandStill(PreTrainedPolicy):
-    """The least a policy can be for LeRobot's rollout: it commands the pose it is in."""
-
-    config_class, name = StandStillConfig, "stand_still"
-
-    def get_optim_params(self) -> list:
-        return []
-
-    def reset(self) -> None: ...
-
-    def forward(self, batch: dict) -> tuple[torch.Tensor, None]:
-        return torch.zeros(()), None
-
-    def predict_action_chunk(self, batch: dict) -> torch.Tensor:
-        return self.select_action(batch)[:, None]
-
-    def select_action(self, batch: dict) -> torch.Tensor:
-        assert batch["observation.images.ego"].shape[1:] == (3, 32, 32)
-        assert batch["observation.phase"].shape[1:] == (2,)
-        assert all(isinstance(text, str) and text for text in batch["task"])
-        return batch["observation.state"]
-
-
-def evaluate_with_lerobot(config: EnvConfig, episodes: int, **recording: Any) -> dict:
-    envs = make_env(config, n_envs=2)
-    nothing = PolicyProcessorPipeline(steps=[])
-    same = {"policy": StandStill(StandStillConfig()), "env_preprocessor": nothing, "env_postprocessor": nothing}
-    plain = PolicyProcessorPipeline(steps=[], to_transition=lambda x: x, to_output=lambda x: x)
-    try:
-        same |= {"preprocessor": plain, "postprocessor": plain, **recording}
-        return eval_policy_all(envs, n_episodes=episodes, start_seed=0, **same)
-    finally:
-        close_envs(envs)
-
-
 def test_one_suite_per_category_one_task_per_kind(config_class: type[EnvConfig]) -> None:
     suites = config_class(**SMALL).create_envs(1)
     assert set(suites) == set(CATEGORIES)
@@ -109,11 +51,8 @@ def test_one_suite_per_category_one_task_per_kind(config_class: type[EnvConfig])
     assert all(sorted(suite) == list(range(len(suite))) for suite in suites.values())
 
 
-def test_lerobots_loop_fills_the_result_folder(config_class: type[EnvConfig], tmp_path: Path) -> None:
-    config = config_class(task="constant,ramp", results_dir=str(tmp_path), **SMALL)
-    info = evaluate_with_lerobot(config, episodes=3)
-    results = read_results(tmp_path)
-    assert info["overall"]["n_episodes"] == 6
+def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    results = through_lerobot(act, tmp_path, monkeypatch, "--env.task=constant,ramp", "--eval.n_episodes=3")
     kinds = [row["kind"] for row in results.rows]
     assert (kinds.count("constant"), kinds.count("ramp")) == (4, 4), "two batches of two per task, none twice"
     assert len({row["seed"] for row in results.rows}) == 8
@@ -141,9 +80,7 @@ def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig])
         ({"views": ("top",)}, "unknown view 'top'"),
     ],
 )
-def test_unknown_names_are_refused_by_the_config(
-    config_class: type[EnvConfig], option: dict[str, Any], sentence: str
-) -> None:
+def test_unknown_names_are_refused_by_the_config(config_class, option, sentence):
     with pytest.raises(ValueError, match=sentence):
         config_class(**SMALL, **option)
 
@@ -156,6 +93,7 @@ def test_further_views_reach_the_policy(config_class: type[EnvConfig], tmp_path:
     observation, _ = env.reset(seed=[0])
     assert {key for key in preprocess_observation(observation) if "images" in key} == wanted
     assert env.observation_space.contains(observation)
+    assert "Catch" in env.call("task_description")[0], "LeRobot's loop asks for it"
 
 
 def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
@@ -187,18 +125,7 @@ def test_results_go_below_lerobots_output_folder(words: list[str], tmp_path: Pat
     assert new_results_folder(["lerobot-train", recipe, *words]).parent == Path("out/run/dynahoi")
 
 
-def test_an_evaluation_without_a_results_folder_leaves_its_metrics_with_lerobots(
-    config_class: type[EnvConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--output_dir={tmp_path}"])
-    evaluate_with_lerobot(config_class(task="constant", **SMALL), episodes=1)
-    (folder,) = (tmp_path / "dynahoi").iterdir()
-    assert len(read_results(folder).rows) == 2
-
-
-def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, monkeypatch, capsys):
     checkpoint = shutil.copytree(SHIPPED, tmp_path / "late")
     training = {"env": {"type": "dynahoi", "control_class": "late"}}
     (checkpoint / "train_config.json").write_text(json.dumps(training))
@@ -223,10 +150,10 @@ def obact(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> Results:
-    words = [f"--policy.path={policy}", "--env.type=dynahoi", "--env.task=constant", "--env.image_size=32"]
-    words += [f"--env.results_dir={out}", f"--output_dir={out / 'lerobot'}", "--seed=0"]
-    words += ["--eval.batch_size=2", "--eval.n_episodes=2", "--eval.use_async_envs=false", *options]
-    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *words])
+    given = {"--policy.path": policy, "--env.type": "dynahoi", "--env.task": "constant", "--env.image_size": 32}
+    given |= {"--env.results_dir": out, "--output_dir": out / "lerobot", "--seed": 0, "--eval.batch_size": 2}
+    given |= {"--eval.n_episodes": 2, "--eval.use_async_envs": "false"} | dict(word.split("=") for word in options)
+    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *(f"{name}={value}" for name, value in given.items())])
     lerobot_eval()
     return read_results(out)
 
@@ -263,9 +190,7 @@ def test_a_policy_with_a_queue_plays_the_same_episodes(act: Path, tmp_path: Path
         ((*LATE, "--env.n_action_steps=5"), "env.n_action_steps is 5, but the policy's is 8"),
     ],
 )
-def test_what_lerobots_loop_cannot_do_is_a_sentence(
-    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str, ...], sentence: str
-):
+def test_what_lerobots_loop_cannot_do_is_a_sentence(act, tmp_path, monkeypatch, options, sentence):
     with pytest.raises(ValueError, match=sentence):
         through_lerobot(act, tmp_path, monkeypatch, *options)
 

@@ -31,14 +31,6 @@ def test_frames_keep_their_number_size_and_pace():
     assert total_ms(data) == 5 * 50
 
 
-def test_colours_survive():
-    flat = np.zeros((2, 8, 8, 3), np.uint8)
-    flat[0], flat[1] = (200, 30, 60), (10, 120, 240)
-    first, second = pages(encode_gif(flat))
-    assert np.abs(np.asarray(first, int)[4, 4] - [200, 30, 60]).max() < 8
-    assert np.abs(np.asarray(second, int)[4, 4] - [10, 120, 240]).max() < 8
-
-
 def test_the_border_tells_the_phase():
     names = ["observing", "observing", "acting", "localized", "localized"]
     shown = pages(encode_gif(FRAMES, phases=names))

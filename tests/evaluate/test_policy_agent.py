@@ -1,7 +1,8 @@
-"""A checkpoint as an agent: its config can be changed for one evaluation, never silently."""
+"""A checkpoint as an agent: its config is changed on request, and it remembers the frames it is shown."""
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import shutil
 from dataclasses import replace
@@ -10,10 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation, Plan
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame, queued_frame
 from dynahoi_lerobot.evaluate.results import read_results
 
 CHECKPOINT = str(Path(__file__).parents[2] / "checkpoints" / "obact_standard")
@@ -36,9 +38,7 @@ def test_results_say_which_weights_they_are_of(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mode", ["async", "rtc"])
-def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
-    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(mode, tmp_path, monkeypatch):
     plan, worlds = PolicyAgent.plan, []
 
     def slow(agent: PolicyAgent, observation: Observation, chosen: np.ndarray, **told: Any) -> Plan:
@@ -65,3 +65,59 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
 def test_what_cannot_be_set_is_said(setting: str, sentence: str) -> None:
     with pytest.raises(PolicyError, match=sentence):
         PolicyAgent(CHECKPOINT, settings=[setting])
+
+
+@pytest.fixture(scope="module")
+def diffusion():
+    from lerobot.configs import FeatureType, PolicyFeature
+    from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
+    from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
+
+    config = DiffusionConfig(
+        input_features={
+            "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 64, 64)),
+            "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
+        },
+        output_features={"action": PolicyFeature(FeatureType.ACTION, (18,))},
+        n_obs_steps=2,
+        horizon=8,
+        n_action_steps=4,
+        down_dims=(16, 32),
+        n_groups=4,
+        pretrained_backbone_weights=None,
+        crop_ratio=1.0,
+        noise_scheduler_type="DDIM",
+        num_inference_steps=2,
+        device="cpu",
+    )
+    return DiffusionPolicy(config).eval()
+
+
+def test_diffusion_policy_plans_from_the_noted_frames(diffusion):
+    frames = [
+        {
+            "observation.images.ego": torch.rand(2, 3, 64, 64),
+            "observation.state": torch.rand(2, 18),
+            "action": None,  # LeRobot's preprocessor leaves this key in every batch
+        }
+        for _ in range(3)
+    ]
+    noise = torch.randn(2, 8, 18)
+    asked_always, asked_once = copy.deepcopy(diffusion), copy.deepcopy(diffusion)
+    for frame in frames:
+        asked_always.select_action(dict(frame))
+    for frame in frames[:-1]:
+        note_frame(asked_once, frame)
+    chunk = asked_once.predict_action_chunk(queued_frame(asked_once, frames[-1]), noise=noise)
+
+    expected = asked_always.predict_action_chunk(dict(frames[-1]) | {"observation.images": None}, noise=noise)
+    assert chunk.shape == (2, 4, 18)
+    torch.testing.assert_close(chunk, expected)
+    forgetful = copy.deepcopy(diffusion)
+    other = forgetful.predict_action_chunk(queued_frame(forgetful, frames[-1]), noise=noise)
+    assert not torch.allclose(chunk, other), "the frames before matter"
+
+
+def test_a_policy_without_queues_gets_its_batch_unchanged():
+    batch = {"observation.state": torch.zeros(1, 18)}
+    assert queued_frame(object(), batch) is batch

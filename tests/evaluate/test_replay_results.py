@@ -137,9 +137,7 @@ def test_easier_rules_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.parametrize(("forge", "finding"), FORGERIES)
-def test_a_forged_result_is_found(
-    honest: Path, tmp_path: Path, forge: Callable[[Path], None], finding: str, capsys: pytest.CaptureFixture
-):
+def test_a_forged_result_is_found(honest, tmp_path, forge, finding, capsys):
     folder = tmp_path / "forged"
     shutil.copytree(honest, folder)
     forge(folder)

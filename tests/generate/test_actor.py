@@ -74,9 +74,7 @@ def test_any_number_of_workers_gives_the_same_bytes(generated: Path, actor: Path
     assert Manifest.read(tmp_path / "d").files == Manifest.read(generated).files
 
 
-def test_another_checkpoint_is_another_dataset(
-    generated: Path, actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_another_checkpoint_is_another_dataset(generated, actor, tmp_path, capsys):
     other = edited(actor, tmp_path, "config.json", lambda content: content | {"n_action_steps": 1})
     assert actor_name(str(other)) != actor_name(str(actor))
     assert main(words(other, generated)) == 2
@@ -118,23 +116,6 @@ def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: P
     card = (generated / "README.md").read_text()
     assert f"the policy `{actor_name(str(actor))}` moves the hand" in card
     assert "moves the hand, and" not in (tmp_path / "first" / "README.md").read_text()
-
-
-@pytest.mark.parametrize(
-    ("more", "told"),
-    [
-        (["--actor", "nowhere"], "there is no policy 'nowhere'"),
-        (["--actor", "user/name", "--trust"], "--trust needs a folder as the actor, got 'user/name'"),
-        (["--perturbed-share", "1.5"], "perturbed_share must be 0 to 1, got 1.5"),
-    ],
-    ids=str,
-)
-def test_bad_input_is_one_sentence(more: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(words(None, tmp_path / "d", *more)) == 2
-    error = capsys.readouterr().err
-    assert told in error
-    assert "Traceback" not in error
-    assert not (tmp_path / "d").exists()
 
 
 def test_a_checkpoint_that_could_run_code_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -43,26 +43,6 @@ def test_a_view_has_one_video_file_unless_that_would_be_too_long(tmp_path, secon
     assert not (tmp_path / "e").exists()
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--episodes", -5], "number of episodes is -5"),
-        (["--codec", "mpeg2"], "unknown codec 'mpeg2'"),
-        (["--gop", 0], "gop is 0"),
-        (["--workers", 0], "number of workers is 0"),
-        (["--shard-episodes", 0], "episodes per shard is 0"),
-        (["--image-size", 31], "image size is 31"),
-        (["--seed", -1], "seed is -1"),
-    ],
-)
-def test_bad_input_is_one_sentence(tmp_path, capsys, words, sentence):
-    assert run("--root", tmp_path / "d", *words) == 2
-    error = capsys.readouterr().err
-    assert sentence in error
-    assert "Traceback" not in error
-    assert not (tmp_path / "d").exists()
-
-
 def test_failure_and_interruption(tmp_path, capsys):
     def interrupted(recipe, seeds):
         yield from recorder.record(recipe, seeds[:1])

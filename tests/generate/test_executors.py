@@ -51,14 +51,6 @@ def test_local_tasks_give_the_same_bytes(plan, alone, tmp_path):
     assert executors.run(*work) is True, "done already"
 
 
-@pytest.mark.slow
-def test_local_processes_through_the_command(alone, tmp_path):
-    words = ("--root", tmp_path / "d", "--episodes", 7, "--shard-episodes", 2)
-    assert run(*words, "--executor", "local", "--tasks", 2, "--workers", 2) == 0
-    assert same(alone, tmp_path / "d")
-    assert [path.name for path in tmp_path.iterdir()] == ["d"]
-
-
 BELOW_UV = "import subprocess, sys; sys.exit(subprocess.call(sys.argv[1:]))"
 """What ``uv run`` does: start Python as a child. Ray looks for such a parent."""
 RAY = """

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
-from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate import pipeline
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace, workspace_path
@@ -191,58 +187,9 @@ def test_intact_shards_are_kept(interrupted, undamaged, tmp_path):
     assert hash_files(tmp_path / "d") == undamaged
 
 
-def test_what_is_not_ours_is_refused_and_kept(interrupted, tmp_path, capsys):
-    words = ("--root", tmp_path / "d", "--episodes", 6, "--shard-episodes", 2)
-    (interrupted / "plan.json").write_bytes(b"")
-    assert run(*words) == 2
-    (interrupted / "plan.json").unlink()
-    assert run(*words, "--seed", 100) == 2
-    foreign = workspace_path(tmp_path / "e")
-    foreign.mkdir()
-    (foreign / "thesis.tex").write_text("mine")
-    assert run("--root", tmp_path / "e") == 2
-    assert [path.name for path in foreign.iterdir()] == ["thesis.tex"]
-    workspace_path(tmp_path / "f").touch()
-    assert run("--root", tmp_path / "f") == 2
-    assert capsys.readouterr().err.count("\n") == 4, "a sentence each"
-
-
 def test_a_finished_dataset_is_checked(tmp_path, capsys):
     words = ("--root", tmp_path / "d", "--episodes", 6, "--shard-episodes", 2)
     assert [run(*words), run(*words)] == [0, 0]
     flip_byte(tmp_path / "d/data/chunk-000/file-000.parquet")
     assert run(*words) == 1
     assert "is complete but damaged: data/chunk-000/file-000.parquet" in capsys.readouterr().err
-
-
-def test_the_images_of_a_merged_dataset_are_its_episodes(reference):
-    for episode in read_episodes(reference):
-        (made,) = recorder.record(FakeRecipe(), [episode.meta.seed])
-        assert abs(episode.images["ego"].astype(int) - made.images["ego"]).mean() < 6
-
-
-PARENT = """
-import subprocess, sys, time
-child = subprocess.Popen([sys.executable, "-c", '''
-import os, time
-from dynahoi_lerobot.generate.pipeline import exit_with_parent
-exit_with_parent(os.getppid())
-print("ready", flush=True)
-time.sleep(60)
-'''], stdout=subprocess.PIPE)
-child.stdout.readline()
-print(child.pid, flush=True)
-time.sleep(60)
-"""
-
-
-def test_a_worker_ends_with_its_parent_however_that_ends():
-    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    child = int(parent.stdout.readline())
-    parent.kill()
-    parent.wait()
-    deadline = time.monotonic() + 20
-    while (status := Path(f"/proc/{child}/stat")).exists() and status.read_text().split()[2] != "Z":
-        assert time.monotonic() < deadline, "the child outlives its parent"
-        time.sleep(0.05)

@@ -102,11 +102,3 @@ def test_all_attempts_at_a_failed_episode_are_told(tmp_path):
     assert max(map(len, attempts)) > 1, "the expert begins again"
     assert all(not any(tries[:-1]) for tries in attempts)
     assert verify(tmp_path / "d", replayed=2) == []
-
-
-def test_the_option_of_the_command(tmp_path, capsys):
-    (tmp_path / "recipe.yaml").write_text("expert: hold\n")
-    words = ("--root", tmp_path / "d", "--episodes", 2, "--image-size", 0, "--motions", "constant,lob")
-    assert run(command, *words, "--recipe", tmp_path / "recipe.yaml", "--keep-failures") == 0
-    assert '"failed": 2' in capsys.readouterr().out
-    assert Manifest.read(tmp_path / "d").provenance["recipe"]["keep_failures"] is True

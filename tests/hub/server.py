@@ -44,20 +44,12 @@ class Repo:
 
 @dataclass
 class Hub:
-    """What the server holds, and how it fails.
+    """What the server holds, and how it fails."""
 
-    Attributes:
-        repos: by ``datasets/user/name`` or ``models/user/name``.
-        blobs: the large file storage, by sha256.
-        uploads_left: how many more large files are taken; None for no end.
-        requests: every request line, for tests that nothing was sent twice.
-        url: where it listens.
-    """
-
-    repos: dict[str, Repo] = field(default_factory=dict)
-    blobs: dict[str, bytes] = field(default_factory=dict)
-    uploads_left: int | None = None
-    requests: list[str] = field(default_factory=list)
+    repos: dict[str, Repo] = field(default_factory=dict)  # by ``datasets/user/name`` or ``models/user/name``
+    blobs: dict[str, bytes] = field(default_factory=dict)  # the large file storage, by sha256
+    uploads_left: int | None = None  # how many more large files are taken; None for no end
+    requests: list[str] = field(default_factory=list)  # every request line
     url: str = ""
 
 
@@ -188,19 +180,9 @@ def preupload(handler: _Handler, body: bytes, kind: str, name: str, revision: st
     handler.check_token()
     held = handler.repo(kind, name).files
     names = [file["path"] for file in json.loads(body)["files"]]
-    return _json(
-        {
-            "files": [
-                {
-                    "path": path,
-                    "uploadMode": "lfs" if _is_large(path) else "regular",
-                    "shouldIgnore": False,
-                    "oid": _oid(path, held[path]) if path in held else None,
-                }
-                for path in names
-            ]
-        }
-    )
+    modes = [{"path": path, "uploadMode": "lfs" if _is_large(path) else "regular"} for path in names]
+    oids = [{"shouldIgnore": False, "oid": _oid(path, held[path]) if path in held else None} for path in names]
+    return _json({"files": [mode | oid for mode, oid in zip(modes, oids, strict=True)]})
 
 
 def batch(handler: _Handler, body: bytes, name: str) -> Answer:

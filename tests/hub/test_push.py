@@ -5,17 +5,91 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
+from dynahoi_lerobot.evaluate.results import RunInfo, write_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from tests.hub.conftest import Push, write_split
-from tests.hub.server import TOKEN, Hub
+from dynahoi_lerobot.sampling.recipe import Recipe
+from tests.hub.server import TOKEN, Hub, serving
+from tests.synthetic import synthetic_episode
 
+Push = Callable[..., tuple[int, str, str]]
+"""Run ``dynahoi push`` and return its exit code and what it printed on both streams."""
+
+
+@pytest.fixture
+def hub() -> Iterator[Hub]:
+    with serving() as hub:
+        yield hub
+
+
+@pytest.fixture
+def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Push:
+    from huggingface_hub import constants
+
+    template = constants.HUGGINGFACE_CO_URL_TEMPLATE.replace(constants.ENDPOINT, hub.url)
+    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
+    monkeypatch.setattr(constants, "ENDPOINT", hub.url)
+    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub_cache"))
+    monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no_token"))
+    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)  # the server has only the large file storage
+    monkeypatch.setenv("HF_TOKEN", TOKEN)
+
+    def run(*words: object) -> tuple[int, str, str]:
+        code = main(["push", *map(str, words)])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("hub") / "dataset"
+    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32"]) == 0
+    return root
+
+
+@pytest.fixture
+def checkpoint(tmp_path: Path) -> Path:
+    folder = tmp_path / "pretrained_model"
+    (folder / "training_state").mkdir(parents=True)
+    (folder / "training_state/rng.safetensors").write_bytes(b"state")
+    (folder / "config.json").write_text(json.dumps({"type": "obact"}))
+    (folder / "model.safetensors").write_bytes(b"weights")
+    (folder / "train_config.json").write_text(json.dumps({"dataset": {"repo_id": "me/catching"}}))
+    return folder
+
+
+def write_split(
+    folder: Path, split: str, seeds: Iterable[int], *, policy: str = "me/policy", command: str = "dynahoi evaluate",
+    extra: dict | None = None, **recipe: object,
+) -> Path:  # fmt: skip
+    """Write the results of episodes that all are the same but for their seeds."""
+    episode = synthetic_episode(0, image_size=None)
+    played = Recipe(split=split, **recipe).stored()
+    info = RunInfo(policy, split, "attach", command, "f", {"recipe": played} | (extra or {}))
+    write_results(folder, [replace(episode, meta=replace(episode.meta, seed=seed)) for seed in seeds], info)
+    return folder
+
+
+ROOT = Path(__file__).parents[2]
 DATASET, MODEL = "datasets/me/catching", "models/me/policy"
+
+
+def refused(answer: tuple[int, str, str], sentence: str, wanted: int = 1, *, in_one_line: bool = True) -> None:
+    """The command ended with an exit code and said why."""
+    code, _, err = answer
+    assert code == wanted, err
+    assert sentence in err
+    assert err.count("\n") == 1 or not in_one_line, err
+
 
 # -- datasets ---------------------------------------------------------------------------------------------------------
 
@@ -42,17 +116,13 @@ def test_another_dataset_of_the_same_files_is_not_overwritten(simulated: Path, t
     before = dict(hub.repos[DATASET].commits)
     root = tmp_path / "other"
     assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32", "--seed", "9"]) == 0
-    code, _, err = push(root, "me/catching")
-    assert code == 1
-    assert "me/catching holds another dataset" in err
+    refused(push(root, "me/catching"), "me/catching holds another dataset")
     assert hub.repos[DATASET].commits == before
 
 
 def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
     hub.uploads_left = 2
-    code, _, err = push(simulated, "me/catching")
-    assert code == 1
-    assert "507 (storage is full)" in err
+    refused(push(simulated, "me/catching"), "507 (storage is full)", in_one_line=False)
     assert hub.repos[DATASET].files == {}
     before = set(hub.blobs)
     hub.uploads_left = None
@@ -63,41 +133,23 @@ def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
     assert not sent & before
 
 
-def test_stopping_it_says_how_to_go_on(simulated: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch):
-    from huggingface_hub import HfApi
-
-    def interrupted(*args: object, **options: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(HfApi, "upload_folder", interrupted)
-    code, _, err = push(simulated, "me/catching")
-    assert code == 130
-    assert "resume" in err
-
-
 def test_a_damaged_dataset_is_refused(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
     broken = shutil.copytree(simulated, tmp_path / "broken")
     (broken / "meta/tasks.parquet").unlink()
-    code, _, err = push(broken, "me/catching")
-    assert code == 1
-    assert "tasks.parquet is missing" in err
+    refused(push(broken, "me/catching"), "tasks.parquet is missing", in_one_line=False)
     assert hub.repos == {}
 
 
 def test_a_repository_of_something_else_is_left_alone(simulated: Path, hub: Hub, push: Push):
     push(simulated, "me/catching")
     hub.repos[DATASET].commits["f" * 40] = {"thesis.pdf": b"years of work"}
-    code, _, err = push(simulated, "me/catching")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "me/catching holds other content (thesis.pdf); choose another name" in err
+    refused(push(simulated, "me/catching"), "me/catching holds other content (thesis.pdf); choose another name")
     assert hub.repos[DATASET].files == {"thesis.pdf": b"years of work"}
 
 
 def test_what_is_to_be_private_does_not_go_into_a_public_repository(simulated: Path, hub: Hub, push: Push):
     push(simulated, "me/catching")
-    code, _, err = push(simulated, "me/catching", "--private")
-    assert code == 1
-    assert "me/catching exists and is public" in err
+    refused(push(simulated, "me/catching", "--private"), "me/catching exists and is public")
 
 
 # -- what any push needs ----------------------------------------------------------------------------------------------
@@ -111,13 +163,9 @@ def test_what_is_to_be_private_does_not_go_into_a_public_repository(simulated: P
         ("you/catching", TOKEN, "you/catching: the token has no write access"),
     ],
 )
-def test_tokens_that_will_not_do(
-    repo: str, token: str, said: str, *, checkpoint: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch
-):
+def test_tokens_that_will_not_do(repo, token, said, *, checkpoint, hub, push, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", token)
-    code, _, err = push(checkpoint, repo)
-    assert code == 1
-    assert said in err
+    refused(push(checkpoint, repo), said)
     assert hub.repos == {}
 
 
@@ -125,27 +173,20 @@ def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatc
     from huggingface_hub import constants
 
     monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
-    code, _, err = push(checkpoint, "me/policy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost" in err
+    refused(push(checkpoint, "me/policy"), "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost")
 
 
 @pytest.mark.parametrize("name", ["catching", "a/b/c", "me/a b", ""])
 def test_names_that_are_none(checkpoint: Path, hub: Hub, push: Push, name: str):
-    code, _, err = push(checkpoint, name)
-    assert code == 2
-    assert f"the repository is {name!r}; it must be USER/NAME" in err
+    refused(push(checkpoint, name), f"the repository is {name!r}; it must be USER/NAME", 2)
     assert hub.requests == []
 
 
 def test_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
     (tmp_path / "empty").mkdir()
-    code, _, err = push(tmp_path / "empty", "me/catching")
-    assert code == 2
-    assert "holds none of these: dataset (meta/info.json), results (metrics.json), checkpoint (config.json)" in err
-    code, _, err = push(checkpoint, "me/policy", "--policy", "me/x")
-    assert code == 2
-    assert f"--policy is for a push of results; {checkpoint} holds this: checkpoint" in err
+    refused(push(tmp_path / "empty", "me/catching"), "holds none of these: dataset (meta/info.json), results", 2)
+    answer = push(checkpoint, "me/policy", "--policy", "me/x")
+    refused(answer, f"--policy is for a push of results; {checkpoint} holds this: checkpoint", 2)
     assert hub.repos == {}
 
 
@@ -159,9 +200,7 @@ def test_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, h
         ({"type": "act", "output_features": {"action": {"shape": [4]}}}, "grasp", ""),
     ],
 )
-def test_a_checkpoint_without_a_card_gets_one(
-    config: dict, mode: str, needed: str, *, checkpoint: Path, hub: Hub, push: Push
-):
+def test_a_checkpoint_without_a_card_gets_one(config, mode, needed, *, checkpoint, hub, push):
     (checkpoint / "config.json").write_text(json.dumps(config))
     before = sorted(path.name for path in checkpoint.iterdir())
     code, _, err = push(checkpoint, "me/policy")
@@ -188,18 +227,14 @@ def test_a_card_that_is_there_stays(checkpoint: Path, hub: Hub, push: Push):
     assert hub.repos[MODEL].files["README.md"] == b"mine"
 
 
-def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     push(write_split(tmp_path / "results", "ood_speed", range(220)), "me/policy")
     commits = list(hub.repos[MODEL].commits)
     assert push(checkpoint, "me/policy", "--replace")[0] == 0
     assert list(hub.repos[MODEL].commits) == commits, "the same weights keep their results"
     (checkpoint / "model.safetensors").write_bytes(b"better weights")
-    code, _, err = push(checkpoint, "me/policy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "me/policy holds other weights (model.safetensors); choose another name, or add --replace" in err
+    refused(push(checkpoint, "me/policy"), "me/policy holds other weights (model.safetensors); choose another name")
     assert list(hub.repos[MODEL].commits) == commits
     assert push(checkpoint, "me/policy", "--replace")[0] == 0
     files = hub.repos[MODEL].files
@@ -209,9 +244,7 @@ def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_as
 
 def test_pickles_are_refused(checkpoint: Path, hub: Hub, push: Push):
     (checkpoint / "optimizer.pt").write_bytes(b"pickle")
-    code, _, err = push(checkpoint, "me/policy")
-    assert code == 2
-    assert "holds the pickle optimizer.pt" in err
+    refused(push(checkpoint, "me/policy"), "holds the pickle optimizer.pt", 2)
     assert hub.repos == {}
 
 
@@ -225,9 +258,7 @@ def names(hub: Hub) -> set[str]:
 
 def test_results_need_their_checkpoint_and_must_be_whole(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
     results = write_split(tmp_path / "results", "ood_speed", range(220))
-    code, _, err = push(results, "me/policy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert "me/policy holds no checkpoint" in err
+    refused(push(results, "me/policy"), "me/policy holds no checkpoint")
     assert hub.repos == {}
     push(checkpoint, "me/policy")
     (results / "actions.npz").write_bytes(b"")
@@ -246,9 +277,7 @@ CONDITIONS: list[tuple[dict, str]] = [
 ]
 
 
-def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     for number, (options, _) in enumerate(CONDITIONS):
         seeds, rest = options.get("seeds", range(220)), {k: v for k, v in options.items() if k != "seeds"}
@@ -265,19 +294,13 @@ def test_results_of_another_policy_are_refused_unless_they_are_said_to_be_of_thi
 ):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
-    code, _, err = push(results, "me/policy")
-    assert (code, err.count("\n")) == (1, 1)
-    assert f"me/policy: {results} is of {policy}, and nothing shows that this repository holds it" in err
+    refused(push(results, "me/policy"), f"{results} is of {policy}, and nothing shows that this repository holds it")
     assert names(hub) == set()
-    code, _, err = push(results, "me/policy", "--policy", "you/third")
-    assert f"{results} is of {policy}, not of you/third" in err
-    assert code == 1
+    refused(push(results, "me/policy", "--policy", "you/third"), f"{results} is of {policy}, not of you/third")
     assert push(results, "me/policy", "--policy", policy)[0] == 0
 
 
-def test_results_go_to_the_repository_with_the_weights_that_they_name(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_results_go_to_the_repository_with_the_weights_that_they_name(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
     for number, (weights, code) in enumerate((("0a" * 32, 1), (digest, 0))):
@@ -299,3 +322,23 @@ def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: 
     (entry,) = model["results"]
     assert entry["dataset"]["split"] == "ood_speed"
     assert {metric["type"] for metric in entry["metrics"]} == {"S_loc", "S_joint"}
+
+
+@pytest.mark.slow
+def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(hub: Hub, push: Push, tmp_path: Path):
+    results = tmp_path / "results"
+    assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0
+    assert main(["evaluate", "--policy", "me/policy", "--episodes", "2", "--out", str(results)]) == 0
+    assert push(results, "me/policy")[0] == 0
+    files, head = hub.repos[MODEL].files, json.loads((results / METRICS_FILE).read_text())
+    assert "model.safetensors" in files
+    name = "v2_test_small_attach_standard_image_size_96_2_episodes"
+    assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
+    assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, "results beside it are no obstacle"
+
+
+def test_an_environment_is_pushed(hub: Hub, push: Push):
+    code, out, err = push(ROOT / "envs/hub", "me/dynahoi-env")
+    assert code == 0, err
+    assert f"environment pushed to {hub.url}/me/dynahoi-env" in out
+    assert set(hub.repos["models/me/dynahoi-env"].files) == {"README.md", "env.py"}

@@ -14,7 +14,6 @@ import pytest
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.gif import write_gif
 from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
-from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import Table, metric_cell
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
@@ -73,9 +72,7 @@ def test_entries_come_best_first_and_once(entries: list[Entry]):
     assert len(distinct_episodes(entries)) == 24
 
 
-def test_versions_of_the_benchmark_are_not_mixed_unless_asked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_versions_of_the_benchmark_are_not_mixed_unless_asked(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(figures, "FIGURES", figures.FIGURES[:1])
     example_run(tmp_path / "old", "old", 0.5, 4, benchmark="v0")
     example_run(tmp_path / "new", "new", 0.5, 4)
@@ -109,7 +106,6 @@ def odd(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_is_a_well_formed_inert_drawing(name: str, odd: list[Entry]):
     address = FIGURES[name].render(odd)
-    assert address is not None
     text = svg(address)
     root = ElementTree.fromstring(text)
     assert not {"script", "foreignObject"} & {element.tag.partition("}")[2] for element in root.iter()}
@@ -133,13 +129,6 @@ def test_a_figure_of_one_episode_is_drawn_or_left_out(name: str, tmp_path: Path)
 )
 def test_the_latency_of_an_evaluation_is_the_one_that_its_label_declares(inference: str, latency_ms: float | None):
     assert figures.latency_ms(Entry(named("a", inference=inference), "a", "#000")) == latency_ms
-
-
-def test_values_and_intervals_are_drawn_as_they_are_printed():
-    half = Estimate(0.5, 0.25, 0.75, "fraction", 4)
-    values, reach = figures.printed([None, Estimate(None, None, None, "score", 0), half])
-    np.testing.assert_array_equal(values, [np.nan, np.nan, 50.0])
-    np.testing.assert_array_equal(reach[:, 2], [25.0, 25.0])
 
 
 def test_deltas_are_those_of_the_control_phase(entries: list[Entry]):
@@ -200,11 +189,6 @@ def test_the_comparison_is_antisymmetric_and_under_equal_conditions(entries: lis
         assert column(tables[name], "holder")["strong"].text == "–"
         assert column(tables[name], "strong")["strong"].text == "–"
     assert comparison_tables(entries[:1]) == []
-
-
-def test_kind_tables_count_their_episodes(content: dict):
-    for table in content["per_kind"]:
-        assert sum(int(cell.text) for cell in column(table, "n").values()) == 24
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------
@@ -286,9 +270,7 @@ def test_no_folder_or_a_damaged_one_leaves_no_page(root: Path, tmp_path: Path):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_report_pairs_across_what_it_is_asked_to(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_the_report_pairs_across_what_it_is_asked_to(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(figures, "FIGURES", figures.FIGURES[:1])
     example_run(tmp_path / "a", "a", 0.9, 8, recipe={"render_noise": 0})
     example_run(tmp_path / "b", "a", 0.3, 8, recipe={"render_noise": 2})

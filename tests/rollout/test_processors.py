@@ -16,7 +16,6 @@ from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 HERE = [name for name in __cpu_dispatch__ if __cpu_features__[name]]
 PROCESSORS = {
     "all that it has": {},
-    "an older BLAS": {"OPENBLAS_CORETYPE": "Sandybridge"},
     "the least of all": {"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": " ".join(HERE)},
 }
 PLAY = """
@@ -28,7 +27,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import digest
 
 test = Recipe(split="test", image_size=0)
-for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 22), (test.changed(capture="contact"), 11)):
+for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 6), (test.changed(capture="contact"), 8)):
     specs = sample_specs(recipe, range(count), threads=1)
     for episode in evaluate(WorldBatch(recipe, 11, threads=1), EXPERTS[recipe.expert](), specs):
         spec = specs[episode.meta.seed]
@@ -46,6 +45,6 @@ def test_episodes_do_not_depend_on_the_processor() -> None:
         for name, changes in PROCESSORS.items()
     }
     reference = played["all that it has"]
-    assert len(reference) == 55
+    assert len(reference) == 36
     for name, episodes in played.items():
         assert episodes == reference, name

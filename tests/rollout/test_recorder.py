@@ -105,7 +105,6 @@ def test_the_hand_does_what_the_expert_planned_first(specs: list[EpisodeSpec], c
         assert speed <= min(control.palm_speed_m_s, 1.0) + 1e-6
         assert lead_s == pytest.approx(round(lead_s / CONTROL_DT) * CONTROL_DT)
         first = episode.first_localized
-        assert first is not None
         assert first - start <= round(lead_s / CONTROL_DT)
         if first > start + 2:
             left = np.linalg.norm(episode.palm_pos_h[start + 2] - episode.palm_pos_h[start + 1]) / CONTROL_DT

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -76,12 +75,6 @@ print(json.dumps(pin.pin(seeds=3, with_images=2)))
 """
 
 
-def sample(split: str) -> range:
-    """Eleven seeds over the whole split, of different kinds of motion."""
-    seeds = pin.pinned_seeds(split)
-    return seeds[BENCHMARK.streams.index(split) :: len(seeds) // 11]
-
-
 def test_the_definition_is_pinned():
     assert (pin.definition(), BENCHMARK.version) == (PINNED["definition"], PINNED["version"]), (
         "a change of the definition is a new version of the benchmark"
@@ -110,20 +103,13 @@ def test_every_seed_of_all_streams_is_pinned():
     assert len(PINNED["specs"]["test"]) == len(split_seeds("test")) == 1000
 
 
-@pytest.mark.parametrize("split", BENCHMARK.streams)
-def test_a_sample_of_specs_is_the_pinned_one(split: str):
-    compare(split, pin.spec_digests(split, sample(split)))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("split", BENCHMARK.streams)
-def test_all_specs_are_the_pinned_ones(split: str):
-    compare(split, pin.spec_digests(split, pin.pinned_seeds(split)))
-
-
-def compare(split: str, found: Mapping[int, str]) -> None:
-    wanted = PINNED["specs"][split]
-    assert found == {seed: wanted[seed] for seed in found}
+def test_specs_are_the_pinned_ones(split: str):
+    """A seventh of them, of all kinds of motion; ``benchmarks/pin.py --check`` compares all."""
+    found = pin.spec_digests(split, pin.pinned_seeds(split)[BENCHMARK.streams.index(split) :: 7])
+    assert found == {seed: PINNED["specs"][split][seed] for seed in found}
+    assert len(found) > 30
 
 
 @pytest.mark.parametrize("split", BENCHMARK.streams)
@@ -131,14 +117,6 @@ def test_images_are_the_pinned_ones(split: str):
     found = pin.image_digests(split)
     assert found == {name: digest for name, digest in PINNED["images"].items() if name.startswith(f"{split}/")}
     assert len(found) == pin.IMAGE_EPISODES
-
-
-@pytest.mark.parametrize(("batch_size", "threads"), [(1, 1), (3, 2)])
-def test_batch_size_and_threads_change_no_digest(batch_size: int, threads: int):
-    found = pin.image_digests("test", batch_size=batch_size, threads=threads)
-    assert found == {name: PINNED["images"][name] for name in found}
-    seeds = [4, 900, 17]
-    assert pin.spec_digests("test", seeds, threads=threads) == {seed: PINNED["specs"]["test"][seed] for seed in seeds}
 
 
 @pytest.mark.slow

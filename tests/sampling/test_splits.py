@@ -1,10 +1,10 @@
-"""Splits are disjoint seed streams, what is held out is never in training, and a salt gives other episodes."""
+"""Splits are disjoint seed streams, what is held out is never in training; salts, and twins at another speed."""
 
 from __future__ import annotations
 
 import json
 import pickle
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,25 +12,28 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.compatibility import MixedError
-from dynahoi_lerobot.core.conventions import PHYSICS_DT
+from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.motions import PrescribedMotion
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.report.entries import read_entries
+from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.homes import visible
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.sampling.splits import seal, split_seeds, without_salt
-from tests.drawing import Drawn, draw_motion
+from dynahoi_lerobot.world.batch import WorldBatch
 
 QUICK = ("constant", "lateral", "horizontal_circle", "line_then_arc")
 IN_DISTRIBUTION = ("train", "val", "test")
 KINDS = BENCHMARK.splits["train"].motions
 HELD_OUT_MOTIONS = set(BENCHMARK.splits["ood_motion"].motions)
 HELD_OUT_OBJECTS = set(BENCHMARK.splits["ood_object"].objects)
-FAST = BENCHMARK.splits["ood_speed"].speed_scale
 
 
 def test_splits_are_disjoint_streams():
@@ -62,38 +65,9 @@ def test_ood_motion_has_only_held_out_kinds_and_ood_object_only_held_out_objects
     assert {s.target.name for s in objects} == HELD_OUT_OBJECTS
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_draw_of_ood_speed_lies_outside_training(kind: str):
-    """Each has some feature that no draw of training has: a speed, a rate, a steepness, a distance thrown."""
-    train = _features([draw_motion(kind, seed) for seed in range(200)])
-    beyond = _features([draw_motion(kind, seed, speed_scale=FAST) for seed in range(60)])
-    outside = [(beyond[name] > train[name].max()) | (beyond[name] < train[name].min()) for name in train]
-    assert np.any(outside, axis=0).all(), f"{kind} of ood_speed may be one of train"
-
-
 @pytest.mark.parametrize("split", BENCHMARK.streams[1:])
 def test_evaluation_splits_have_enough_of_every_kind(split: str):
     assert len(split_seeds(split)) >= 10 * len(Recipe(split=split).motion_names)
-
-
-def _features(drawn: list[Drawn]) -> dict[str, np.ndarray]:
-    """Everything that may tell a fast motion from a slow one, (K,) each."""
-    rows = [_scalars(one) for one in drawn]
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
-
-
-def _scalars(drawn: Drawn) -> dict[str, float]:
-    """Sizes of the scalar parameters but the angles, which are drawn from a full turn, and what follows from others."""
-    values = json.loads(drawn.motion.parameters())
-    circular = ("phase_rad", "yaw_rad")
-    found = {name: abs(v) for name, v in values.items() if isinstance(v, float) and name not in circular}
-    if isinstance(drawn.motion, PrescribedMotion):
-        path = drawn.motion.position(np.arange(0.0, drawn.horizon_s, PHYSICS_DT))
-        found["peak speed"] = float(np.linalg.norm(np.diff(path, axis=0), axis=1).max()) / PHYSICS_DT
-    elif "velocity" in values:
-        speed = float(np.linalg.norm(values["velocity"][:2]))
-        found |= {"level speed": speed, "thrown": speed * (drawn.intercept_s - values["release_s"])}
-    return found
 
 
 SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
@@ -178,7 +152,6 @@ def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
     for one in (env, pickle.loads(pickle.dumps(env))):
         one.reset(seed=[5])
         spec = one._batch.specs[0]
-        assert spec is not None
         np.testing.assert_array_equal(spec.home_pos_w, sample_spec(Recipe(split="test", salt=SALT), 5).home_pos_w)
 
 
@@ -188,7 +161,66 @@ def test_recorded_command_lines_hide_it(words: list[str]):
     assert without_salt(words)[0] == "evaluate"
 
 
-def test_an_abbreviated_salt_is_refused_as_it_would_be_recorded(tmp_path: Path, capsys: pytest.CaptureFixture):
-    assert main(["evaluate", "--policy", "hold", "--episodes", "1", "--sal", SALT, "--out", str(tmp_path / "out")]) == 2
-    assert "unrecognized arguments: --sal" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+SLOW, FAST = (Recipe(split="twins", path_speed=speed) for speed in (1.0, 1.6))
+N_KINDS = len(SLOW.motion_names)
+DIFFERENT = {"motion", "oracle_path", "fingerprint"}
+
+
+@pytest.fixture(scope="module")
+def pairs() -> list[tuple[EpisodeSpec, EpisodeSpec]]:
+    """Every kind twice, at both speeds."""
+    return list(zip(*(sample_specs(recipe, range(2 * N_KINDS)) for recipe in (SLOW, FAST)), strict=True))
+
+
+def test_every_kind_whose_path_is_prescribed_has_twins():
+    prescribed = {name for name in BENCHMARK.splits["train"].motions if issubclass(MOTIONS[name], PrescribedMotion)}
+    assert set(SLOW.motion_names) == prescribed
+    assert BENCHMARK.splits["twins"].size % N_KINDS == 0
+
+
+def test_nothing_but_the_speed_differs(pairs: list[tuple[EpisodeSpec, EpisodeSpec]]):
+    for slow, fast in pairs:
+        for field in fields(EpisodeSpec):
+            if field.name not in DIFFERENT:
+                np.testing.assert_equal(getattr(slow, field.name), getattr(fast, field.name), field.name)
+        assert (slow.motion.name, slow.motion.phrase) == (fast.motion.name, fast.motion.phrase)
+        assert slow.motion.motion == fast.motion.motion
+
+
+def test_the_target_is_on_the_same_path_faster_and_at_the_intercept_in_the_same_frame(pairs):
+    for slow, fast in pairs:
+        meeting_s = slow.intercept_frame * CONTROL_DT
+        later_s = np.linspace(-0.3, 0.3, 7)
+        np.testing.assert_allclose(
+            fast.motion.position(meeting_s + later_s), slow.motion.position(meeting_s + 1.6 * later_s), atol=1e-9
+        )
+        for spec in (slow, fast):
+            assert np.linalg.norm(spec.oracle_path[spec.intercept_frame] - slow.intercept_pos_w) < 1e-9
+
+
+def test_both_can_be_watched_and_met_alike(pairs: list[tuple[EpisodeSpec, EpisodeSpec]]):
+    for spec in (spec for pair in pairs for spec in pair):
+        seen = visible(spec.oracle_path[: spec.window_frames + 1] - spec.home_pos_w)
+        assert seen.mean() >= 0.9
+    episodes = list(evaluate(WorldBatch(FAST, 12), EXPERTS["intercept"](), [fast for _, fast in pairs]))
+    assert np.mean([episode.success for episode in episodes]) > 0.9
+    assert {episode.meta.split for episode in episodes} == {"twins"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"split": "test", "path_speed": 1.6}, "path_speed must be 1 in split 'test', got 1.6"),
+        ({"split": "twins", "path_speed": 2.0}, "path_speed must be 1, 1.6 in split 'twins', got 2"),
+        ({"split": "twins", "protocol": "occluded"}, "screens depend on the speed"),
+        ({"split": "twins", "motions": ("lob",)}, "'lob'"),
+    ],
+)
+def test_what_has_no_twins_is_refused(changes: dict, problem: str):
+    with pytest.raises(ValueError, match=problem):
+        Recipe(**changes)
+
+
+def test_twins_are_not_recorded():
+    with pytest.raises(ValueError, match="is for evaluations"):
+        next(record(SLOW, [0]))

@@ -104,28 +104,3 @@ def test_named_episodes_are_left_out_and_nothing_else_is_lost(with_outlier, tmp_
         assert run(with_outlier, "--out", tmp_path / "other", f"--drop={words}") == 2
     assert capsys.readouterr().err.count("\n") == 3
     assert not (tmp_path / "other").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--margin", "-1"], "the margin is -1.0; it must be a finite number, 0 or more"),
-        (["--column", "velocity"], "there is no column 'velocity'; known: observation.state"),
-    ],
-)
-def test_bad_input_is_one_sentence(with_outlier, tmp_path, capsys, words, sentence):
-    assert run(with_outlier, "--out", tmp_path / "new", *words) == 2
-    error = capsys.readouterr().err
-    assert sentence in error
-    assert error.count("\n") == 1
-    assert not any(tmp_path.iterdir())
-
-
-def test_folders_that_do_not_fit_are_refused(with_outlier, tmp_path, capsys):
-    assert run(tmp_path, "--out", tmp_path / "new") == 2
-    assert "is no LeRobot dataset" in capsys.readouterr().err
-    assert run(with_outlier) == 2
-    assert "say where the new dataset goes with --out DIR" in capsys.readouterr().err
-    assert run(with_outlier, "--out", tmp_path) == 2
-    assert f"{tmp_path} exists; choose a new folder" in capsys.readouterr().err
-    assert not any(tmp_path.iterdir())

@@ -177,9 +177,7 @@ def test_whatever_a_server_does_costs_one_decision(name: str, tmp_path: Path):
         *(("k", url, "must be like") for url in ("localhost:8000", "ftp://h/v1", "http://h:port/v1", "")),
     ],
 )
-def test_a_key_or_address_that_cannot_be_is_refused_unseen(
-    key: str, url: str | None, problem: str, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_key_or_address_that_cannot_be_is_refused_unseen(key, url, problem, monkeypatch):
     monkeypatch.setenv("OPENAI_API_KEY", key)
     with pytest.raises(ValueError, match=problem) as refused:
         VlmClient("tiny", url)
@@ -230,75 +228,52 @@ def test_a_failed_decision_holds_still_for_ten_frames():
     assert len(client.asked) == 1
 
 
+def evaluated(url: str, *words: str) -> int:
+    """Evaluate the model behind an address on episodes of one kind of motion."""
+    given = ["--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant", "--image-size", "32"]
+    return main(["evaluate", *given, *words])
+
+
 def test_evaluating_a_model_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture):
     def handler(exchange: Exchange) -> None:
         text = exchange.body["messages"][1]["content"][0]["text"]
         state = json.loads(text[text.index("closed]: ") + 9 :].split("\n")[0])
         exchange.say("no" if exchange.number == 0 else answer([state] * HORIZON))
 
-    out = tmp_path / "results"
     with serving(handler) as (url, _):
-        words = ["--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant"]
-        assert main(["evaluate", *words, "--episodes", "2", "--image-size", "32", "--out", str(out)]) == 0
-    head = json.loads((out / "metrics.json").read_text())
-    assert head["policy"] == "vlm:tiny:extended"
-    assert {row["agent"] for row in read_results(out).rows} == {"vlm:tiny:extended"}
-    assert head["extra"]["vlm"]["prompt"] == "extended"
-    account = head["extra"]["vlm"]
-    assert account["problems"] == {"ReplyError": 1}
-    assert account["failed"] == 0
-    assert account["answers"] == len((out / "vlm.jsonl").read_text().splitlines()) > 4
+        assert evaluated(url, "--episodes", "2", "--out", str(tmp_path)) == 0
+    results = read_results(tmp_path)
+    assert {results.info.policy, *(row["agent"] for row in results.rows)} == {"vlm:tiny:extended"}
+    account = results.info.extra["vlm"]
+    assert (account["prompt"], account["problems"], account["failed"]) == ("extended", {"ReplyError": 1}, 0)
+    assert account["answers"] == len((tmp_path / "vlm.jsonl").read_text().splitlines()) > 4
     assert "failed 0" in capsys.readouterr().out
 
 
 def test_the_papers_prompt_is_sent_and_named_in_every_row(tmp_path: Path, capsys: pytest.CaptureFixture):
-    def handler(exchange: Exchange) -> None:
-        assert exchange.body["messages"][1]["content"][0]["text"].startswith("Task. ")
-        exchange.say(answer())
-
-    out = tmp_path / "results"
-    with serving(handler) as (url, _):
-        words = ["evaluate", "--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant"]
-        words += ["--image-size", "32", "--out", str(out), "--capture", "attach_lenient"]
-        assert main([*words, "--prompt", "paper", "--episodes", "1"]) == 0
+    words = ["--out", str(tmp_path), "--capture", "attach_lenient"]
+    with serving(lambda exchange: exchange.say(answer())) as (url, seen):
+        assert evaluated(url, *words, "--prompt", "paper", "--episodes", "1") == 0
         said = set(capsys.readouterr().out.split())
         assert {"vlm:tiny:paper", "test_small,", "attach_lenient,", "standard,"} <= said
-        assert main([*words, "--prompt", "extended", "--episodes", "2"]) == 2
+        assert evaluated(url, *words, "--prompt", "extended", "--episodes", "2") == 2
         assert "another run (other policy)" in capsys.readouterr().err
-        assert main([*words, "--prompt", "short"]) == 2
+        assert evaluated(url, *words, "--prompt", "short") == 2
         assert "unknown prompt 'short'; known: extended, paper" in capsys.readouterr().err
-    (row,) = read_results(out).rows
+    assert all(exchange.body["messages"][1]["content"][0]["text"].startswith("Task. ") for exchange in seen)
+    (row,) = read_results(tmp_path).rows
     assert (row["agent"], row["capture"]) == ("vlm:tiny:paper", "attach_lenient")
-    account = read_results(out).info.extra["vlm"]
-    assert (account["prompt"], account["failed"]) == ("paper", 0)
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
-    [
-        (["--control-class", "standard"], "the palm moves at most 0.025 m a frame."),
-        (["--control-class", "unlimited"], "the palm moves at most 0.1 m a frame."),
-        (["--control-class", "standard", "--capture", "contact"], "the palm moves at most 0.1 m a frame."),
-    ],
+    ("settings", "told_m"),
+    [("--control-class=standard", 0.025), ("--control-class=unlimited", 0.1), ("--capture=contact", 0.1)],
 )
-def test_the_model_is_told_how_far_the_palm_may_move(settings: list[str], told: str):
+def test_the_model_is_told_how_far_the_palm_may_move(settings: str, told_m: float):
     with serving(lambda exchange: exchange.say(answer())) as (url, seen):
-        words = ["--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant", *settings]
-        assert main(["evaluate", *words, "--episodes", "1", "--image-size", "32"]) == 0
+        assert evaluated(url, settings, "--episodes", "1") == 0
+    told = f"the palm moves at most {told_m} m a frame."
     assert all(told in exchange.body["messages"][1]["content"][0]["text"] for exchange in seen)
-
-
-@pytest.mark.parametrize(
-    ("words", "problem"),
-    [
-        ([], "--policy vlm needs --model NAME"),
-        (["--model", "m", "--request-timeout", "0"], "got 0"),
-        (["--model", "m", "--protocol", "observe_then_blind"], "observe_then_blind"),
-    ],
-)
-def test_what_a_model_cannot_play_with_is_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture):
-    assert main(["evaluate", "--policy", "vlm", *words]) == 2
-    assert problem in capsys.readouterr().err
 
 
 class SlowClient:

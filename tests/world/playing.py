@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import sys
 from collections.abc import Sequence
 from dataclasses import fields, replace
 
@@ -14,18 +13,12 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 SMALL = Recipe(split="test", image_size=32)
 
 
-def world(
-    specs: Sequence[EpisodeSpec],
-    *,
-    threads: int = 1,
-    **options,
-) -> WorldBatch:
+def world(specs: Sequence[EpisodeSpec], *, threads: int = 1, **options) -> WorldBatch:
     """A batch with one world for each spec, at the start of its episode; ``options`` are fields of the recipe."""
     batch = WorldBatch(SMALL.changed(**options), len(specs), threads)
     batch.reset(range(len(specs)), specs)
@@ -58,7 +51,3 @@ def digests(specs: Sequence[EpisodeSpec], size: int, threads: int = 1, *, images
     batch = WorldBatch(SMALL, size, threads)
     episodes = evaluate(batch, EXPERTS["intercept"](), specs, images=images)
     return {episode.meta.seed: digest(episode) for episode in episodes}
-
-
-if __name__ == "__main__":
-    print(digests(sample_specs(SMALL, [int(seed) for seed in sys.argv[1:]]), 2, images=True))

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import ast
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +13,6 @@ from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -53,10 +48,8 @@ def images(short: list[EpisodeSpec]) -> dict[int, str]:
     return digests(short, 1, images=True)
 
 
-@pytest.mark.parametrize(("size", "threads"), [(1, 1), (3, 2), (8, 2)])
-def test_states_depend_on_no_batch_size_and_no_thread_count(
-    every_kind: list[EpisodeSpec], reference: dict[int, str], size: int, threads: int
-):
+@pytest.mark.parametrize(("size", "threads"), [(1, 1), (3, 2)])
+def test_states_depend_on_no_batch_size_and_no_thread_count(every_kind, reference, size: int, threads: int):
     assert digests(every_kind, size, threads) == reference
 
 
@@ -66,20 +59,9 @@ def test_states_depend_on_no_neighbour_and_no_row(every_kind: list[EpisodeSpec],
     assert companions == {seed: reference[seed] for seed in companions}
 
 
-@pytest.mark.parametrize(("size", "threads"), [(3, 1), (8, 2)])
-def test_pixels_depend_on_no_batch_size_and_no_neighbour(
-    short: list[EpisodeSpec], images: dict[int, str], size: int, threads: int
-):
+def test_pixels_depend_on_no_batch_size_and_no_neighbour(short: list[EpisodeSpec], images: dict[int, str]):
     assert len(set(images.values())) == len(short)
-    assert digests(short[::-1], size, threads, images=True) == images
-
-
-def test_another_process_sees_the_same_bytes(short: list[EpisodeSpec], images: dict[int, str]):
-    seeds = [spec.seed for spec in short[:2]]
-    command = [sys.executable, "-m", "tests.world.playing", *map(str, seeds)]
-    root = Path(__file__).parents[2]
-    told = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
-    assert ast.literal_eval(told.splitlines()[-1]) == {seed: images[seed] for seed in seeds}
+    assert digests(short[::-1], 4, 2, images=True) == images
 
 
 def test_resetting_one_world_leaves_the_others_untouched(every_kind: list[EpisodeSpec]):
@@ -106,21 +88,8 @@ def test_a_world_remembers_nothing_of_its_last_episode(every_kind: list[EpisodeS
 
 
 RECIPE = Recipe(split="test", image_size=32)
-SHIFT_W = np.array([0.5, -0.25, 0.125])
 ROUNDING = 2e-6
 """Of positions up to 3 m in single precision [m]."""
-
-
-def shifted(spec: EpisodeSpec) -> EpisodeSpec:
-    """The episode of a target in straight motion with everything in it elsewhere in the world."""
-    assert isinstance(spec.motion, Constant)
-    return replace(
-        spec,
-        motion=replace(spec.motion, meeting=tuple((np.asarray(spec.motion.meeting) + SHIFT_W).tolist())),
-        home_pos_w=spec.home_pos_w + SHIFT_W,
-        intercept_pos_w=spec.intercept_pos_w + SHIFT_W,
-        oracle_path=spec.oracle_path + SHIFT_W,
-    )
 
 
 def test_the_first_observation_is_the_same_wherever_the_home_is(specs: list[EpisodeSpec]):
@@ -129,19 +98,6 @@ def test_the_first_observation_is_the_same_wherever_the_home_is(specs: list[Epis
     assert not observation.state[:, :PALM_DOF].any()
     np.testing.assert_allclose(observation.state, np.tile(observation.state[0], (len(specs), 1)), atol=ROUNDING)
     np.testing.assert_allclose(fingertips, np.tile(fingertips[0], (len(specs), 1)), atol=5e-6)
-
-
-def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]):
-    here = next(spec for spec in specs if spec.motion.name == "constant")
-    one, other = world([here]), world([shifted(here)])
-    rng = np.random.default_rng(3)
-    while not one.localized[0] and one.frame[0] < here.window_frames + 12:
-        command = np.concatenate([rng.uniform(-0.3, 0.3, PALM_DOF), rng.uniform(0, 1, HAND_DOF - PALM_DOF)])[None]
-        for batch in (one, other):
-            batch.step(command)
-        for name in ("state", "commanded", "target_pose", "target_velocity", "palm_distance"):
-            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name)
-    np.testing.assert_allclose(other.home_pos_w - one.home_pos_w, SHIFT_W[None], atol=1e-12)
 
 
 def test_the_action_space_does_not_tell_the_home_and_holds_every_reachable_command(specs: list[EpisodeSpec]):
@@ -208,6 +164,20 @@ def test_the_cameras_see_the_window_and_nothing_after_it():
             np.testing.assert_array_equal(blind.images[view][:window], seeing.images[view][:window])
             assert seeing.images[view][window:].any(axis=(1, 2, 3)).all()
             assert not blind.images[view][window:].any()
+
+
+def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_else():
+    for clean, noisy in zip(played(SEEING), played(replace(SEEING, render_noise=2)), strict=True):
+        np.testing.assert_array_equal(noisy.state, clean.state)
+        for view in ("ego", "side"):
+            change = noisy.images[view].astype(int) - clean.images[view]
+            within = change[(clean.images[view] > 2) & (clean.images[view] < 253)]
+            assert set(np.unique(within)) == {-2, -1, 0, 1, 2}
+            assert abs(within.mean()) < 0.1
+            assert (change != 0).any(axis=(1, 2, 3)).all()
+            assert not np.array_equal(change[0], change[1])
+    (blind, *_) = played(replace(BLIND, render_noise=2))
+    assert not blind.images["ego"][blind.meta.window_frames :].any(), "black images stay black"
 
 
 ARRIVAL_PALM_M, ARRIVAL_JOINT_RAD = 0.001, 0.015
@@ -287,9 +257,7 @@ def test_commands_beyond_the_range_end_at_its_limit(hands: WorldBatch, side: flo
 
 
 @pytest.mark.parametrize("in_window", [True, False])
-@pytest.mark.parametrize(
-    "bad", [np.nan, np.inf, -np.inf, (3, HAND_DOF), (4, HAND_DOF - 1), (HAND_DOF,), (4, HAND_DOF, 1)]
-)
+@pytest.mark.parametrize("bad", [np.nan, -np.inf, (3, HAND_DOF), (4, HAND_DOF - 1), (4, HAND_DOF, 1)])
 def test_a_bad_command_moves_nothing(specs: list[EpisodeSpec], bad: float | tuple[int, ...], in_window: bool):
     """One that is not finite, or of a wrong shape; not a bit of the batch changes."""
     batch = world(specs[:4])

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 import pytest
-from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
-from dynahoi_lerobot.motions.inclined_rolling import RollingMotion
-from dynahoi_lerobot.scene.scene import compile_scene
-from dynahoi_lerobot.scene.world_fields import GRAVITY_W, WorldFields, drive_for
+from dynahoi_lerobot.scene.world_fields import GRAVITY_W
 from tests.drawing import draw_motion
+from tests.simulation import simulate
 from tests.world.playing import world
 
 PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, PrescribedMotion)]
@@ -43,22 +40,21 @@ def test_untouched_targets_follow_their_oracle_paths(specs: list[EpisodeSpec]):
 def test_a_driven_target_is_on_its_closed_form_at_every_physics_step(kind: str):
     drawn = draw_motion(kind, 3)
     motion = drawn.motion
-    assert isinstance(motion, PrescribedMotion)
-    times = np.arange(1, 20 * SUBSTEPS + 1) * PHYSICS_DT
-    position, velocity = _drive(kind, driven_frames=20, frames=20)
-    np.testing.assert_allclose(position, motion.position(times), atol=EXACT_M)
-    change = motion.position(times) - motion.position(times - PHYSICS_DT)
-    np.testing.assert_allclose(velocity, change / PHYSICS_DT, atol=1e-3)
+    track = simulate(motion, drawn.target, 1.0)
+    np.testing.assert_allclose(track.pos, motion.position(track.time), atol=EXACT_M)
+    change = motion.position(track.time) - motion.position(track.time - PHYSICS_DT)
+    np.testing.assert_allclose(track.velocity[1:], change[1:] / PHYSICS_DT, atol=1e-3)
 
 
 @pytest.mark.parametrize("kind", PRESCRIBED)
 def test_letting_go_is_continuous_in_position_and_velocity(kind: str):
     """From the step at which the force stops, gravity alone changes the velocity: no impulse."""
-    position, velocity = _drive(kind, driven_frames=10, frames=12)
-    released = 10 * SUBSTEPS
-    change = np.diff(velocity[released - 1 :], axis=0)
+    drawn, released = draw_motion(kind, 3), 10 * SUBSTEPS
+    track = simulate(drawn.motion, drawn.target, 0.6, driven_frames=10)
+    position, velocity = track.pos[released:], track.velocity[released:]
+    change = np.diff(velocity, axis=0)
     np.testing.assert_allclose(change, np.tile(GRAVITY_W * PHYSICS_DT, (len(change), 1)), atol=1e-9)
-    np.testing.assert_allclose(np.diff(position[released - 1 :], axis=0), velocity[released:] * PHYSICS_DT, atol=1e-12)
+    np.testing.assert_allclose(np.diff(position, axis=0), velocity[1:] * PHYSICS_DT, atol=1e-12)
 
 
 def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_frame(specs: list[EpisodeSpec]):
@@ -70,7 +66,6 @@ def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_
     turned = spec.yaw_rad + spec.spin_rad_s * spec.window_frames * CONTROL_DT
     half = np.array([np.cos(turned / 2), np.sin(turned / 2)])
     assert abs(batch.target_pose[0, [3, 6]] @ half) == pytest.approx(1.0, abs=1e-6)
-    assert isinstance(spec.motion, PrescribedMotion)
     last, now = spec.motion.position(spec.window_frames * CONTROL_DT + np.array([-PHYSICS_DT, 0.0]))
     np.testing.assert_allclose(batch.target_velocity[0, :3], (now - last) / PHYSICS_DT, atol=1e-6)
 
@@ -78,7 +73,6 @@ def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_
 def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpec]):
     """A rolling target turns about the horizontal across its slope, whatever its own axes do: w = n x v / r."""
     spec = next(s for s in specs if s.motion.name == "ramp")
-    assert isinstance(spec.motion, RollingMotion)
     batch = world([spec])
     _, normal = spec.motion.slope_axes()
     while batch.frame[0] < spec.intercept_frame - 1:
@@ -87,21 +81,3 @@ def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpe
     assert np.linalg.norm(linear) > 0.1
     expected = np.cross(normal, linear) / spec.target.roll_radius_m
     np.testing.assert_allclose(angular, expected, atol=0.05 * np.linalg.norm(expected))
-
-
-def _drive(kind: str, driven_frames: int, frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 3) positions and velocities after every physics step; the force stops after ``driven_frames``."""
-    drawn = draw_motion(kind, 3)
-    scene = compile_scene()
-    batch = Batch(scene.model, nsim=1, nthread=1)
-    rows, one = WorldFields(batch, scene), np.array([0])
-    drive = drive_for(drawn.motion, drawn.target, frames)
-    rows.reset(one)
-    rows.write_world(0, drawn.motion, drawn.target, drive, collides_with=0)
-    rows.finish(one)
-    at, dof = scene.target_qpos, scene.target_dof
-    force = np.zeros((1, frames * SUBSTEPS, scene.model.nv))
-    force[0, : driven_frames * SUBSTEPS, dof : dof + 3] = drive.force_w[:driven_frames].reshape(-1, 3)
-    applied = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
-    record = batch.rollout(force.shape[1], force, applied, record=("qpos", "qvel"))
-    return record["qpos"][0, :, at : at + 3], record["qvel"][0, :, dof : dof + 3]

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from accelerate.state import AcceleratorState
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
-from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.env import register_envs
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.report.entries import unique_labels
+from tests.checkpoints import FEATURES, saved
 
 KEY = "observation.environment_state"
-INPUTS = {KEY: {"type": "ENV", "shape": [13]}, "observation.state": {"type": "STATE", "shape": [18]}}
-SMALL = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "chunk_size": 4, "n_action_steps": 4, "use_vae": False}
 
 
 @pytest.fixture(scope="module")
@@ -33,18 +31,12 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def checkpoint(data: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    out = tmp_path_factory.mktemp("run") / "out"
-    run = {"dataset.repo_id": "local/d", "dataset.root": str(data), "output_dir": str(out), "steps": 2, "save_freq": 2}
-    run |= {"batch_size": 2, "num_workers": 0, "policy.type": "act", "policy.device": "cpu"}
-    run |= {"policy.push_to_hub": False, "policy.input_features": INPUTS}
-    run |= {f"policy.{key}": value for key, value in SMALL.items()}
-    words = [f"--{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in run.items()]
-    AcceleratorState._reset_state(reset_partial_state=True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["lerobot-train", *words])
-        lerobot_train()
-    return str(out / "checkpoints" / "last" / "pretrained_model")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> str:
+    small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_decoder_layers": 1}
+    inputs = {KEY: PolicyFeature(FeatureType.ENV, (13,)), "observation.state": PolicyFeature(FeatureType.STATE, (18,))}
+    config = ACTConfig(chunk_size=4, n_action_steps=4, use_vae=False, **small, **FEATURES | {"input_features": inputs})
+    config.normalization_mapping = dict.fromkeys(("ENV", "STATE", "ACTION"), NormalizationMode.IDENTITY)
+    return str(saved(config, tmp_path_factory.mktemp("act")))
 
 
 def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
@@ -71,20 +63,8 @@ def test_an_environment_shows_it_on_request() -> None:
     assert "environment_state" not in blind.observation_space.spaces
 
 
-def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(
-    checkpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = [
-        "evaluate",
-        "--policy",
-        checkpoint,
-        "--motions",
-        "constant",
-        "--episodes",
-        "1",
-        "--out",
-        str(tmp_path / "r"),
-    ]
+def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, tmp_path, capsys):
+    words = ["evaluate", "--policy", checkpoint, "--motions", "constant", "--episodes", "1", "--out", f"{tmp_path}/r"]
     assert main(words) != 0
     assert "add --environment-state to let it" in capsys.readouterr().err
     assert main([*words, "--environment-state"]) == 0

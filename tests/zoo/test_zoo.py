@@ -14,19 +14,7 @@ from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
-from tests.zoo.stand_ins import (
-    save_action_tokenizer,
-    save_clip,
-    save_cosmos,
-    save_groot,
-    save_image_tokenizer,
-    save_openvla,
-    save_paligemma_tokenizer,
-    save_phi,
-    save_smolvlm,
-    shrink_paligemma,
-    tiny_florence,
-)
+from tests.zoo import stand_ins
 
 RECIPES = Path(__file__).parents[2] / "recipes" / "zoo"
 SIZE = 64
@@ -35,54 +23,32 @@ COSMOS = "nvidia/Cosmos-Reason2-2B"
 """On the Hub, or folders of these names where the test runs."""
 SMALL = {
     "multi_task_dit": {
-        "vision_encoder_name": "CLIP",
-        "text_encoder_name": "CLIP",
-        "image_resize_shape": [SIZE, SIZE],
-        "hidden_dim": 32,
-        "num_layers": 1,
-        "num_heads": 2,
-        "num_inference_steps": 2,
+        "vision_encoder_name": "CLIP", "text_encoder_name": "CLIP", "image_resize_shape": [SIZE, SIZE],
+        "hidden_dim": 32, "num_layers": 1, "num_heads": 2, "num_inference_steps": 2,
     },
     "actiontokens": {"vlm_name": "SMOLVLM", "load_weights": False},
     "openvla": {"vlm_name": "OPENVLA", "load_weights": False, "dtype": "float32"},
     "smolvla": {
-        "vlm_model_name": "SMOLVLM",
-        "load_vlm_weights": False,
-        "num_vlm_layers": 2,
-        "resize_imgs_with_padding": [32, 32],
-        "num_steps": 2,
+        "vlm_model_name": "SMOLVLM", "load_vlm_weights": False, "num_vlm_layers": 2,
+        "resize_imgs_with_padding": [32, 32], "num_steps": 2,
     },
     "pi0": {"dtype": "float32", "image_resolution": [32, 32], "num_inference_steps": 2},
     "pi05": {"dtype": "float32", "image_resolution": [32, 32], "num_inference_steps": 2},
-    "pi0_fast": {
-        "dtype": "float32",
-        "image_resolution": [224, 224],
-        "text_tokenizer_name": PALIGEMMA,
-        "action_tokenizer_name": "FAST",
-        "max_action_tokens": 300,
-        "max_decoding_steps": 8,
-        "validate_action_token_prefix": False,  # random weights do not write it
+    "pi0_fast": {  # whose random weights write no valid prefix
+        "dtype": "float32", "image_resolution": [224, 224], "text_tokenizer_name": PALIGEMMA,
+        "action_tokenizer_name": "FAST", "max_action_tokens": 300, "max_decoding_steps": 8,
+        "validate_action_token_prefix": False,
     },
     "groot": {"base_model_path": "GROOT", "use_bf16": False, "tune_llm": False},
     "upvla": {
-        "llm_name": "PHI",
-        "image_tokenizer": "CODES",
-        "image_tokenizer_folder": "",
-        "load_weights": False,
-        "image_size": 16,
-        "dtype": "float32",
+        "llm_name": "PHI", "image_tokenizer": "CODES", "image_tokenizer_folder": "", "load_weights": False,
+        "image_size": 16, "dtype": "float32",
     },
     "xvla": {
-        "dtype": "float32",
-        "florence_config": tiny_florence(),
-        "tokenizer_name": PALIGEMMA,
-        "hidden_size": 32,
-        "depth": 1,
-        "num_heads": 2,
-        "len_soft_prompts": 4,
-        "num_denoising_steps": 2,
+        "dtype": "float32", "florence_config": stand_ins.tiny_florence(), "tokenizer_name": PALIGEMMA,
+        "hidden_size": 32, "depth": 1, "num_heads": 2, "len_soft_prompts": 4, "num_denoising_steps": 2,
     },
-}
+}  # fmt: skip
 """What makes each small; folders of stand-ins are filled in."""
 
 
@@ -92,15 +58,15 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     folders = {"CLIP": root / "clip", "SMOLVLM": root / "smolvlm", "FAST": root / "fast", "HUB": root / "hub"}
     folders |= {"OPENVLA": root / "openvla", "PHI": root / "phi", "CODES": root / "codes"}
     folders["GROOT"] = root / "GR00T-N1.7"
-    save_clip(folders["CLIP"])
-    save_smolvlm(folders["SMOLVLM"])
-    save_openvla(folders["OPENVLA"], size=18)
-    save_phi(folders["PHI"])
-    save_image_tokenizer(folders["CODES"])
-    save_action_tokenizer(folders["FAST"])
-    save_paligemma_tokenizer(folders["HUB"] / PALIGEMMA)
-    save_cosmos(folders["HUB"] / COSMOS)
-    save_groot(folders["GROOT"], str(folders["HUB"] / COSMOS))
+    stand_ins.save_clip(folders["CLIP"])
+    stand_ins.save_smolvlm(folders["SMOLVLM"])
+    stand_ins.save_openvla(folders["OPENVLA"], size=18)
+    stand_ins.save_phi(folders["PHI"])
+    stand_ins.save_image_tokenizer(folders["CODES"])
+    stand_ins.save_action_tokenizer(folders["FAST"])
+    stand_ins.save_paligemma_tokenizer(folders["HUB"] / PALIGEMMA)
+    stand_ins.save_cosmos(folders["HUB"] / COSMOS)
+    stand_ins.save_groot(folders["GROOT"], str(folders["HUB"] / COSMOS))
     return {name: str(folder) for name, folder in folders.items()}
 
 
@@ -119,7 +85,7 @@ def tiny_gemma(monkeypatch: pytest.MonkeyPatch) -> None:
         small = module.GemmaConfig(width=16, depth=2, mlp_dim=32, num_heads=8, num_kv_heads=1, head_dim=8)
         monkeypatch.setattr(module, "get_gemma_config", lambda variant, small=small: small)
         kind = module.PaliGemmaForConditionalGenerationWithPiGemma
-        shrunk = lambda config, kind=kind: kind(shrink_paligemma(config))  # noqa: E731
+        shrunk = lambda config, kind=kind: kind(stand_ins.shrink_paligemma(config))  # noqa: E731
         monkeypatch.setattr(module, "PaliGemmaForConditionalGenerationWithPiGemma", shrunk)
 
 
@@ -134,9 +100,7 @@ def test_every_recipe_of_the_zoo_is_trained():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 @pytest.mark.usefixtures("tiny_gemma")
-def test_two_steps_and_an_episode(
-    name: str, models: dict[str, str], data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_steps_and_an_episode(name, models, data, tmp_path, monkeypatch):
     monkeypatch.chdir(models["HUB"])
     policy = {key: models.get(value, value) if isinstance(value, str) else value for key, value in SMALL[name].items()}
     camera = {"observation.images.ego": {"type": "VISUAL", "shape": [3, SIZE, SIZE]}}

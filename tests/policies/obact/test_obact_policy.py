@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -99,10 +98,8 @@ def hand_policy(**changes: object) -> ObActPolicy:
 # -- training -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("head", ["diffusion", "flow", "regression"])
-def test_it_trains_on_a_dataset_that_is_not_ours(
-    head: str, push_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+@pytest.mark.parametrize("head", ["flow", "regression"])
+def test_it_trains_on_a_dataset_that_is_not_ours(head, push_root, tmp_path, monkeypatch):
     options = {"head": head, "head_options": {} if head == "regression" else TINY["head_options"]}
     checkpoint = lerobot_train(monkeypatch, push_root, tmp_path / "out", **options)
     policy = ObActPolicy.from_pretrained(checkpoint)
@@ -111,9 +108,7 @@ def test_it_trains_on_a_dataset_that_is_not_ours(
     assert policy.select_action(step(policy)).isfinite().all()
 
 
-def test_it_learns_from_recorded_episodes_with_the_target_s_path(
-    hand_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, hand_root, tmp_path / "out", **RECORDED))
     config = policy.config
@@ -125,9 +120,7 @@ def test_it_learns_from_recorded_episodes_with_the_target_s_path(
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
-def test_the_loss_falls_on_recorded_and_on_virtual_episodes(
-    share: float, hand_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_the_loss_falls_on_recorded_and_on_virtual_episodes(share, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     torch.manual_seed(0)
     meta = LeRobotDataset("local/tiny", root=hand_root).meta
@@ -158,19 +151,6 @@ def test_each_camera_starts_from_weights_of_its_own():
     policy = hand_policy(input_features=images | state, encoder="eye", encoder_options={"weights": "{view}_96"})
     for eye, name in zip(policy.acting.encoders, ("ego_96", "side_96"), strict=True):
         torch.testing.assert_close(eye.attention.query.weight, load_file(SHIPPED[name])["attention.query.weight"])
-
-
-def test_acting_never_imports_what_labels_virtual_palms():
-    code = """if True:
-        import sys
-        from tests.policies.obact.test_obact_policy import hand_policy, step
-        policy = hand_policy(encoder="eye", encoder_options={"channels": 8, "fovea": 12})
-        policy.select_action(step(policy))
-        modules = [name for name in sys.modules if name.startswith("lerobot_policy_obact")]
-        assert "lerobot_policy_obact.belief" in modules
-        assert not {"teacher", "recordings", "virtual_episodes"} & {name.split(".")[-1] for name in modules}, modules
-    """
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[3])
 
 
 # -- acting -------------------------------------------------------------------------------------------------------

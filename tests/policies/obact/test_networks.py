@@ -1,12 +1,88 @@
-"""Action heads: what they learn of a distribution, and how real-time chunking steers them."""
+"""Attention in space and time; action heads: what they learn of a distribution, and how chunks continue."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 from lerobot.policies.rtc import RTCConfig, RTCProcessor
+from lerobot_policy_obact.attention import AGE_STEP_S, N_AGES, AgeBias, PositionReadout, SpatialAttention, TemporalBlock
 from lerobot_policy_obact.configuration_obact import HEADS
 from lerobot_policy_obact.heads import ActionHead, Guidance, most_central
+
+
+def bright(row: int, column: int, size: int = 8) -> torch.Tensor:
+    cells = torch.zeros(1, size, size, 4)
+    cells[0, row, column, 0] = 1.0
+    return cells
+
+
+@pytest.fixture
+def looking() -> SpatialAttention:
+    """Attention whose query is the first feature."""
+    attention = SpatialAttention(4)
+    torch.nn.init.zeros_(attention.query.weight)
+    attention.query.weight.data[0, 0] = 40.0
+    return attention
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "u", "v"), [(0, 0, -0.875, 0.875), (7, 7, 0.875, -0.875), (2, 5, 0.375, 0.375)]
+)
+@torch.no_grad()
+def test_the_ray_is_that_of_the_cell_attended_to(looking: SpatialAttention, row: int, column: int, u: float, v: float):
+    ray, there, heat = looking(bright(row, column))
+    assert torch.allclose(ray, torch.tensor([[u, v]]), atol=1e-4)
+    assert torch.allclose(there, torch.tensor([[1.0, 0, 0, 0]]), atol=1e-4)
+    assert heat.exp().sum() == pytest.approx(1)
+
+
+@torch.no_grad()
+def test_of_two_targets_one_is_looked_at(looking: SpatialAttention):
+    ray, _, _ = looking(bright(1, 1) + 0.9 * bright(6, 6))
+    assert torch.allclose(ray, torch.tensor([[-0.625, 0.625]]), atol=1e-3)
+
+
+def test_bias_is_interpolated_by_age_and_hides_the_future():
+    bias = AgeBias(2)
+    bias.table.data = torch.arange(2.0 * N_AGES).view(2, N_AGES)
+    found = bias(torch.tensor([[-0.05, 0.0, 0.05, 0.125, 1000.0]]))
+    assert found.shape == (2, 1, 5)
+    assert torch.allclose(found[0, 0, 1:], torch.tensor([0.0, 1.0, 0.125 / AGE_STEP_S, N_AGES - 1]), atol=1e-4)
+    assert found[0, 0, 0] == -torch.inf
+
+
+def ages(n: int, step_s: float = 0.05) -> torch.Tensor:
+    time_s = torch.arange(n) * step_s
+    return time_s[:, None] - time_s
+
+
+def test_a_block_does_not_see_ahead():
+    torch.manual_seed(0)
+    block, tokens = TemporalBlock(16, 4), torch.randn(2, 6, 16)
+    changed = tokens.clone()
+    changed[:, 4:] += 1
+    before, after = block(tokens, ages(6)), block(changed, ages(6))
+    assert torch.allclose(before[:, :4], after[:, :4], atol=1e-6)
+    assert not torch.allclose(before[:, 4:], after[:, 4:], atol=1e-2)
+
+
+def test_readouts_return_convex_combinations_of_earlier_positions():
+    torch.manual_seed(0)
+    readout, positions = PositionReadout(16, 5), torch.arange(6.0)[None, :, None].expand(1, 6, 3)
+    points = readout(torch.randn(1, 6, 16), positions, ages(6), torch.tensor([[0, 3]]))
+    assert points.shape == (1, 2, 5, 3)
+    assert torch.allclose(points[0, 0], torch.zeros(5, 3), atol=1e-6)  # nothing but the first frame
+    assert (points[0, 1] >= 0).all()
+    assert (points[0, 1] <= 3).all()
+
+
+def test_attention_counts_seconds_not_frames():
+    torch.manual_seed(0)
+    readout, positions = PositionReadout(8, 1), torch.randn(1, 3, 3)
+    tokens = torch.zeros(1, 3, 8)
+    close, apart = (readout(tokens, positions, ages(3, step), torch.tensor([[2]])) for step in (0.05, 0.5))
+    assert not torch.allclose(close, apart, atol=1e-3)
+
 
 GENERATIVE = ["diffusion", "flow"]
 

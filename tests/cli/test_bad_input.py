@@ -1,0 +1,125 @@
+"""Whatever is wrong is said in one sentence, which names it and what is right; exit code 2, and nothing is left."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dynahoi_lerobot.cli import main as cli
+
+GARBAGE = b"{\xff"
+GENERATE = "generate --root made --episodes 1 --motions constant"
+CASES = [
+    ("dance", "dynahoi: command: invalid choice: 'dance'"),
+    ("report nowhere", "nowhere; run `dynahoi evaluate`"),
+    ("report recipe.yaml", "recipe.yaml; run `dynahoi evaluate` with this folder"),
+    ("evaluate --policy expertt", "there is no policy 'expertt'"),
+    ("evaluate --policy hold --split exam", "unknown split 'exam'; known: train, val, test"),
+    ("evaluate --policy hold --episodes 0", "must be 1 to 110, all of split test_small; got 0"),
+    ("evaluate --policy hold --episodes 111", "must be 1 to 110, all of split test_small; got 111"),
+    ("evaluate --policy hold --capture glue", "unknown capture rule 'glue'; known: attach"),
+    ("evaluate --policy hold --set a=1", "the config of a LeRobot policy, and 'hold' has none"),
+    ("evaluate --policy hold --motions lop", "unknown motion 'lop' (did you mean 'lob'?)"),
+    ("evaluate --policy hold --out recipe.yaml", "recipe.yaml is a file; remove it"),
+    ("evaluate --policy hold --sal 'a secret of sixteen letters' --out x", "unrecognized arguments: --sal"),
+    (
+        "evaluate --policy hold --inference async --inference-ms 50",
+        "needs a policy that plans chunks; 'hold' is an exp",
+    ),
+    ("evaluate --policy vlm", "--policy vlm needs --model NAME"),
+    ("evaluate --policy vlm --model m --request-timeout 0", "got 0"),
+    ("evaluate --policy vlm --model m --protocol observe_then_blind", "observe_then_blind"),
+    ("view --out x.gif", "--results DIR"),
+    ("view --motion lob --results r --out x.gif", "--motion MOTION"),
+    ("view --motion lob --image-size 0 --out x.gif", "--image-size is 0"),
+    ("view --motion lob --out x.avi", "cannot write '.avi'; use .gif, .mp4, .html"),
+    ("view --motion lob --seed 46", "has 45 episodes of motion 'lob', so --seed must be 0 to 44"),
+    (f"view --motion lob --seed {2**40}", f"a whole number from 0 to {2**40 - 1}, got {2**40}"),
+    ("view --results nowhere --out x.gif", "there is no result folder nowhere"),
+    ("view --dataset DATASET --sample 1 --out x.gif", "--out must end in .html, got x.gif"),
+    ("view --dataset DATASET --sample 1 --view side --out x.html", "has no view 'side'"),
+    ("view --dataset DATASET --episode 6 --out x.gif", "--episode must be 0 to 5, got 6"),
+    ("view --dataset DATASET --episode -1 --out x.gif", "--episode must be 0 to 5, got -1"),
+    ("view --dataset DATASET --view side --out x.gif", "has no view 'side', only observation.images.ego"),
+    ("filter DATASET --out x --margin -1", "the margin is -1.0; it must be a finite number, 0 or more"),
+    ("filter DATASET --out x --column velocity", "there is no column 'velocity'; known: observation.state"),
+    ("filter DATASET --out x --drop 6", "6"),
+    ("filter DATASET --out x --drop first", "first"),
+    ("filter DATASET", "say where the new dataset goes with --out DIR"),
+    ("filter DATASET --out .", ". exists; choose a new folder"),
+    ("filter . --out x", "is no LeRobot dataset"),
+    ("verify x --json missing/summary.json", "--json must name a file in an existing folder, got missing/summary.json"),
+    (f"{GENERATE} --json .", "--json must name a file in an existing folder, got ."),
+    (f"{GENERATE} --episodes -5", "-5"),
+    (f"{GENERATE} --episodes {10**30}", f"episodes is {10**30}; it must be 1 to 5354228880"),
+    (f"{GENERATE} --seed -1", "seed is -1"),
+    (f"{GENERATE} --seed {2**40}", f"seed is {2**40}; it must be 0 to 5354228879 for 1 episodes"),
+    (f"{GENERATE} --image-size 31", "image size is 31"),
+    (f"{GENERATE} --shard-episodes 0", "episodes per shard is 0"),
+    (f"{GENERATE} --codec mpeg2", "unknown codec 'mpeg2'"),
+    (f"{GENERATE} --preset warp9", "preset is 'warp9'; h264 has ultrafast"),
+    (f"{GENERATE} --crf 52", "crf is 52; it must be 0 to 51"),
+    (f"{GENERATE} --gop 0", "gop is 0"),
+    (f"{GENERATE} --codec images --preset fast", "preset is 'fast'; images has none"),
+    (f"{GENERATE} --workers 0", "number of workers is 0"),
+    (f"{GENERATE} --executor local --workers 0", "number of workers is 0; it must be 1 or more"),
+    (f"{GENERATE} --executor slurm --dry-run --time soon", "time limit is 'soon'; it must be like 24"),
+    (f"{GENERATE} --recipe recipe.yaml", "motions must be a list, got 'lob'; write [lob]"),
+    (f"{GENERATE} --actor nowhere", "there is no policy 'nowhere'"),
+    (f"{GENERATE} --actor user/name --trust", "--trust needs a folder as the actor, got 'user/name'"),
+    (f"{GENERATE} --perturbed-share 1.5", "perturbed_share must be 0 to 1, got 1.5"),
+]
+"""A command, and what it says; a file recipe.yaml is there, and DATASET stands for one of six episodes."""
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_one_sentence_names_what_was_received_and_what_is_allowed(case, dataset, tmp_path, capsys, monkeypatch):
+    words, sentence = case
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OPENAI_API_KEY", "secret")
+    (tmp_path / "recipe.yaml").write_text("motions: lob\n")
+    assert cli.main(shlex.split(words.replace("DATASET", str(dataset)))) == cli.BAD_INPUT
+    said = capsys.readouterr().err.strip()
+    assert sentence in said
+    assert "\n" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["recipe.yaml"]
+
+
+def overwrite(pattern: str, content: bytes = GARBAGE) -> Callable[[Path], object]:
+    return lambda root: [path.write_bytes(content) for path in root.glob(pattern)]
+
+
+DAMAGES: list[tuple[Callable[[Path], object], str]] = [
+    (overwrite("meta/info.json", b'{"features": '), "meta/info.json cannot be read"),
+    (overwrite("meta/info.json", b"{}"), "meta/info.json cannot be read (KeyError: 'features')"),
+    (overwrite("meta/manifest.json"), "meta/manifest.json cannot be read"),
+    (overwrite("meta/episodes/*/*"), "file-000.parquet cannot be read"),
+    (lambda root: shutil.rmtree(root / "meta/episodes"), "there is no file in meta/episodes"),
+    (overwrite("data/*/*"), "data/chunk-000/file-000.parquet cannot be read"),
+    (lambda root: shutil.rmtree(root / "data"), "there is no file in data"),
+    (overwrite("videos/*/*/*"), "file-000.mp4"),
+]
+
+
+@pytest.mark.parametrize(("damage", "sentence"), DAMAGES)
+def test_filter_names_the_damaged_file(damage: Callable, sentence: str, dataset: Path, tmp_path: Path, capsys):
+    broken = shutil.copytree(dataset, tmp_path / "broken")
+    damage(broken)
+    assert cli.main(["filter", str(broken), "--out", str(tmp_path / "out")]) == cli.BAD_INPUT
+    said = capsys.readouterr().err.strip()
+    assert sentence in said
+    assert str(broken) in said
+    assert "\n" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["broken"]
+
+
+def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert cli.main(["view", "--motion", "lob", "--image-size", "16", "--out=~/clips/lob.gif"]) == 0
+    assert [path.name for path in (tmp_path / "home" / "clips").iterdir()] == ["lob.gif"]
+    assert not (tmp_path / "~").exists()

@@ -1,0 +1,141 @@
+"""Of every episode a row, of the rows groups and intervals, of those the printed tables."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
+from dynahoi_lerobot.evaluate.rows import STRATA, episode_row
+from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap, bootstrap_means, wilson
+from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, heading, metric_cell, results_table
+from dynahoi_lerobot.motions.base import CATEGORIES
+from tests.synthetic import synthetic_episode
+
+EPISODE = synthetic_episode(image_size=None)
+TIERS_AND_PERIODICITIES = {
+    "circular_arc": ("kinematic", "circular"),
+    "simple_harmonic": ("kinematic", "periodic"),
+    "pendulum": ("physical", "periodic"),
+    "straight_line": ("kinematic", "linear"),
+    "projectile": ("physical", "linear"),
+    "inclined_rolling": ("physical", "linear"),
+    "impact_response": ("physical", "linear"),
+    "hybrid": ("stochastic", "hybrid"),
+    "somebody_elses": ("other", "other"),
+}
+
+
+def label(stratum: str, **meta: object) -> str:
+    return STRATA[stratum].label(replace(EPISODE, meta=replace(EPISODE.meta, **meta)))
+
+
+@pytest.mark.parametrize("category", TIERS_AND_PERIODICITIES)
+def test_tier_and_periodicity_by_category(category: str):
+    names = ("tier", "periodicity")
+    assert tuple(label(name, category=category) for name in names) == TIERS_AND_PERIODICITIES[category]
+    if category in CATEGORIES:
+        assert all(label(name, category=category) in STRATA[name].order for name in (*names, "category"))
+
+
+@pytest.mark.parametrize(
+    ("frames", "expected"),
+    [(19, "<20"), (20, "20-40"), (40, "20-40"), (41, "40-60"), (60, "40-60"), (80, "60-80"), (120, "80-120")]
+    + [(121, ">120")],
+)
+def test_duration_bins(frames: int, expected: str):
+    assert label("duration", length_frames=frames) == expected
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "expected"),
+    [(0.0, "0-0.5"), (0.04, "0-0.5"), (0.06, "0.5-2"), (0.21, "2-4"), (0.39, "2-4"), (0.41, ">4")],
+)
+def test_travel_is_from_the_palm_at_control_start_to_the_intercept(distance_m: float, expected: str):
+    window = EPISODE.meta.window_frames
+    goal = EPISODE.palm_pos_h[window] + np.array([0, distance_m, 0], np.float32)
+    state = EPISODE.state.copy()
+    state[:window, :3] = 50.0
+    assert STRATA["travel"].label(replace(EPISODE, state=state, intercept_position=goal)) == expected
+
+
+def test_known_labels_come_in_order_and_unknown_ones_last():
+    assert STRATA["duration"].arrange({">120", "20-40", "odd", "80-120"}) == ["20-40", "80-120", ">120", "odd"]
+    assert STRATA["kind"].arrange({"lob", "bounce"}) == ["bounce", "lob"]
+
+
+@pytest.mark.parametrize(
+    ("successes", "count", "low", "high"),
+    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0000, 0.1611), (1, 29, 0.0061, 0.1718)],
+)
+def test_wilson_matches_published_values(successes: int, count: int, low: float, high: float):
+    """Newcombe 1998, Table I, method 3."""
+    assert wilson(successes, count) == (pytest.approx(low, abs=6e-5), pytest.approx(high, abs=6e-5))
+
+
+@pytest.mark.parametrize("count", [1, 7, 110, 1000])
+def test_wilson_contains_the_rate_and_mirrors(count: int):
+    for successes in {0, 1, count // 2, count}:
+        low, high = wilson(successes, count)
+        assert 0 <= low <= successes / count <= high <= 1
+        assert low < high
+        assert wilson(count - successes, count) == (pytest.approx(1 - high), pytest.approx(1 - low))
+
+
+def test_bootstrap_is_deterministic_blind_to_order_and_draws_from_all_values():
+    values = np.random.default_rng(0).normal(size=50)
+    assert bootstrap(values) == bootstrap(values[::-1].copy())
+    assert bootstrap(values, seed=1) != bootstrap(values)
+    assert set(np.round(bootstrap_means(np.array([0.0, 1.0])), 3)) == {0.0, 0.5, 1.0}
+    assert len(bootstrap_means(np.zeros(700_000), resamples=3)) == 3  # in pieces of bounded memory
+
+
+def test_bootstrap_covers_the_true_mean_about_95_times_of_100():
+    rng = np.random.default_rng(2)
+    samples = (rng.exponential(1.0, 60) for _ in range(200))
+    hits = sum(low <= 1.0 <= high for low, high in (bootstrap(sample, resamples=500) for sample in samples))
+    assert 0.88 <= hits / 200 <= 0.98
+
+
+def results(policy: str = "reach", capture: str = "attach") -> Results:
+    rows = []
+    for seed in range(4):
+        episode = synthetic_episode(seed, image_size=None, miss_m=0.05 * (seed == 0))
+        meta = replace(episode.meta, capture=capture, motion=("constant", "lob")[seed % 2])
+        rows.append(episode_row(replace(episode, meta=meta)))
+    return Results(Path("run"), RunInfo(policy, "test", capture, "cmd", "f"), tuple(rows), ())
+
+
+def printed(*estimate: object) -> tuple[str, str]:
+    cell = metric_cell(Estimate(*estimate))
+    return cell.text, cell.detail
+
+
+def test_numbers_are_printed_in_the_papers_units():
+    assert printed(0.279, 0.25, 0.3, "fraction", 9) == ("27.9", "[25.0, 30.0]")
+    assert printed(0.846, 0.5, 1.0, "u", 9) == ("0.85", "[0.50, 1.00]")
+    assert printed(-0.05, -0.1, 0.0, "score", 9) == ("-0.05", "[-0.10, 0.00]")
+    assert printed(None, None, None, "score", 0) == ("-", "")
+    assert [heading(name) for name in ("S_loc", "E_loc", "Q_line")] == ["S_loc % ↑", "E_loc u ↓", "Q_line ↑"]
+
+
+def test_one_line_per_evaluation_under_what_they_share():
+    shared, header, rule, *lines = results_table([results("a"), results("a much longer name")]).split("\n")
+    assert "split test" in shared
+    assert "n 4" in shared
+    assert "split" not in header
+    assert all(f" {name} " in header for name in MAIN_COLUMNS)
+    assert set(rule) == {"-"}
+    assert [line.split()[0] for line in lines] == ["a", "a"]
+    assert len({line.index("75.0 [") for line in lines}) == 1, "columns must line up"
+    assert len(header) == len(rule) == len(lines[0])
+
+
+def test_the_contact_rule_leads_with_holding():
+    shared, header, *_ = results_table([results(), results(capture="contact")]).split("\n")
+    assert header.index("capture") < header.index("S_hold") < header.index("S_loc")
+    assert "capture" not in shared
+    assert "S_hold" not in results_table([results()])

@@ -1,0 +1,291 @@
+"""Every metric against cases small enough to do by hand, and what must hold of all of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dynahoi_lerobot.metrics import METRICS, measure
+from tests.metrics.hand_made import WINDOW, hand_made
+from tests.recompute_metrics import linearity, smoothness
+from tests.synthetic import synthetic_episode
+
+LINE = [(0.1 * i, 0.0, 1.0) for i in range(5)]
+STILL = [(0.0, 0.0, 1.0)] * 5
+
+
+def with_distance(values: list[float], **changes: object):
+    distance = np.array([0.001] * WINDOW + values, np.float32)  # the window's 1 mm must not count
+    return replace(hand_made(LINE, **changes), palm_distance=distance, fingertip_distance=distance)
+
+
+def test_localisation_is_any_localised_control_frame():
+    assert METRICS["S_loc"](hand_made(LINE, localized_from=4)) == 1.0
+    assert METRICS["S_loc"](hand_made(LINE)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "capture", "expected"),
+    [(0.0, "attach", 1), (0.029, "attach", 1), (0.031, "attach", 0)]
+    + [(0.099, "attach_lenient", 1), (0.101, "attach_lenient", 0)],
+)
+def test_planar_localisation_ignores_height_and_has_the_radius_of_its_track(offset_m, capture, expected):
+    episode = hand_made(STILL, target=[(offset_m, 0.0, 4.0)] * 5)
+    assert METRICS["S_loc_planar"](replace(episode, meta=replace(episode.meta, capture=capture))) == expected
+
+
+def test_planar_localisation_in_the_window_does_not_count():
+    episode = hand_made(STILL, target=[(9.0, 0.0, 1.0)] * 5)
+    episode.target_pose[:WINDOW, :3] = STILL[0]
+    assert METRICS["S_loc_planar"](episode) == 0.0
+
+
+def test_errors_are_least_control_distances_in_units_of_a_decimetre():
+    episode = with_distance([0.5, 0.25, 0.06, 0.3, 0.2])
+    assert METRICS["E_loc"](episode) == pytest.approx(0.6)
+    assert METRICS["E_gra"](episode) == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    ("joints", "at_once", "within"),
+    [
+        ([0, 0, 0.91, 0.91, 0.91], 1.0, 1.0),
+        ([0, 0, 0.89, 0.91, 0.91], 0.0, 1.0),
+        ([1, 1, 0.5, 0.5, 0.5], 0.0, 0.0),  # closed before and open at the arrival: not a grasp
+        ([0, 0, -1, -1, -1], 0.0, 0.0),  # far enough, in the wrong direction
+    ],
+)
+def test_the_grasp_is_judged_at_the_first_localised_frame(joints, at_once, within):
+    episode = hand_made(LINE, joints=joints, localized_from=2)
+    assert METRICS["S_gra"](episode) == at_once
+    assert METRICS["S_joint_paper"](episode) == at_once
+    assert METRICS["S_gra_window"](episode) == within
+
+
+def test_one_open_joint_spoils_the_grasp():
+    episode = hand_made(LINE, joints=[1] * 5, localized_from=2)
+    episode.state[WINDOW + 2, 3 + 7] = 0.0
+    assert METRICS["S_gra"](episode) == 0.0
+
+
+@pytest.mark.parametrize(("closed_frame", "expected"), [(10, 1.0), (11, 0.0)])
+def test_the_grasp_window_is_ten_frames_long(closed_frame: int, expected: float):
+    joints = [float(frame == closed_frame) for frame in range(14)]
+    episode = hand_made([(0.01 * i, 0, 1) for i in range(14)], joints=joints, localized_from=0)
+    assert METRICS["S_gra_window"](episode) == expected
+
+
+def test_a_grasp_is_conditional_on_localisation_and_the_joint_rate_is_not():
+    episode = hand_made(LINE, joints=[1] * 5)
+    assert METRICS["S_gra"](episode) is None
+    assert METRICS["S_gra_window"](episode) is None
+    assert METRICS["S_joint"](episode) == 0.0
+
+
+def test_per_frame_grasp_counts_fingers_with_three_joints_in_place():
+    episode = hand_made(LINE)
+    closed_fingers = [0, 3, 4, 5, 2]  # per control frame
+    for frame, fingers in enumerate(closed_fingers):
+        episode.state[WINDOW + frame, 3 : 3 + 3 * fingers] = 1.0
+    episode.state[WINDOW + 4, 3 + 6 : 3 + 8] = 1.0  # two of three joints are not a finger
+    shares = {name: METRICS[name](episode) for name in ("grasp_loose", "grasp_medium", "grasp_strict")}
+    assert shares == {"grasp_loose": 3 / 5, "grasp_medium": 2 / 5, "grasp_strict": 1 / 5}
+
+
+@pytest.mark.parametrize(
+    ("localized_from", "length_frames", "score", "total"),
+    [
+        (0, 40, 1.0, 1 - 8 / 40),
+        (4, 40, 1 - 4 / 40, 1 - 12 / 40),
+        (4, 10, 1 - 4 / 10, 0.0),  # clipped: 12 frames from the first one, of 10
+        (None, 40, 0.0, 0.0),
+    ],
+)
+def test_time_scores(localized_from, length_frames, score, total):
+    episode = hand_made(LINE, localized_from=localized_from, length_frames=length_frames)
+    assert METRICS["R_time"](episode) == pytest.approx(score)
+    assert METRICS["R_time_total"](episode) == pytest.approx(total)
+
+
+@pytest.mark.parametrize("success", [True, False])
+def test_holding_is_the_verdict_of_the_contact_rule(success: bool):
+    episode = replace(hand_made(LINE), success=success)
+    contact = replace(episode, meta=replace(episode.meta, capture="contact"))
+    assert METRICS["S_hold"](contact) == float(success)
+    assert METRICS["S_hold"](episode) is None
+
+
+@pytest.mark.parametrize(("localized_from", "expected"), [(5, 1.0), (7, 1.0), (8, 0.0), (None, 0.0)])
+def test_the_first_opportunity_ends_a_tenth_of_a_second_after_the_intercept(localized_from, expected: float):
+    episode = hand_made([(0.1 * i, 0.0, 1.0) for i in range(12)], localized_from=localized_from)
+    episode = replace(episode, meta=replace(episode.meta, intercept_frame=WINDOW + 5))
+    assert METRICS["S_intercept"](episode) == expected
+
+
+@pytest.mark.parametrize(("angle", "expected"), [(0.89, 0.0), (0.91, 1.0), (1.19, 1.0), (1.21, 0.0), (-1.0, 0.0)])
+def test_a_two_sided_grasp_is_neither_too_open_nor_too_closed(angle: float, expected: float):
+    episode = hand_made(LINE, joints=[0.0, 0.0, angle, angle, angle], localized_from=2)
+    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == expected
+
+
+def test_a_fist_passes_the_papers_grasp_and_not_the_joint_success():
+    episode = hand_made(LINE, joints=[2.0] * 5, localized_from=2)
+    assert METRICS["S_gra"](episode) == METRICS["S_joint_paper"](episode) == 1.0
+    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == 0.0
+
+
+def test_a_joint_that_the_reference_leaves_open_does_not_count_in_a_two_sided_grasp():
+    episode = hand_made(LINE, joints=[1.0] * 5, localized_from=2)
+    reference = np.where(np.arange(15) == 3, 0.0, 1.0)
+    assert METRICS["S_gra_two_sided"](replace(episode, reference_joints=reference)) == 1.0
+
+
+def test_relative_speed_is_that_of_the_step_in_which_they_meet():
+    episode = hand_made(LINE, localized_from=3)  # the palm moves at 2 m/s along x
+    episode.target_velocity[WINDOW + 2, :3] = (2.0, 1.5, 0.0)
+    episode.target_velocity[WINDOW + 3, :3] = 9.0  # after the weld
+    assert METRICS["relative_speed"](episode) == pytest.approx(1.5, rel=1e-4)
+    assert METRICS["relative_speed"](hand_made(LINE)) is None
+
+
+def random_path(seed: int, points: int = 7) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_quality_is_the_papers_formula_over_the_control_phase(seed: int):
+    path = random_path(seed)
+    episode = hand_made(path)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(smoothness(path), abs=1e-9)
+    assert METRICS["Q_line"](episode) == pytest.approx(linearity(path), abs=1e-9)
+
+
+@pytest.mark.parametrize("localized_from", [1, 2, 5])
+def test_the_trajectory_ends_with_the_first_localised_frame(localized_from: int):
+    path = random_path(3)
+    episode = hand_made(path, localized_from=localized_from)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(smoothness(path[: localized_from + 1]), abs=1e-9)
+    assert METRICS["Q_line"](episode) == pytest.approx(linearity(path[: localized_from + 1]), abs=1e-9)
+
+
+@pytest.mark.parametrize("points", [1, 2, 9])
+def test_no_motion_is_smooth_and_without_direction(points: int):
+    episode = hand_made([(0.2, 0.1, 1.0)] * points)
+    for suffix in ("", "_18d"):
+        assert METRICS[f"Q_smooth{suffix}"](episode) == 1.0
+        assert METRICS[f"Q_line{suffix}"](episode) == 0.0
+
+
+def test_flicker_of_the_last_bit_is_no_motion():
+    flicker = np.nextafter(np.float32(1), np.float32(2))
+    episode = hand_made([(1.0, 0, 0), (flicker, 0, 0), (1.0, 0, 0), (flicker, 0, 0)])
+    assert METRICS["Q_smooth"](episode) == 1.0
+    assert METRICS["Q_line"](episode) == 0.0
+
+
+@pytest.mark.parametrize(("reach_m", "still"), [(0.0009, True), (0.0011, False)])
+def test_a_palm_that_only_recoils_from_the_fingers_stands_still(reach_m: float, still: bool):
+    path = [(0, 0, 1.0), (0, reach_m, 1.0), (0, 0, 1.0), (0, 0, 1.0), (0, reach_m / 2, 1.0)]
+    episode = hand_made(path)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(1.0 if still else smoothness(np.array(path)), abs=1e-3)
+    assert METRICS["Q_line"](episode) == pytest.approx(0.0 if still else 1 / 4, abs=1e-3)
+
+
+def test_a_pause_adds_nothing_to_linearity_but_counts_as_a_step():
+    episode = hand_made([(0, 0, 0), (0.25, 0, 0), (0.25, 0, 0), (0.5, 0, 0)])
+    assert METRICS["Q_line"](episode) == pytest.approx(2 / 3)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(1 / (1 + math.sqrt(1 / 2)))  # lengths 1, 0, 1
+
+
+def test_the_window_is_not_part_of_the_trajectory():
+    episode = hand_made([(0.125 * i, 0, 0) for i in range(6)])
+    episode.state[: WINDOW - 1, :3] = 7.0
+    assert METRICS["Q_smooth"](episode) == pytest.approx(1)
+    assert METRICS["Q_line"](episode) == pytest.approx(1)
+
+
+def test_legacy_quality_reads_18d_commands_in_units_and_radians():
+    episode = hand_made([(0.0, 0, 0)] * 5)
+    commands = [[0.0] * 18 for _ in range(5)]
+    for frame, (x_m, angle) in enumerate([(0.0, 0.0), (0.1, 0.0), (0.1, 0.5), (0.100001, 0.5), (0.3, 1.0)]):
+        commands[frame][0], commands[frame][3] = x_m, angle
+    episode.executed_action[WINDOW:] = commands
+    # steps: 1 u; 0.5 rad; 1e-5 u, which is dropped; 2 u and 0.5 rad
+    lengths = [1.0, 0.5, math.hypot(2.0, 0.5)]
+    mean = sum(lengths) / 3
+    sigma = math.sqrt(sum((length - mean) ** 2 for length in lengths) / 3)
+    assert METRICS["Q_smooth_18d"](episode) == pytest.approx(1 / (1 + sigma / mean), abs=1e-4)
+    whole = math.hypot(3.0, 1.0)  # displacement: 3 u and 1 rad
+    cosines = [3 / whole, 1 / whole, (2 * 3 + 0.5 * 1) / (math.hypot(2.0, 0.5) * whole)]
+    assert METRICS["Q_line_18d"](episode) == pytest.approx(sum(cosines) / 3, abs=1e-4)
+
+
+NAMES = METRICS.names()
+
+
+def wild_episode(seed: int):
+    """Return an episode of noise: any path, any joints, localised anywhere or never."""
+    rng = np.random.default_rng(seed)
+    frames = int(rng.integers(1, 30))
+    start = None if rng.random() < 0.3 else int(rng.integers(frames))
+    palm = rng.normal(0, 1, (frames, 3)) * rng.choice([0.0, 1e-7, 0.1, 10.0])
+    episode = hand_made(palm.tolist(), joints=rng.normal(1, 1, frames).tolist(), localized_from=start, stage="missed")
+    capture = str(rng.choice(["attach", "attach_lenient", "contact"]))
+    return replace(episode, meta=replace(episode.meta, capture=capture))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_values_are_in_range_or_none_where_conditional(seed: int):
+    episode = wild_episode(seed)
+    for name, value in measure(episode).items():
+        metric = METRICS[name]
+        if value is None:
+            assert metric.condition, f"{name} has no condition, so it must have a value"
+            continue
+        assert isinstance(value, float)
+        assert math.isfinite(value), name
+        low, high = metric.bounds
+        assert low <= value <= high, name
+        assert metric.aggregation == "mean" or value in (0.0, 1.0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_metrics_are_pure(seed: int):
+    episode = wild_episode(seed)
+    arrays = {f.name: getattr(episode, f.name) for f in fields(episode)}
+    before = {name: value.tobytes() for name, value in arrays.items() if isinstance(value, np.ndarray)}
+    for value in arrays.values():
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+    assert measure(episode) == measure(episode)
+    assert before == {name: getattr(episode, name).tobytes() for name in before}
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_order_between_related_metrics(seed: int):
+    value = measure(wild_episode(seed))
+    assert value["S_joint"] <= value["S_joint_paper"] <= value["S_loc"] <= value["S_loc_planar"]
+    assert value["R_time_total"] <= value["R_time"]
+    assert value["grasp_strict"] <= value["grasp_medium"] <= value["grasp_loose"]
+    assert (value["S_gra"] is None) == (value["S_loc"] == 0)
+    assert value["S_gra"] is None or value["S_gra"] <= value["S_gra_window"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_metric_does_not_depend_on_where_the_world_has_its_origin_or_heading(name: str):
+    episode = synthetic_episode(seed=3, miss_m=0.02, image_size=None)
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
+    state, action, pose = episode.state.copy(), episode.action.copy(), episode.target_pose.copy()
+    for array in (state, action, pose):
+        array[:, :3] = array[:, :3] @ turn.T + np.float32([0.25, -0.5, 0.5])
+    velocity = np.hstack([episode.target_velocity[:, :3] @ turn.T, episode.target_velocity[:, 3:] @ turn.T])
+    moved = replace(episode, state=state, action=action, target_pose=pose, target_velocity=velocity)
+    assert METRICS[name](moved) == pytest.approx(METRICS[name](episode), abs=1e-4)
