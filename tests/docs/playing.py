@@ -27,7 +27,6 @@ COUNTS = {
     "dynahoi filter": {"--drop": "0"},
     "lerobot-train": {
         "--steps": "2", "--batch_size": "2", "--env_eval_freq": "2", "--eval.n_episodes": "1", "--eval.batch_size": "1",
-        "--num_processes": "1",
     },
     "lerobot-eval": {"--eval.n_episodes": "1", "--eval.batch_size": "1"},
 }  # fmt: skip
