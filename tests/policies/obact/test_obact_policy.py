@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -249,3 +250,16 @@ def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
 def test_a_wrong_option_is_named(change: dict, told: str):
     with pytest.raises(ValueError, match=told):
         hand_policy(**change)
+
+
+def test_acting_never_imports_what_labels_virtual_palms():
+    code = """if True:
+        import sys
+        from tests.policies.obact.test_obact_policy import hand_policy, step
+        policy = hand_policy(encoder="eye", encoder_options={"channels": 8, "fovea": 12})
+        policy.select_action(step(policy))
+        modules = [name for name in sys.modules if name.startswith("lerobot_policy_obact")]
+        assert "lerobot_policy_obact.belief" in modules
+        assert not {"teacher", "recordings", "virtual_episodes"} & {name.split(".")[-1] for name in modules}, modules
+    """
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[3])
