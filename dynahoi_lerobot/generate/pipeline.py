@@ -20,10 +20,11 @@ from itertools import islice
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
+from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.core.working_folder import LOCK, differences, read_task, working_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Progress, Record
+from dynahoi_lerobot.generate.plan import GenerationPlan, Progress, Record
 from dynahoi_lerobot.generate.shard import SHARD, ShardMaker
 
 logger = logging.getLogger(__name__)
@@ -53,7 +54,7 @@ def generate(
     Raises:
         BlockingIOError: if another process is making this dataset.
         FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
-        GenerationError: if the expert cannot make the episodes, processes keep dying, or the files of a finished
+        CommandError: if the expert cannot make the episodes, processes keep dying, or the files of a finished
             dataset have changed.
         ValueError: if ``workers`` is out of its range, or no folder can be made at ``root``.
     """
@@ -76,7 +77,7 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
 
     Raises:
         FileExistsError: if something else is there.
-        GenerationError: if the dataset is there but a file of it is missing or has changed.
+        CommandError: if the dataset is there but a file of it is missing or has changed.
     """
     if not root.exists():
         return None
@@ -87,7 +88,7 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
     if names := differences(manifest.provenance, plan.identity()):
         raise FileExistsError(f"{root} holds another dataset (other {names}); choose another folder")
     if problem := next(file_problems(root, manifest), None):
-        raise GenerationError(f"{root} is complete but damaged: {problem}; remove it to make it again")
+        raise CommandError(f"{root} is complete but damaged: {problem}; remove it to make it again")
     return manifest
 
 
@@ -95,7 +96,7 @@ def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
     """Make every shard that is not there yet; when a process dies, the shards it was making are made again.
 
     Raises:
-        GenerationError: if processes keep dying.
+        CommandError: if processes keep dying.
     """
     if workers == 1:
         done = itertools.count(maker.done_episodes() + 1)
@@ -107,7 +108,7 @@ def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
             return _run_pool(maker, workers, progress)
         except BrokenProcessPool:
             missing = maker.plan.shards - len(maker.finished())
-    raise GenerationError(
+    raise CommandError(
         f"worker processes died {STARTS} times with {missing} shards to go; fewer workers need less memory"
     )
 
