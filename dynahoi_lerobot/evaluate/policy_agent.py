@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.features import CAMERA_KEY, ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
 from dynahoi_lerobot.evaluate.checkpoint import (
@@ -118,7 +118,7 @@ class PolicyAgent(ChunkAgent):
         *,
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
-    ) -> Plan:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return a chunk for each of ``worlds`` (n,), and the seconds that predicting those of all worlds took.
 
         LeRobot predicts the chunks of all worlds together, so what they continue is as old in each of them.
@@ -136,7 +136,7 @@ class PolicyAgent(ChunkAgent):
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
-        return Plan(actions, np.full(len(worlds), time.perf_counter() - start))
+        return actions, np.full(len(worlds), time.perf_counter() - start)
 
     def _predicted(self, batch: dict[str, Any], guidance: dict[str, Any]) -> Any:
         """The (N, H, 18) normalised chunks."""
