@@ -13,12 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import (
-    CONTROL_DT,
-    HAND_SPEED_M_S,
-    MIN_WINDOW_FRAMES,
-    WINDOW_FRACTION,
-)
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_SPEED_M_S, MIN_WINDOW_FRAMES, WINDOW_FRACTION
 from dynahoi_lerobot.core.numerics import cbrt
 from dynahoi_lerobot.core.rules import protocol_of
 from dynahoi_lerobot.motions import MOTIONS, Motion
