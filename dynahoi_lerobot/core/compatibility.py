@@ -5,10 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 
-class MixedError(ValueError):
-    """Things differ that must agree; the message names two of them and the remedy."""
-
-
 def refuse_to_mix(noun: str, found: Iterable[tuple[object, str]], remedy: str) -> None:
     """Check that all things have one value of ``noun``.
 
@@ -18,9 +14,9 @@ def refuse_to_mix(noun: str, found: Iterable[tuple[object, str]], remedy: str) -
         remedy: what to do instead, the end of the sentence.
 
     Raises:
-        MixedError: naming the first thing and one that differs, with both values.
+        ValueError: naming the first thing and one that differs, with both values.
     """
     pairs = list(found)
     for name, value in pairs[1:]:
         if value != pairs[0][1]:
-            raise MixedError(f"{pairs[0][0]} has {noun} {pairs[0][1]!r}, {name} has {noun} {value!r}; {remedy}")
+            raise ValueError(f"{pairs[0][0]} has {noun} {pairs[0][1]!r}, {name} has {noun} {value!r}; {remedy}")

@@ -32,7 +32,6 @@ def merge(
     *,
     limits: FileLimits | None = None,
     provenance: dict[str, Any] | None = None,
-    allow_version_mismatch: bool = False,
 ) -> Manifest:
     """Merge datasets, in the given order, into a new one; ``root`` appears when it is complete.
 
@@ -41,29 +40,27 @@ def merge(
         root: a path that does not exist yet.
         limits: file size limits.
         provenance: stored in the manifest: recipe, seed, encoding and code fingerprint.
-        allow_version_mismatch: merge datasets of different versions of the benchmark; the manifest then names all.
 
     Raises:
         FileExistsError: if ``root`` exists.
-        MixedError: if their versions of the benchmark differ, unless that is allowed.
-        ValueError: if the datasets' features differ, or there are none.
+        ValueError: if the datasets' features or versions of the benchmark differ, or there are none.
     """
     if root.exists():
         raise FileExistsError(f"{root} exists; choose a new folder for the merged dataset")
     stores = [Store(source) for source in sources]
     if not stores:
         raise ValueError("there is nothing to merge; name one dataset or more")
-    columns = _columns(stores[0])
+    first = _columns(stores[0])
     for store in stores[1:]:
-        if differing := _differing(columns, _columns(store)):
+        other = _columns(store)
+        if differing := [key for key in sorted(first.keys() | other.keys()) if first.get(key) != other.get(key)]:
             raise ValueError(
                 f"{store.root} has other features than {stores[0].root} ({', '.join(differing)}); merge datasets that "
                 "were generated with the same options"
             )
     manifests = [Manifest.read(store.root) for store in stores]
-    if not allow_version_mismatch:
-        found = [(store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)]
-        refuse_to_mix("benchmark", found, "merge datasets of one version, or pass allow_version_mismatch=True")
+    found = [(store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)]
+    refuse_to_mix("benchmark", found, "merge datasets of one version")
     yields: Counter[str] = Counter()
     for manifest in manifests:
         yields.update(manifest.yields)
@@ -150,8 +147,3 @@ class _Packets:
 def _columns(store: Store) -> dict[str, Any]:
     """Return what is known of the columns of both tables, by key."""
     return store.features | {feature.key: feature for feature in store.array_features}
-
-
-def _differing(first: dict[str, Any], other: dict[str, Any]) -> list[str]:
-    """Return the keys of the columns that only one of two datasets has, or that are not the same in both."""
-    return [key for key in sorted(first.keys() | other.keys()) if first.get(key) != other.get(key)]

@@ -66,7 +66,7 @@ def compare(
 
     Raises:
         UnknownNameError: if the metric is not registered.
-        MixedError: if another condition or the version differs, naming both values; always for different salts.
+        ValueError: if another condition or the version differs, naming both values; always for different salts.
     """
     refuse_mixed_streams((result.folder, result.info.split) for result in (a, b))
     if not allow_version_mismatch:

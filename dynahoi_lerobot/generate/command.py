@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--subtasks", action="store_true", help="store the current subtask in LeRobot's language column"
     )
-    parser.add_argument("--workers", type=int, default=1, help="number of processes")
+    parser.add_argument("--workers", type=whole(1, 4096), default=1, help="number of processes")
     parser.add_argument(
         "--shard-episodes", type=int, help="episodes per shard; by default an eighth of all, at most 256"
     )

@@ -6,7 +6,6 @@ The extra ``scale`` brings datatrove and Ray.
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import sys
 from dataclasses import dataclass
@@ -51,17 +50,6 @@ class ClusterResources:
     gpus_per_task: int = 0
     partition: str = "cpu"
     time: str = "24:00:00"
-
-    def __post_init__(self) -> None:
-        """Refuse what neither datatrove nor Slurm explains.
-
-        Raises:
-            ValueError: if the time limit or the number of workers is none.
-        """
-        if not re.fullmatch(r"(\d+-)?\d+(:\d\d){0,2}", self.time):
-            raise ValueError(f"the time limit is {self.time!r}; it must be like 24:00:00 or 2-00:00:00")
-        if self.workers < 1 and self.workers != -1:
-            raise ValueError(f"the number of workers is {self.workers}; it must be 1 or more, or -1 for no limit")
 
 
 def make_shards(maker: ShardMaker, data: Any, rank: int, world_size: int) -> None:

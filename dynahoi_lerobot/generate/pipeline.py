@@ -30,7 +30,6 @@ from dynahoi_lerobot.generate.shard import SHARD, ShardMaker
 logger = logging.getLogger(__name__)
 
 PLAN, LOGS = "plan.json", "logs"
-MAX_WORKERS = 4096
 STARTS = 3
 """How often a pool is started before processes that die are an error."""
 POLL_S = 0.2
@@ -56,10 +55,8 @@ def generate(
         FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
         CommandError: if the expert cannot make the episodes, processes keep dying, or the files of a finished
             dataset have changed.
-        ValueError: if ``workers`` is out of its range, or no folder can be made at ``root``.
+        ValueError: if no folder can be made at ``root``.
     """
-    if not 1 <= workers <= MAX_WORKERS:
-        raise ValueError(f"the number of workers is {workers}; it must be 1 to {MAX_WORKERS}")
     check_output(root)
     if (manifest := finished(plan, root)) is None:
         with open_workspace(plan, root) as workspace:

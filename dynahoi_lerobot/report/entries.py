@@ -43,7 +43,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
     Raises:
         ResultsError: if a folder is missing or damaged.
-        MixedError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
+        ValueError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
             benchmark.
     """
     results = [read_results(folder) for folder in dict.fromkeys(Path(folder).resolve() for folder in folders)]

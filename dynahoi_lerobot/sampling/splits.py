@@ -136,7 +136,7 @@ def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
         found: what holds the results, for the message, and the ``stream_label`` of its split.
 
     Raises:
-        MixedError: naming two that do not go together.
+        ValueError: naming two that do not go together.
     """
     streams = [(where, label.partition(JOINT)[2] or PUBLIC) for where, label in found]
     refuse_to_mix("salt", streams, "evaluate both with one salt, or without")

@@ -42,15 +42,16 @@ def run(args: argparse.Namespace) -> int:
         FileNotFoundError: if there is no such dataset.
         ValueError: for another bad argument.
     """
-    if args.out is None and not args.dry_run:
+    output: Path | None = None if args.dry_run else args.out
+    if output is None and not args.dry_run:
         raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
     episodes = Store(args.root).episodes
     outliers = {} if args.drop else find_outliers(args.root, args.margin, args.column)
     if unknown := sorted(set(args.drop or ()) - set(map(str, range(episodes)))):
         raise ValueError(f"--drop names episode {unknown[0][:40]!r}; {args.root} has 0 to {episodes - 1}")
     left_out = sorted({int(word) for word in args.drop} if args.drop else outliers)
-    if not args.dry_run:
-        copy_subset(args.root, args.out, [index for index in range(episodes) if index not in left_out])
+    if output is not None:
+        copy_subset(args.root, output, [index for index in range(episodes) if index not in left_out])
     for sentence in outliers.values():
         print(sentence)
     where = "dry run, nothing was written" if args.dry_run else f"the others are in {args.out}"

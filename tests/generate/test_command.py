@@ -51,7 +51,6 @@ def test_a_view_has_one_video_file_unless_that_would_be_too_long(tmp_path, secon
         (["--episodes", -5], "number of episodes is -5"),
         (["--codec", "mpeg2"], "unknown codec 'mpeg2'"),
         (["--gop", 0], "gop is 0"),
-        (["--workers", 0], "number of workers is 0"),
         (["--shard-episodes", 0], "episodes per shard is 0"),
         (["--image-size", 31], "image size is 31"),
         (["--seed", -1], "seed is -1"),
