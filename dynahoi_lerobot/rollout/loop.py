@@ -84,17 +84,14 @@ class Session:
         for i, recorder in self._recorders.items():
             recorder.add_frame(columns, i, images)
         self.batch.step(checked[ids], ids)
-        wanted = None if labels is None else self._actions(labels, self.observation)
+        if labels is not None:
+            labels = self.batch.as_actions(self.batch.within_workspace(labels), self.observation)
         for i, recorder in self._recorders.items():
-            recorder.add_action(self.batch.commanded[i], None if wanted is None else wanted[i])
+            recorder.add_action(self.batch.commanded[i], None if labels is None else labels[i])
         terminated, full = np.zeros((2, self.batch.size), bool)
         for i, recorder in self._recorders.items():
             terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
         return terminated, full & ~terminated
-
-    def _actions(self, labels: np.ndarray, observation: Observation) -> np.ndarray:
-        """(N, 18) or (N, 4) the labels as actions of the recipe's control mode."""
-        return self.batch.as_actions(self.batch.within_workspace(labels), observation)
 
     def success(self, i: int) -> bool:
         """Return the verdict on what world ``i`` has played so far."""

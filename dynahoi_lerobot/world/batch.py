@@ -190,10 +190,7 @@ class WorldBatch:
         return check_command(commands, self.size)
 
     def action_limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the (18,) or (4,) least and greatest actions in the recipe's control mode, float32.
-
-        The palm's are the whole length of each slide either way [m]: where on them the home lies is not told.
-        """
+        """Return the (18,) or (4,) least and greatest actions in the recipe's control mode, as ``command_limits``."""
         low, high = self.command_limits()
         if self.recipe.control_mode == JOINTS:
             return low, high
