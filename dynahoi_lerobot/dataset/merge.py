@@ -15,7 +15,6 @@ from typing import Any
 
 from av.packet import Packet
 
-from dynahoi_lerobot.core.compatibility import refuse_to_mix
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
@@ -24,6 +23,7 @@ from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, reading
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.sampling.splits import refuse_to_mix
 
 
 def merge(

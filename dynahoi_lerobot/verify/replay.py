@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +18,7 @@ from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video import Encoding, VideoFile, decode, encode, stored_packets, stream_for
+from dynahoi_lerobot.dataset.video import Encoding, VideoFile, decode, encode, encoded_stream, stored_packets
 from dynahoi_lerobot.rollout.replay import played_again
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -114,7 +115,7 @@ def _apart(made: np.ndarray, store: Store, row: EpisodeRow, table: pa.Table, key
     encoding = Encoding("h264", info["video.crf"], info["video.preset"], info["video.g"])
     with TemporaryDirectory() as folder:
         again = Path(folder) / "again.mp4"
-        video = VideoFile(again, stream_for(encoding, made.shape[1]))
+        video = VideoFile(again, partial(encoded_stream, encoding=encoding, image_size=made.shape[1]))
         video.append(encode(made, encoding))
         video.close()
         stored = islice(stored_packets(store.video_path(row, key)), start, start + row["length"])
