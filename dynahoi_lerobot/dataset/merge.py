@@ -7,9 +7,9 @@ videos, of which its reader reads the whole index for every sample, and rewrites
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
+from itertools import dropwhile, islice
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,9 @@ from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.sampling.splits import refuse_to_mix
+
+Opened = tuple[Path, Iterator[tuple[int, Packet]]]
+"""A video and its packets from the next one on, numbered."""
 
 
 def merge(
@@ -107,41 +110,36 @@ def _assemble(
         writer = DatasetWriter(folder, first.features, first.array_features, limits or FileLimits())
         try:
             for store, kept in sources:
-                videos = _Packets(store)
+                opened: dict[str, Opened] = {}
                 for index, (row, table) in enumerate(store.stored_episodes()):
                     if kept is None or index in kept:
-                        writer.copy(store, row, table, videos.of(row))
+                        writer.copy(store, row, table, _packets(store, row, opened))
             return writer.finish(provenance, yields)
         finally:
             writer.abandon()
 
 
-class _Packets:
-    """Reads the packets of a dataset's episodes, in their order, so that each file is opened once."""
+def _packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
+    """Return the packets of each view of an episode; none without video.
 
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._readers: dict[str, tuple[Path, Iterator[Packet]]] = {}
-        self._read: dict[str, int] = {}
+    Args:
+        store: the dataset.
+        row: of the episode; episodes are asked for in their order.
+        opened: the file of each view that was read last, which stays open as long as episodes are in it.
 
-    def of(self, row: EpisodeRow) -> dict[str, list[Packet]]:
-        """Return the packets of each view of an episode; none without video.
-
-        Raises:
-            ValueError: if a file is shorter than the row says.
-        """
-        return {key: self._view(row, key) for key in self._store.image_keys} if self._store.has_video else {}
-
-    def _view(self, row: EpisodeRow, key: str) -> list[Packet]:
-        path, start = self._store.video_path(row, key), round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
-        if key not in self._readers or self._readers[key][0] != path:
-            self._readers[key], self._read[key] = (path, stored_packets(path)), 0
-        skipped = start - self._read[key]
-        packets = list(itertools.islice(self._readers[key][1], skipped, skipped + row["length"]))
-        if len(packets) < row["length"]:
+    Raises:
+        ValueError: if a file is shorter than the row says.
+    """
+    found = {}
+    for key in store.image_keys if store.has_video else []:
+        path, start = store.video_path(row, key), round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+        if key not in opened or opened[key][0] != path:
+            opened[key] = path, enumerate(stored_packets(path))
+        numbered = dropwhile(lambda entry, start=start: entry[0] < start, opened[key][1])
+        found[key] = [packet for _, packet in islice(numbered, row["length"])]
+        if len(found[key]) < row["length"]:
             raise ValueError(f"{path} ends before frame {start + row['length']}")
-        self._read[key] = start + row["length"]
-        return packets
+    return found
 
 
 def _columns(store: Store) -> dict[str, Any]:
