@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.captures import NO_EVENT, CaptureRule, Release, Weld
+from dynahoi_lerobot.captures import NO_EVENT, CaptureRule, Release, Substeps, Weld
 from dynahoi_lerobot.core.conventions import PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
@@ -121,26 +121,26 @@ class Physics:
             acting: (n,) bool, the control phase has begun.
         """
         before = self._batch.state[ids].copy()
-        distance, contacts = self._roll(ids, control)
-        self.palm_distance[ids] = distance.min(axis=1)
+        substeps = self._roll(ids, control, acting)
+        self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
         self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
-        events = np.where(self._targets.released[ids], NO_EVENT, self._rule.events(distance, contacts, acting))
+        events = np.where(self._targets.released[ids], NO_EVENT, self._rule.events(substeps))
         for row in np.flatnonzero(events != NO_EVENT):
             self._batch.state[ids[row]] = before[row]
-            self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1)
+            self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1, acting[row : row + 1])
 
-    def _roll_through_event(self, i: int, control: np.ndarray, steps: int) -> None:
+    def _roll_through_event(self, i: int, control: np.ndarray, steps: int, acting: np.ndarray) -> None:
         """Roll world ``i`` for ``steps`` physics steps, apply the rule's effect, and finish the control step."""
         one = np.array([i])
-        self._roll(one, control[:, :steps])
+        self._roll(one, control[:, :steps], acting)
         self._targets.apply(self._rule.effect, i)
         if steps < SUBSTEPS:
             rest = control[:, steps:].copy()
             rest[..., self.n_controls :] = 0.0  # whatever drove the target stops
-            self._roll(one, rest)
+            self._roll(one, rest, acting)
 
-    def _roll(self, ids: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, TargetContacts | None]:
-        """Roll K physics steps, keep the mean of their contacts; return what ``CaptureRule.events`` takes, (n, K)."""
+    def _roll(self, ids: np.ndarray, control: np.ndarray, acting: np.ndarray) -> Substeps:
+        """Roll physics steps; of the contacts in them keep the mean."""
         sensed = self._rule.uses_contact_sensors
         names = ("qpos", "sensordata") if sensed else ("qpos",)
         record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC, record=names, ids=ids)
@@ -149,7 +149,10 @@ class Physics:
         distance = np.linalg.norm(target - qpos[..., self._scene.hand_qpos[:PALM_DOF]], axis=-1)
         contacts = read_contacts(record["sensordata"]) if sensed else None
         if contacts is not None:
-            self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
-            self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
-            self.contacts.others[ids] = contacts.others.mean(axis=1)
-        return distance, contacts
+            self._keep_mean(ids, contacts)
+        return Substeps(acting, distance, contacts)
+
+    def _keep_mean(self, ids: np.ndarray, contacts: TargetContacts) -> None:
+        self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
+        self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
+        self.contacts.others[ids] = contacts.others.mean(axis=1)
