@@ -251,7 +251,7 @@ def test_only_the_code_that_made_a_dataset_replays_it(copy):
 
 
 def test_an_expert_that_fails_where_it_succeeded_is_found(sound, monkeypatch):
-    monkeypatch.setattr("dynahoi_lerobot.verify.replay._simulator", lambda *_: lambda seed: None)
+    monkeypatch.setattr("dynahoi_lerobot.verify.replay.played_again", lambda *_: None)
     assert found(sound, replayed=2) == {"replay"}
 
 
