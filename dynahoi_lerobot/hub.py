@@ -11,13 +11,13 @@ import hashlib
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.core.arguments import CommandError, path
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
@@ -32,7 +32,6 @@ from dynahoi_lerobot.verify.command import verify
 if TYPE_CHECKING:
     from huggingface_hub import HfApi, ModelCard
 
-DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 KIND_FILES = {"dataset": INFO_PATH, "results": METRICS_FILE, "checkpoint": CONFIG, "environment": "env.py"}
 """What can be pushed, and the file that identifies it; LeRobot's ``make_env("user/name")`` runs ``env.py``."""
 HUB_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
@@ -56,10 +55,6 @@ ANSWERS = {
 """By HTTP status."""
 
 
-class HubError(RuntimeError):
-    """A push that cannot be done; the message is one sentence."""
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi push``."""
     parser.add_argument("folder", type=path, help="a dataset, a pretrained_model folder, a result folder or envs/hub")
@@ -72,23 +67,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Push the folder and print its address; return the exit code: 0, 1 refused, 2 bad input, 130 interrupted."""
+    """Push the folder and print its address; return the exit code.
+
+    Raises:
+        CommandError: if it is refused or the Hub cannot be reached.
+        ValueError: for a bad argument, or a folder that nobody should push.
+    """
+    kind = kind_of(args.folder)
+    for option, wanted in (("policy", "results"), ("replace", "checkpoint")):
+        if getattr(args, option) and kind != wanted:
+            raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
     try:
-        kind = kind_of(args.folder)
-        for option, wanted in (("policy", "results"), ("replace", "checkpoint")):
-            if getattr(args, option) and kind != wanted:
-                raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
-        repository = Repository.open(args.repo, "dataset" if kind == "dataset" else "model")
-        with repository.explained():
-            pushed = PUSHES[kind](args, repository)
-    except ModuleNotFoundError as error:
-        return _say(f"it needs {error.name}, which the extra `lerobot` installs", BAD_INPUT)
-    except HubError as error:
-        return _say(error, FAILED)
-    except KeyboardInterrupt:
-        return _say(f"interrupted; {RESUME}", STOPPED)
+        pushed = PUSHES[kind](args, Repository.open(args.repo, "dataset" if kind == "dataset" else "model"))
+    except (CommandError, ValueError, ModuleNotFoundError):
+        raise
+    except Exception as error:  # whatever goes wrong on the Hub or on the way to it
+        raise CommandError(f"{args.repo}: {_sentence(error)}") from error
     print(f"{kind} pushed to {pushed}")
-    return DONE
+    return 0
 
 
 def kind_of(folder: Path) -> str:
@@ -125,7 +121,7 @@ class Repository:
         """Log in with the token that ``hf auth login`` stored, or of ``HF_TOKEN``.
 
         Raises:
-            HubError: if there is no token, the Hub refuses it or cannot be reached.
+            CommandError: if there is no token.
             ValueError: if the name is none.
         """
         from huggingface_hub import HfApi, get_token
@@ -133,34 +129,15 @@ class Repository:
         if not re.fullmatch(r"[\w.-]+/[\w.-]+", name):
             raise ValueError(f"the repository is {name!r}; it must be USER/NAME")
         if not get_token():
-            raise HubError(f"no Hub token found; {LOG_IN}")
-        repository = cls(HfApi(), name, kind)
-        with repository.explained():
-            repository.api.whoami()
-        return repository
+            raise CommandError(f"no Hub token found; {LOG_IN}")
+        api = HfApi()
+        api.whoami()
+        return cls(api, name, kind)
 
     @property
     def address(self) -> str:
         """Where it is found."""
         return f"{self.api.endpoint}/{'datasets/' if self.kind == 'dataset' else ''}{self.name}"
-
-    @contextmanager
-    def explained(self) -> Iterator[None]:
-        """Turn what goes wrong on the Hub or on the way to it into one sentence.
-
-        Raises:
-            HubError: instead of it.
-        """
-        try:
-            yield
-        except (HubError, ValueError):
-            raise
-        except Exception as error:
-            raise HubError(f"{self.name}: {_sentence(error, self.api.endpoint)}") from error
-
-    def files(self) -> set[str]:
-        """Return the paths of its files."""
-        return set(self.api.list_repo_files(self.name, repo_type=self.kind))
 
     def weights(self) -> dict[str, str]:
         """Return the sha256 of its large files, by path."""
@@ -177,14 +154,17 @@ class Repository:
             private: make a private repository.
 
         Raises:
-            HubError: if it holds other content, or is public where a private one is asked for.
+            CommandError: if it holds other content, or is public where a private one is asked for.
         """
         self.api.create_repo(self.name, repo_type=self.kind, private=private or None, exist_ok=True)
         if private and not self.api.repo_info(self.name, repo_type=self.kind).private:
-            raise HubError(f"{self.name} exists and is public; make it private in its settings, or choose another name")
-        held, ours = self.files(), {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+            raise CommandError(
+                f"{self.name} exists and is public; make it private in its settings, or choose another name"
+            )
+        held = set(self.api.list_repo_files(self.name, repo_type=self.kind))
+        ours = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
         if foreign := sorted(name for name in held - ours - set(HUB_FILES) if not name.startswith(f"{RESULTS}/")):
-            raise HubError(f"{self.name} holds other content ({foreign[0]}); choose another name")
+            raise CommandError(f"{self.name} holds other content ({foreign[0]}); choose another name")
         return held
 
     def upload(self, folder: Path, **options: Any) -> None:
@@ -213,12 +193,12 @@ def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
     """Push a dataset that verifies, tagged with LeRobot's version, which its reader asks for, and the benchmark's."""
     if findings := verify(args.folder):
         print(*findings, sep="\n", file=sys.stderr)
-        raise HubError(f"{args.folder} was not pushed: `dynahoi verify` has findings")
+        raise CommandError(f"{args.folder} was not pushed: `dynahoi verify` has findings")
     manifest = Manifest.read(args.folder)
     if MANIFEST_PATH in repository.claim(args.folder, private=args.private):
         there = repository.api.hf_hub_download(repository.name, MANIFEST_PATH, repo_type=repository.kind)
         if _json_value(Path(there), "sha256") != manifest.digest:
-            raise HubError(f"{repository.name} holds another dataset; choose another name")
+            raise CommandError(f"{repository.name} holds another dataset; choose another name")
     repository.upload(args.folder)
     versions = manifest.benchmark.split(", ")
     tags = [CODEBASE_VERSION, *(f"dynahoi-{version}" for version in versions if version)]
@@ -241,7 +221,7 @@ def push_checkpoint(args: argparse.Namespace, repository: Repository) -> str:
     there = repository.weights()
     other = [name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256]
     if other and not args.replace:
-        raise HubError(
+        raise CommandError(
             f"{repository.name} holds other weights ({other[0]}); choose another name, or add --replace, which "
             "also removes the results of the old ones"
         )
@@ -255,15 +235,17 @@ def push_results(args: argparse.Namespace, repository: Repository) -> str:
     """Push results into the repository of their checkpoint, under a name of their own, and list them on its card.
 
     Raises:
-        HubError: if the repository holds no checkpoint, or nothing shows that the results are of it.
+        CommandError: if the repository holds no checkpoint, or nothing shows that the results are of it.
         ResultsError: if the folder is incomplete or damaged.
     """
     from huggingface_hub import ModelCard
 
     results = read_results(args.folder)
     name, played = variant(results), [METRICS_FILE, EPISODES_FILE, ACTIONS_FILE]
-    if not repository.api.repo_exists(repository.name) or CONFIG not in (held := repository.files()):
-        raise HubError(f"{repository.name} holds no checkpoint; push it before its results")
+    if not repository.api.repo_exists(repository.name) or CONFIG not in (
+        held := repository.api.list_repo_files(repository.name)
+    ):
+        raise CommandError(f"{repository.name} holds no checkpoint; push it before its results")
     _check_policy(results, repository, args.policy or "")
     repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
     if CARD_PATH in held:
@@ -290,11 +272,11 @@ def _check_policy(results: Results, repository: Repository, said: str) -> None:
     policy, weights = results.info.policy, results.info.extra.get(WEIGHTS) or {}
     here = f"{repository.name}: {results.folder} is of {policy}"
     if said and said != policy:
-        raise HubError(f"{here}, not of {said}")
+        raise CommandError(f"{here}, not of {said}")
     there = repository.weights()
     same = bool(weights) and all(there.get(name) == sha256 for name, sha256 in weights.items())
     if not (said or same or (policy == repository.name and not weights)):
-        raise HubError(
+        raise CommandError(
             f"{here}, and nothing shows that this repository holds it; push that checkpoint, or add --policy {policy} "
             "if it does"
         )
@@ -378,18 +360,19 @@ def with_results(card: ModelCard, repo: str, results: Results, name: str) -> Mod
     return card
 
 
-def _sentence(error: BaseException, endpoint: str) -> str:
+def _sentence(error: BaseException) -> str:
     """Say what stopped an upload: the client names the Hub's answer, or the broken connection, as a cause."""
     import httpx
+    from huggingface_hub import constants
     from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
 
     if isinstance(error, HfHubHTTPError):
         status, said = error.response.status_code, error.server_message or "no reason"
         return ANSWERS.get(status, f"the Hub answered {status} ({said}); {RESUME}")
     if isinstance(error, httpx.TransportError | OfflineModeIsEnabled):
-        return f"cannot reach {endpoint} ({type(error).__name__}); {RESUME}"
+        return f"cannot reach {constants.ENDPOINT} ({type(error).__name__}); {RESUME}"
     if cause := error.__cause__ or error.__context__:
-        return _sentence(cause, endpoint)
+        return _sentence(cause)
     return f"the upload failed ({type(error).__name__}: {error}); {RESUME}"
 
 
@@ -403,8 +386,3 @@ def _json_value(path: Path, key: str) -> Any:
 
 def _text(value: Any) -> str:
     return "_".join(map(str, value)) if isinstance(value, Sequence) and not isinstance(value, str) else str(value)
-
-
-def _say(problem: object, code: int) -> int:
-    print(f"dynahoi push: {problem}", file=sys.stderr)
-    return code

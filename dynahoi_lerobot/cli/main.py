@@ -6,10 +6,11 @@ import argparse
 import importlib
 import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import check_output, printable
 
 COMMANDS = {
@@ -27,8 +28,10 @@ COMMANDS = {
 }
 """Command: module with ``add_arguments`` and ``run``, and one line of help. Modules are imported on use."""
 
-BAD_INPUT = 2
-STOPPED = 130
+FAILED, BAD_INPUT, STOPPED = 1, 2, 130
+EXTRAS = {"datatrove": "scale", "ray": "scale", "openai": "vlm", "pydantic": "vlm"}
+EXTRAS |= dict.fromkeys(("lerobot", "torch", "huggingface_hub", "httpx"), "lerobot")
+"""Extra that installs a package."""
 VERBOSE_LOGGERS = ("lerobot.utils.import_utils",)
 """Loggers that warn in 90 lines that torchcodec is unusable, which `dynahoi doctor` reports in one."""
 LONGEST = 800
@@ -59,19 +62,34 @@ def main(argv: Sequence[str] | None = None) -> int:
         if words[:1] == [name]:
             importlib.import_module(module).add_arguments(command)
     spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
-    try:
+
+    def run() -> int:
         args = parser.parse_args(words)
         _check_outputs(args)
         return importlib.import_module(COMMANDS[args.command][0]).run(args)
-    except (ValueError, OSError) as error:
-        print(f"{spoken}: {_sentence(error)}", file=sys.stderr)
-        return BAD_INPUT
+
+    return exit_code(spoken, run)
+
+
+def exit_code(spoken: str, run: Callable[[], int]) -> int:
+    """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what stopped it."""
+    try:
+        return run()
+    except ModuleNotFoundError as error:
+        extra = EXTRAS.get((error.name or "").partition(".")[0])
+        remedy = f"which the extra `{extra}` installs" if extra else "which is not installed"
+        sentence, code = f"it needs {error.name}, {remedy}", BAD_INPUT
+    except (ValueError, FileExistsError, FileNotFoundError) as error:
+        sentence, code = _sentence(error), BAD_INPUT
+    except (OSError, CommandError) as error:
+        sentence, code = _sentence(error), FAILED
     except KeyboardInterrupt:
-        print(f"{spoken}: interrupted", file=sys.stderr)
-        return STOPPED
+        sentence, code = "interrupted; run the same command to resume", STOPPED
+    print(f"{spoken}: {sentence}", file=sys.stderr)
+    return code
 
 
-def _sentence(error: ValueError | OSError) -> str:
+def _sentence(error: Exception) -> str:
     """Return the message in one printable line, without its middle if a value makes it very long."""
     told = (error.filename, error.strerror) if isinstance(error, OSError) and error.strerror else (error,)
     sentence = printable(" ".join(": ".join(str(part) for part in told if part).split()))

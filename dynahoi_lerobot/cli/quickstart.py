@@ -23,7 +23,7 @@ from typing import Any
 from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
-from dynahoi_lerobot.core.arguments import path, whole
+from dynahoi_lerobot.core.arguments import CommandError, path, whole
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
@@ -50,10 +50,6 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1"}
 """One compute thread beside those that decode; more of them contend for two cores and slow each other down."""
 POLICY = "obact"
 """Name of the trained policy's results."""
-
-
-class StageError(RuntimeError):
-    """A stage failed; the message names it and its log."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +92,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the remaining stages; return the exit code.
 
     Raises:
+        CommandError: if a stage fails; the message names it and its log.
         ValueError: if packages for training are missing.
     """
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
@@ -106,12 +103,8 @@ def run(args: argparse.Namespace) -> int:
     out = args.out.resolve()
     size = TINY if args.tiny else Size(args.episodes, args.steps, args.evaluation_episodes)
     start = time.monotonic()
-    try:
-        with working_folder(out, {"quickstart": asdict(size)}):
-            _run_stages(out, size, start)
-    except StageError as error:
-        print(f"dynahoi quickstart: {error}", file=sys.stderr)
-        return 1
+    with working_folder(out, {"quickstart": asdict(size)}):
+        _run_stages(out, size, start)
     _conclude(out, start, show=args.open)
     return 0
 
@@ -134,7 +127,7 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
 def _generate(out: Path, size: Size) -> None:
     words = ["--root", str(out / "dataset"), "--episodes", str(size.episodes), "--image-size", str(IMAGE_SIZE)]
     if cli.main(["generate", *words, "--workers", str(cores())]):
-        raise StageError("generation failed; see the message above")
+        raise CommandError("generation failed; see the message above")
 
 
 def _checkpoint(out: Path) -> Path:
@@ -185,7 +178,7 @@ def _lerobot(command: str, words: list[str], out: Path, partial: Path, step: str
     """Run ``lerobot-train`` or ``lerobot-eval`` into ``partial``, which is gone at the end; the body keeps what counts.
 
     Raises:
-        StageError: if the command fails.
+        CommandError: if the command fails.
     """
     log = out / f"lerobot_{command}.log"
     shutil.rmtree(partial, ignore_errors=True)
@@ -194,7 +187,7 @@ def _lerobot(command: str, words: list[str], out: Path, partial: Path, step: str
     with tqdm(disable=None, **bar) as progress:
         code = run_lerobot(command, words, log, step, progress)
     if code:
-        raise StageError(f"lerobot-{command} exited with code {code}; see {log}")
+        raise CommandError(f"lerobot-{command} exited with code {code}; see {log}")
     yield
     shutil.rmtree(partial)
 
@@ -225,7 +218,7 @@ def _film(checkpoint: Path, scratch: Path, results: Path) -> None:
     """Record the first episodes as GIFs beside ``results``."""
     words = ["--policy", str(checkpoint), "--out", str(scratch), "--episodes", str(GIFS), "--gifs", str(GIFS)]
     if cli.main(["evaluate", *words]):
-        raise StageError("recording clips failed; see the message above")
+        raise CommandError("recording clips failed; see the message above")
     for clip in scratch.glob("*.gif"):
         clip.rename(results / clip.name)
 
@@ -244,7 +237,7 @@ def _baselines(out: Path, size: Size) -> None:
         folder = str(out / "results" / name)
         words = ["--policy", name, "--out", folder, "--episodes", count, "--image-size", "0"]
         if cli.main(["evaluate", *words]):
-            raise StageError(f"the baseline {name!r} failed")
+            raise CommandError(f"the baseline {name!r} failed")
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:

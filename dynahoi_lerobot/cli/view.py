@@ -6,21 +6,24 @@ With ``--sample`` a page of several episodes of a dataset.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+import base64
+import html
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.cli.clip import Clip, check_suffix, write_clip
 from dynahoi_lerobot.cli.sample_page import write_sample
 from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, path, whole
-from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
+from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.gif import frame_phases, phases_of
+from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate
@@ -33,6 +36,23 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views", "motions", "environment_state"))
 """Fields of the recipe that are options of the command, with ``--motion``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Frames of one episode.
+
+    Attributes:
+        frames: (T, H, W, 3) uint8 RGB.
+        caption: one line of text.
+        phases: ``observing``, ``acting`` or ``localized`` for each frame; None if they are not known.
+        fps: frames per second.
+    """
+
+    frames: np.ndarray
+    caption: str
+    phases: list[str] | None
+    fps: float = CONTROL_HZ
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -181,3 +201,66 @@ def _open_dataset(root: Path) -> Any:
         return LeRobotDataset(root.resolve().name, root=root)
     except Exception as error:  # whatever a damaged file makes its reader raise
         raise ValueError(f"cannot read the dataset {root} ({type(error).__name__}); run `dynahoi verify`") from error
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+
+
+MIN_WIDTH_PX = 384
+"""Least width of a GIF; smaller frames are enlarged."""
+
+PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{caption}</title>
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+<style>body{{font:16px system-ui;background:#111;color:#ddd;text-align:center}}img{{image-rendering:pixelated}}</style>
+<p>{caption}</p><img alt="{caption}" src="data:image/gif;base64,{data}">"""
+
+
+def write_clip(path: Path, clip: Clip) -> None:
+    """Write ``clip`` atomically, in the format of the suffix of ``path``; create folders.
+
+    Raises:
+        ValueError: as ``check_suffix``, or if the frames cannot be encoded.
+    """
+    check_suffix(path)
+    write_atomically({path: lambda draft: WRITERS[path.suffix](draft, clip)})
+
+
+def check_suffix(path: Path) -> None:
+    """Refuse an unknown file format.
+
+    Raises:
+        ValueError: naming the suffix received and those allowed.
+    """
+    if path.suffix not in WRITERS:
+        raise ValueError(f"cannot write {path.suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
+
+
+def _gif(clip: Clip) -> bytes:
+    return encode_gif(clip.frames, fps=clip.fps, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX)
+
+
+def _write_gif(path: Path, clip: Clip) -> None:
+    path.write_bytes(_gif(clip))
+
+
+def _write_html(path: Path, clip: Clip) -> None:
+    data = base64.b64encode(_gif(clip)).decode()
+    path.write_text(PAGE.format(caption=html.escape(clip.caption), data=data), encoding="utf-8")
+
+
+def _write_mp4(path: Path, clip: Clip) -> None:
+    """Write the frames without caption and phases."""
+    import av
+
+    odd = [(0, side % 2) for side in clip.frames.shape[1:3]]  # yuv420p halves both sides
+    frames = np.pad(clip.frames, [(0, 0), *odd, (0, 0)], mode="edge")
+    with av.open(str(path), "w", format="mp4") as video:
+        stream = video.add_stream("h264", rate=Fraction(clip.fps).limit_denominator(1000))
+        stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
+        for frame in frames:
+            video.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        video.mux(stream.encode())
+
+
+WRITERS = {".gif": _write_gif, ".mp4": _write_mp4, ".html": _write_html}
+"""Function that writes a clip to a path, by the suffix of the file."""

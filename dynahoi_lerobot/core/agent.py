@@ -151,19 +151,6 @@ class Agent(Actor):
         """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """What an inference returns, for n worlds.
-
-    Attributes:
-        actions: (n, H, 18) commands for the observed frame and those after it.
-        seconds: (n,) what the inference took [s].
-    """
-
-    actions: np.ndarray
-    seconds: np.ndarray
-
-
 class ChunkAgent(Agent):
     """An agent that can say what it would do in the next frames.
 
@@ -187,8 +174,8 @@ class ChunkAgent(Agent):
         *,
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
-    ) -> Plan:
-        """Return a chunk for each of some worlds; it counts as noting the frame.
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Infer a chunk for each of some worlds; it counts as noting the frame.
 
         Args:
             observation: of all worlds.
@@ -196,6 +183,9 @@ class ChunkAgent(Agent):
             executed: (n,) actions of each previous chunk that are past, to continue the others; None for chunks that
                 continue nothing.
             delays: (n,) actions that will be past when each chunk is ready; None if ``executed`` is.
+
+        Returns:
+            (n, H, 18) commands for the observed frame and those after it, and (n,) what the inference took [s].
         """
 
 

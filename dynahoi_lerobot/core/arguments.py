@@ -1,4 +1,4 @@
-"""Command-line arguments: the types that several commands share, and options derived from a dataclass."""
+"""What commands share: their failure, types of arguments, and options derived from a dataclass."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, get_type_hints
+
+
+class CommandError(RuntimeError):
+    """Work that cannot be done though nothing is wrong with the arguments; the message is one sentence."""
 
 
 def names(text: str) -> tuple[str, ...]:

@@ -12,7 +12,6 @@ from math import ceil
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.registry import known
 
 
 @dataclass(frozen=True)
@@ -51,15 +50,6 @@ arm. At 2 m/s a memoryless pursuit of the true position catches everything; at 0
 DEFAULT_CONTROL_CLASS = "standard"
 
 
-def control_class_of(name: str) -> ControlClass:
-    """Return the control class called ``name``.
-
-    Raises:
-        UnknownNameError: naming the class received and the ones there are.
-    """
-    return known("control class", name, CONTROL_CLASSES)
-
-
 @dataclass(frozen=True)
 class Protocol:
     """What comes before the control phase, and what is seen in it.
@@ -94,15 +84,6 @@ PROTOCOLS = {
 before the target vanishes."""
 
 DEFAULT_PROTOCOL = "observe_before_act"
-
-
-def protocol_of(name: str) -> Protocol:
-    """Return the protocol called ``name``.
-
-    Raises:
-        UnknownNameError: naming the protocol received and the ones there are.
-    """
-    return known("protocol", name, PROTOCOLS)
 
 
 PHASES = ("observing", "acting")

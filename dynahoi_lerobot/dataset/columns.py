@@ -122,8 +122,9 @@ def frame_columns(episode: Episode, arrays: dict[str, np.ndarray], schema: pa.Sc
         schema: what ``arrow_schema`` returned.
     """
     columns = {key: flat_array(values, schema.field(key).type) for key, values in arrays.items()}
-    images = {IMAGE_PREFIX + view: images for view, images in episode.images.items()}
-    columns |= {key: pa.array(_png_cells(images[key]), _IMAGE) for key in images if key in schema.names}
+    for view, images in episode.images.items():
+        if (key := IMAGE_PREFIX + view) in schema.names:
+            columns[key] = pa.array([_png_cell(image, number) for number, image in enumerate(images)], _IMAGE)
     if LANGUAGE in schema.names:
         rows = subtask_rows(is_acting(episode.phase), episode.localized)
         columns[LANGUAGE] = pa.array([rows] * len(episode), _LANGUAGE)
@@ -167,14 +168,9 @@ def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, An
     return rows
 
 
-def _png_cells(images: np.ndarray) -> list[dict[str, Any]]:
-    return [{"bytes": _png(image), "path": f"frame-{number:06d}.png"} for number, image in enumerate(images)]
-
-
-def _png(image: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, format="PNG", compress_level=6)
-    return buffer.getvalue()
+def _png_cell(image: np.ndarray, number: int) -> dict[str, Any]:
+    Image.fromarray(image).save(buffer := io.BytesIO(), format="PNG", compress_level=6)
+    return {"bytes": buffer.getvalue(), "path": f"frame-{number:06d}.png"}
 
 
 def read_png(cell: dict[str, Any]) -> np.ndarray:

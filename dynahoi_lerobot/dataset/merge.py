@@ -7,15 +7,14 @@ videos, of which its reader reads the whole index for every sample, and rewrites
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
+from itertools import dropwhile, islice
 from pathlib import Path
 from typing import Any
 
 from av.packet import Packet
 
-from dynahoi_lerobot.core.compatibility import refuse_to_mix
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
@@ -24,6 +23,10 @@ from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, reading
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.sampling.splits import refuse_to_mix
+
+Opened = tuple[Path, Iterator[tuple[int, Packet]]]
+"""A video and its packets from the next one on, numbered."""
 
 
 def merge(
@@ -32,7 +35,6 @@ def merge(
     *,
     limits: FileLimits | None = None,
     provenance: dict[str, Any] | None = None,
-    allow_version_mismatch: bool = False,
 ) -> Manifest:
     """Merge datasets, in the given order, into a new one; ``root`` appears when it is complete.
 
@@ -41,29 +43,27 @@ def merge(
         root: a path that does not exist yet.
         limits: file size limits.
         provenance: stored in the manifest: recipe, seed, encoding and code fingerprint.
-        allow_version_mismatch: merge datasets of different versions of the benchmark; the manifest then names all.
 
     Raises:
         FileExistsError: if ``root`` exists.
-        MixedError: if their versions of the benchmark differ, unless that is allowed.
-        ValueError: if the datasets' features differ, or there are none.
+        ValueError: if the datasets' features or versions of the benchmark differ, or there are none.
     """
     if root.exists():
         raise FileExistsError(f"{root} exists; choose a new folder for the merged dataset")
     stores = [Store(source) for source in sources]
     if not stores:
         raise ValueError("there is nothing to merge; name one dataset or more")
-    columns = _columns(stores[0])
+    first = _columns(stores[0])
     for store in stores[1:]:
-        if differing := _differing(columns, _columns(store)):
+        other = _columns(store)
+        if differing := [key for key in sorted(first.keys() | other.keys()) if first.get(key) != other.get(key)]:
             raise ValueError(
                 f"{store.root} has other features than {stores[0].root} ({', '.join(differing)}); merge datasets that "
                 "were generated with the same options"
             )
     manifests = [Manifest.read(store.root) for store in stores]
-    if not allow_version_mismatch:
-        found = [(store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)]
-        refuse_to_mix("benchmark", found, "merge datasets of one version, or pass allow_version_mismatch=True")
+    found = [(store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)]
+    refuse_to_mix("benchmark", found, "merge datasets of one version")
     yields: Counter[str] = Counter()
     for manifest in manifests:
         yields.update(manifest.yields)
@@ -110,48 +110,38 @@ def _assemble(
         writer = DatasetWriter(folder, first.features, first.array_features, limits or FileLimits())
         try:
             for store, kept in sources:
-                videos = _Packets(store)
+                opened: dict[str, Opened] = {}
                 for index, (row, table) in enumerate(store.stored_episodes()):
                     if kept is None or index in kept:
-                        writer.copy(store, row, table, videos.of(row))
+                        writer.copy(store, row, table, _packets(store, row, opened))
             return writer.finish(provenance, yields)
         finally:
             writer.abandon()
 
 
-class _Packets:
-    """Reads the packets of a dataset's episodes, in their order, so that each file is opened once."""
+def _packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
+    """Return the packets of each view of an episode; none without video.
 
-    def __init__(self, store: Store) -> None:
-        self._store = store
-        self._readers: dict[str, tuple[Path, Iterator[Packet]]] = {}
-        self._read: dict[str, int] = {}
+    Args:
+        store: the dataset.
+        row: of the episode; episodes are asked for in their order.
+        opened: the file of each view that was read last, which stays open as long as episodes are in it.
 
-    def of(self, row: EpisodeRow) -> dict[str, list[Packet]]:
-        """Return the packets of each view of an episode; none without video.
-
-        Raises:
-            ValueError: if a file is shorter than the row says.
-        """
-        return {key: self._view(row, key) for key in self._store.image_keys} if self._store.has_video else {}
-
-    def _view(self, row: EpisodeRow, key: str) -> list[Packet]:
-        path, start = self._store.video_path(row, key), round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
-        if key not in self._readers or self._readers[key][0] != path:
-            self._readers[key], self._read[key] = (path, stored_packets(path)), 0
-        skipped = start - self._read[key]
-        packets = list(itertools.islice(self._readers[key][1], skipped, skipped + row["length"]))
-        if len(packets) < row["length"]:
+    Raises:
+        ValueError: if a file is shorter than the row says.
+    """
+    found = {}
+    for key in store.image_keys if store.has_video else []:
+        path, start = store.video_path(row, key), round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+        if key not in opened or opened[key][0] != path:
+            opened[key] = path, enumerate(stored_packets(path))
+        numbered = dropwhile(lambda entry, start=start: entry[0] < start, opened[key][1])
+        found[key] = [packet for _, packet in islice(numbered, row["length"])]
+        if len(found[key]) < row["length"]:
             raise ValueError(f"{path} ends before frame {start + row['length']}")
-        self._read[key] = start + row["length"]
-        return packets
+    return found
 
 
 def _columns(store: Store) -> dict[str, Any]:
     """Return what is known of the columns of both tables, by key."""
     return store.features | {feature.key: feature for feature in store.array_features}
-
-
-def _differing(first: dict[str, Any], other: dict[str, Any]) -> list[str]:
-    """Return the keys of the columns that only one of two datasets has, or that are not the same in both."""
-    return [key for key in sorted(first.keys() | other.keys()) if first.get(key) != other.get(key)]

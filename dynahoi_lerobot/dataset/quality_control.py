@@ -13,7 +13,8 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, ControlClass, control_class_of, is_acting, one_hot_phase
+from dynahoi_lerobot.core.registry import known
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, ControlClass, is_acting, one_hot_phase
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 
 FASTEST = CONTROL_CLASSES["unlimited"]
@@ -81,7 +82,7 @@ def limits_of(capture: str, control_class: str) -> TrajectoryLimits:
     """
     from dynahoi_lerobot.captures import CAPTURES  # imports MuJoCo, which reading a dataset does not need
 
-    control = control_class_of(control_class)
+    control = known("control class", control_class, CONTROL_CLASSES)
     return TrajectoryLimits.of_class(control, CAPTURES[capture].palm_speed_m_s(control))
 
 

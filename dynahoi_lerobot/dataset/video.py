@@ -134,7 +134,7 @@ class VideoFile:
     """An mp4 file that grows by episodes. Nothing in it tells when or by which library it was written."""
 
     def __init__(self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]) -> None:
-        """Open ``path``; ``add_stream`` gives the file its stream, see ``stream_for`` and ``stream_like``."""
+        """Open ``path``; ``add_stream`` gives the file its stream, see ``encoded_stream`` and ``copied_stream``."""
         self.path, self.frames, self.size_bytes = path, 0, 0
         self._container = av.open(str(path), "w", options={"fflags": "+bitexact", "write_btrt": "0"})
         self._stream = add_stream(self._container)
@@ -176,26 +176,18 @@ class VideoFile:
             raise OSError(error.errno, error.strerror, str(self.path)) from None
 
 
-def stream_for(encoding: Encoding, image_size: int) -> Callable[[OutputContainer], VideoStream]:
-    """Return what gives a file the stream of packets that ``encode`` returns."""
-
-    def add(container: OutputContainer) -> VideoStream:
-        stream = cast(VideoStream, container.add_stream(CODECS[encoding.codec], CONTROL_HZ))
-        encoding.configure(stream.codec_context, image_size)
-        return stream
-
-    return add
+def encoded_stream(container: OutputContainer, encoding: Encoding, image_size: int) -> VideoStream:
+    """Give a file a stream of packets that ``encode`` returns."""
+    stream = cast(VideoStream, container.add_stream(CODECS[encoding.codec], CONTROL_HZ))
+    encoding.configure(stream.codec_context, image_size)
+    return stream
 
 
-def stream_like(path: Path) -> Callable[[OutputContainer], VideoStream]:
-    """Return what gives a file the same stream as the video ``path`` has."""
-
-    def add(container: OutputContainer) -> VideoStream:
-        with av.open(str(path)) as source:
-            stream = container.add_stream_from_template(source.streams.video[0], opaque=True)
-        return cast(VideoStream, stream)
-
-    return add
+def copied_stream(container: OutputContainer, path: Path) -> VideoStream:
+    """Give a file the same stream as the video ``path`` has."""
+    with av.open(str(path)) as source:
+        stream = container.add_stream_from_template(source.streams.video[0], opaque=True)
+    return cast(VideoStream, stream)
 
 
 def stored_packets(path: Path) -> Iterator[Packet]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ from dynahoi_lerobot.dataset.paths import (
 )
 from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video import Encoding, VideoFile, encode, stream_for, stream_like
+from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
 MIB = 1 << 20
 FLUSH_ROWS = 256
@@ -176,9 +177,8 @@ class DatasetWriter:
         row |= stats_columns(table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys})
         packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
         size = max((frames.shape[1] for frames in images.values()), default=0)
-        self._append(
-            row, frame_columns(episode, arrays, self._schema), packets, lambda key: stream_for(self._encoding, size)
-        )
+        stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
+        self._append(row, frame_columns(episode, arrays, self._schema), packets, lambda _: stream)
 
     def copy(self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]) -> None:
         """Append one episode that another dataset holds, without decoding or encoding images.
@@ -190,7 +190,9 @@ class DatasetWriter:
             packets: its packets of each view; none without video.
         """
         columns = {name: table[name].combine_chunks() for name in table.column_names}
-        self._append(without_place(row), columns, packets, lambda key: stream_like(store.video_path(row, key)))
+        self._append(
+            without_place(row), columns, packets, lambda key: partial(copied_stream, path=store.video_path(row, key))
+        )
 
     def finish(self, provenance: dict[str, Any] | None = None, yields: dict[str, int] | None = None) -> Manifest:
         """Close every file, write the tables under ``meta/`` and the card, and return the manifest, also written.

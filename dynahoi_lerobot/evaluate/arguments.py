@@ -31,12 +31,7 @@ RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views"
 
 
 def make_actor(
-    name: str,
-    capture: str = "attach",
-    device: str | None = None,
-    settings: Sequence[str] = (),
-    *,
-    trust: bool = False,
+    name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
 ) -> Actor:
     """Return the expert called ``name``, or else load the policy of that name.
 
@@ -140,9 +135,7 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model", help="with --policy vlm: model name at the endpoint")
     parser.add_argument(
-        "--prompt",
-        default=DEFAULT_PROMPT.name,
-        help=f"with --policy vlm: prompt, {' or '.join(PROMPTS)}",
+        "--prompt", default=DEFAULT_PROMPT.name, help=f"with --policy vlm: prompt, {' or '.join(PROMPTS)}"
     )
     parser.add_argument(
         "--base-url",

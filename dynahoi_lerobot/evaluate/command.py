@@ -17,7 +17,8 @@ from dynahoi_lerobot.core.arguments import given_fields
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
-from dynahoi_lerobot.core.rules import control_class_of, protocol_of
+from dynahoi_lerobot.core.registry import known
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
@@ -148,9 +149,9 @@ def _vlm(args: argparse.Namespace) -> Agent:
 
     if not args.model:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
-    if args.protocol and protocol_of(args.protocol).blind_control:
+    if args.protocol and known("protocol", args.protocol, PROTOCOLS).blind_control:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
-    control = control_class_of(args.control_class or Recipe.control_class)
+    control = known("control class", args.control_class or Recipe.control_class, CONTROL_CLASSES)
     prompt = Prompt(args.prompt, CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control))
     client = VlmClient(
         args.model,

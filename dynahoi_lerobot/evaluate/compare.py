@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.core.compatibility import refuse_to_mix
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.evaluate.summary import bootstrap_means
 from dynahoi_lerobot.metrics import METRICS, Metric
-from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
+from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
 
 CROSSABLE = ("protocol", "control_class", "inference", "render_noise", "path_speed")
 """Conditions that may be what is compared: the same episodes, played under others."""
@@ -66,7 +65,7 @@ def compare(
 
     Raises:
         UnknownNameError: if the metric is not registered.
-        MixedError: if another condition or the version differs, naming both values; always for different salts.
+        ValueError: if another condition or the version differs, naming both values; always for different salts.
     """
     refuse_mixed_streams((result.folder, result.info.split) for result in (a, b))
     if not allow_version_mismatch:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.features import CAMERA_KEY, ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
 from dynahoi_lerobot.evaluate.checkpoint import (
@@ -118,7 +118,7 @@ class PolicyAgent(ChunkAgent):
         *,
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
-    ) -> Plan:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return a chunk for each of ``worlds`` (n,), and the seconds that predicting those of all worlds took.
 
         LeRobot predicts the chunks of all worlds together, so what they continue is as old in each of them.
@@ -134,16 +134,12 @@ class PolicyAgent(ChunkAgent):
             left_over = self._chunk[:, min(int(executed[0]), self._chunk.shape[1] - 1) :]  # (N, n, 18)
             guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
-            self._chunk = self._predicted(queued_frame(self._policy, batch), guidance)
+            try:
+                self._chunk = self._policy.predict_action_chunk(queued_frame(self._policy, batch), **guidance)
+            except NotImplementedError as error:
+                raise PolicyError(f"{self.name} predicts no chunks of actions; use inference mode sync") from error
             actions = self._after(self._chunk).to("cpu").numpy()[worlds]
-        return Plan(actions, np.full(len(worlds), time.perf_counter() - start))
-
-    def _predicted(self, batch: dict[str, Any], guidance: dict[str, Any]) -> Any:
-        """The (N, H, 18) normalised chunks."""
-        try:
-            return self._policy.predict_action_chunk(batch, **guidance)
-        except NotImplementedError as error:
-            raise PolicyError(f"{self.name} predicts no chunks of actions; use inference mode sync") from error
+        return actions, np.full(len(worlds), time.perf_counter() - start)
 
     def _batch(self, observation: Observation) -> dict[str, Any]:
         """What the policy takes, as ``lerobot-eval`` prepares it."""

@@ -1,4 +1,4 @@
-"""``dynahoi generate``: the command's arguments, progress and one-sentence errors.
+"""``dynahoi generate``: the command's arguments, progress and summary.
 
 With ``--actor`` a policy moves the hand, and the expert labels its states.
 """
@@ -23,12 +23,11 @@ from dynahoi_lerobot.dataset.video import CODECS, Encoding
 from dynahoi_lerobot.evaluate.arguments import add_trust_argument
 from dynahoi_lerobot.generate.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record, shard_size
+from dynahoi_lerobot.generate.plan import GenerationPlan, Record, shard_size
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 
 RECIPE_OPTIONS = tuple(entry.name for entry in fields(Recipe) if entry.name != "actor")
 """Fields of the recipe that options of the command override; ``--actor`` takes a checkpoint, not its name."""
-BAD_INPUT, FAILED, STOPPED = 2, 1, 130
 EXECUTORS = ("local", "slurm", "ray")
 LONGEST_VIDEO_S = 1e9
 """No dataset is longer."""
@@ -44,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--subtasks", action="store_true", help="store the current subtask in LeRobot's language column"
     )
-    parser.add_argument("--workers", type=int, default=1, help="number of processes")
+    parser.add_argument("--workers", type=whole(1, 4096), default=1, help="number of processes")
     parser.add_argument(
         "--shard-episodes", type=int, help="episodes per shard; by default an eighth of all, at most 256"
     )
@@ -81,34 +80,30 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recip
         recipe: what the options override; that of ``--recipe``, or the default recipe, by default.
 
     Returns:
-        The exit code: 0 success, 1 failure (run it again to resume), 2 bad input, 130 interrupted.
-    """
-    try:
-        check_output(args.root)
-        complete = args.root.exists()
-        recipe, runs_on = recipe or load_recipe(args.recipe), ""
-        if args.actor is not None:
-            recipe, record, runs_on = _on_policy(args, recipe)
-        plan = _plan(args, recipe, runs_on)
-        if args.executor is not None:
-            from dynahoi_lerobot.generate import executors
+        The exit code, 0.
 
-            work = (args.executor, plan, args.root, record or _record(args.cpus_per_task), _resources(args))
-            if args.dry_run or not executors.run(*work):
-                print(executors.describe(*work))
-                return 0
-        recorder = record or _record(0 if args.workers == 1 else 1)
-        manifest = _generate(plan, args, recorder)
-        if complete:
-            _say(f"{args.root} was already complete and agrees with its manifest", 0)
-    except ModuleNotFoundError as error:
-        return _say(f"--executor needs {error.name}, which the extra `scale` installs", BAD_INPUT)
-    except (ValueError, FileExistsError, FileNotFoundError) as error:
-        return _say(error, BAD_INPUT)
-    except (OSError, GenerationError) as error:
-        return _say(error, FAILED)
-    except KeyboardInterrupt:
-        return _say("interrupted; run the same command to resume", STOPPED)
+    Raises:
+        CommandError: if the episodes cannot be made, or processes or tasks failed.
+        OSError: if the disk is full; run it again to resume.
+        ValueError: for a bad argument.
+    """
+    check_output(args.root)
+    complete = args.root.exists()
+    recipe, runs_on = recipe or load_recipe(args.recipe), ""
+    if args.actor is not None:
+        recipe, record, runs_on = _on_policy(args, recipe)
+    plan = _plan(args, recipe, runs_on)
+    if args.executor is not None:
+        from dynahoi_lerobot.generate import executors
+
+        work = (args.executor, plan, args.root, record or _record(args.cpus_per_task), _resources(args))
+        if args.dry_run or not executors.run(*work):
+            print(executors.describe(*work))
+            return 0
+    recorder = record or _record(0 if args.workers == 1 else 1)
+    manifest = _generate(plan, args, recorder)
+    if complete:
+        print(f"{args.root} was already complete and agrees with its manifest", file=sys.stderr)
     summary = _summary(args.root, manifest)
     print(json.dumps(summary, indent=2))
     if args.json:
@@ -198,8 +193,3 @@ def _summary(root: Path, manifest: Manifest) -> dict[str, Any]:
         "rejected": yields["rejected"],
         "sha256": manifest.digest,
     }
-
-
-def _say(problem: object, code: int) -> int:
-    print(f"dynahoi generate: {problem}", file=sys.stderr)
-    return code

@@ -6,7 +6,6 @@ The extra ``scale`` brings datatrove and Ray.
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import sys
 from dataclasses import dataclass
@@ -18,8 +17,9 @@ from datatrove.executor import LocalPipelineExecutor, SlurmPipelineExecutor
 from datatrove.executor.ray import RayPipelineExecutor
 from multiprocess.process import parent_process
 
+from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.generate.pipeline import exit_with_parent, finished, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
+from dynahoi_lerobot.generate.plan import GenerationPlan, Record
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
@@ -51,28 +51,17 @@ class ClusterResources:
     partition: str = "cpu"
     time: str = "24:00:00"
 
-    def __post_init__(self) -> None:
-        """Refuse what neither datatrove nor Slurm explains.
-
-        Raises:
-            ValueError: if the time limit or the number of workers is none.
-        """
-        if not re.fullmatch(r"(\d+-)?\d+(:\d\d){0,2}", self.time):
-            raise ValueError(f"the time limit is {self.time!r}; it must be like 24:00:00 or 2-00:00:00")
-        if self.workers < 1 and self.workers != -1:
-            raise ValueError(f"the number of workers is {self.workers}; it must be 1 or more, or -1 for no limit")
-
 
 def make_shards(maker: ShardMaker, data: Any, rank: int, world_size: int) -> None:
     """Task ``rank`` of N makes the shards rank, rank + N, rank + 2 N, ...; those that exist are kept.
 
     Raises:
-        GenerationError: if this machine has other code than the plan.
+        CommandError: if this machine has other code than the plan.
     """
     if parent_process() is not None:
         exit_with_parent(os.getppid())
     if (here := code_fingerprint()) != maker.plan.code:
-        raise GenerationError(f"the plan was made by code {maker.plan.code}, this machine has {here}; update it")
+        raise CommandError(f"the plan was made by code {maker.plan.code}, this machine has {here}; update it")
     for shard in range(rank, maker.plan.shards, world_size):
         maker.make(shard)
 
@@ -81,13 +70,13 @@ def merge_shards(maker: ShardMaker, root: Path, data: Any = None, rank: int = 0,
     """One task checks all shards, merges them into ``root`` unless that is done already, and removes them.
 
     Raises:
-        GenerationError: if a shard is missing, or was damaged after it was made.
+        CommandError: if a shard is missing, or was damaged after it was made.
     """
     if finished(maker.plan, root) is None:
         damaged = maker.discard_damaged()
         if missing := maker.plan.shards - len(maker.finished()):
             found = f"{missing} of {maker.plan.shards} shards are missing, {len(damaged)} were damaged"
-            raise GenerationError(f"{found}; see {maker.folder / 'logs'}, and run the same command again")
+            raise CommandError(f"{found}; see {maker.folder / 'logs'}, and run the same command again")
         maker.merge(root)
     for shard in range(maker.plan.shards):
         shutil.rmtree(maker.path(shard), ignore_errors=True)
@@ -108,7 +97,7 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
 
     Raises:
         FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
-        GenerationError: if tasks failed.
+        CommandError: if tasks failed.
     """
     root = root.absolute()
     if finished(plan, root) is not None:

@@ -20,16 +20,16 @@ from itertools import islice
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
+from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.core.working_folder import LOCK, differences, read_task, working_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Progress, Record
+from dynahoi_lerobot.generate.plan import GenerationPlan, Progress, Record
 from dynahoi_lerobot.generate.shard import SHARD, ShardMaker
 
 logger = logging.getLogger(__name__)
 
 PLAN, LOGS = "plan.json", "logs"
-MAX_WORKERS = 4096
 STARTS = 3
 """How often a pool is started before processes that die are an error."""
 POLL_S = 0.2
@@ -53,12 +53,10 @@ def generate(
     Raises:
         BlockingIOError: if another process is making this dataset.
         FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
-        GenerationError: if the expert cannot make the episodes, processes keep dying, or the files of a finished
+        CommandError: if the expert cannot make the episodes, processes keep dying, or the files of a finished
             dataset have changed.
-        ValueError: if ``workers`` is out of its range, or no folder can be made at ``root``.
+        ValueError: if no folder can be made at ``root``.
     """
-    if not 1 <= workers <= MAX_WORKERS:
-        raise ValueError(f"the number of workers is {workers}; it must be 1 to {MAX_WORKERS}")
     check_output(root)
     if (manifest := finished(plan, root)) is None:
         with open_workspace(plan, root) as workspace:
@@ -76,7 +74,7 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
 
     Raises:
         FileExistsError: if something else is there.
-        GenerationError: if the dataset is there but a file of it is missing or has changed.
+        CommandError: if the dataset is there but a file of it is missing or has changed.
     """
     if not root.exists():
         return None
@@ -87,7 +85,7 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
     if names := differences(manifest.provenance, plan.identity()):
         raise FileExistsError(f"{root} holds another dataset (other {names}); choose another folder")
     if problem := next(file_problems(root, manifest), None):
-        raise GenerationError(f"{root} is complete but damaged: {problem}; remove it to make it again")
+        raise CommandError(f"{root} is complete but damaged: {problem}; remove it to make it again")
     return manifest
 
 
@@ -95,7 +93,7 @@ def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
     """Make every shard that is not there yet; when a process dies, the shards it was making are made again.
 
     Raises:
-        GenerationError: if processes keep dying.
+        CommandError: if processes keep dying.
     """
     if workers == 1:
         done = itertools.count(maker.done_episodes() + 1)
@@ -107,7 +105,7 @@ def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
             return _run_pool(maker, workers, progress)
         except BrokenProcessPool:
             missing = maker.plan.shards - len(maker.finished())
-    raise GenerationError(
+    raise CommandError(
         f"worker processes died {STARTS} times with {missing} shards to go; fewer workers need less memory"
     )
 

@@ -22,14 +22,8 @@ Progress = Callable[[int], object]
 """Called now and then with the number of episodes that are done."""
 
 
-class GenerationError(RuntimeError):
-    """The expert cannot make the episodes that the recipe asks for."""
-
-
 LARGEST_SHARD = 256
 """Episodes: large enough that starting a shard costs nothing, small enough to redo."""
-
-
 MAX_SHARD = 65_536
 """Episodes: the seeds of one shard are held in memory."""
 

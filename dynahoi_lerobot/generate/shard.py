@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan, Record
+from dynahoi_lerobot.generate.plan import GenerationPlan, Record
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 
 logger = logging.getLogger(__name__)
@@ -69,7 +70,7 @@ class ShardMaker:
             The shard's folder, a dataset of its own.
 
         Raises:
-            GenerationError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of another seed.
+            CommandError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of another seed.
             OSError: if the disk is full or refuses to be written.
         """
         target = self.path(shard)
@@ -102,7 +103,7 @@ class ShardMaker:
             for episode in self.record(self.plan.recipe, seeds):
                 seed = episode.meta.seed
                 if seed not in missed:
-                    raise GenerationError(f"the recorder gave an episode of seed {seed}, which was not asked for")
+                    raise CommandError(f"the recorder gave an episode of seed {seed}, which was not asked for")
                 missed.remove(seed)
                 if trajectory_problems(episode, limits_of(episode.meta.capture, episode.meta.control_class)):
                     rejected.add(seed)
@@ -116,7 +117,7 @@ class ShardMaker:
             slots = [slot for slot, seed in zip(slots, seeds, strict=True) if seed in again]
             if not slots:
                 return dict(tally)
-        raise GenerationError(
+        raise CommandError(
             f"the expert failed {MAX_DRAWS} times on each of {len(slots)} slots, the first of seed {slots[0]}"
         )
 

@@ -130,11 +130,7 @@ class CapsuleHand(Hand):
             link = parent.add_body(name=f"{name}_{suffix}", pos=pos, gravcomp=1.0)
             joint = f"{name}_{suffix}"
             link.add_joint(
-                name=joint,
-                axis=finger.axis,
-                range=FLEXION_RANGE_RAD,
-                limited=True,
-                armature=FINGER_ARMATURE,
+                name=joint, axis=finger.axis, range=FLEXION_RANGE_RAD, limited=True, armature=FINGER_ARMATURE
             )
             add_servo(spec, joint, FINGER_ARMATURE, FINGER_BANDWIDTH_RAD_S, FINGER_TORQUE_NM)
             link.add_geom(

@@ -59,7 +59,7 @@ class SharpaHand(Hand):
         Raises:
             ValueError: if there is no Menagerie; the message says where it was looked for.
         """
-        model = _menagerie_model()
+        model = _compiled(menagerie_model_path())
         palm = add_palm(spec, float(model.body_mass[WRIST + 1 :].sum()))
         wrist = palm.add_frame(pos=WRIST_POS_M, quat=WRIST_QUAT)
         bodies = {WRIST: palm}
@@ -153,10 +153,6 @@ def menagerie_model_path() -> Path:
             f"github.com/google-deepmind/mujoco_menagerie and let {MENAGERIE_ROOT} name the folder"
         )
     return root / MODEL
-
-
-def _menagerie_model() -> mujoco.MjModel:
-    return _compiled(menagerie_model_path())
 
 
 @functools.cache

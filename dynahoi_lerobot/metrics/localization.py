@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import (
-    CONTROL_DT,
-    CONTROL_HZ,
-    LENIENT_RADIUS_M,
-    LOCALIZATION_RADIUS_M,
-    UNIT_M,
-)
+from dynahoi_lerobot.core.conventions import CONTROL_DT, CONTROL_HZ, LENIENT_RADIUS_M, LOCALIZATION_RADIUS_M, UNIT_M
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.metrics.base import FRACTION, SCORE, SPEED, UNIT, metric
 from dynahoi_lerobot.metrics.trajectory import until_localized

@@ -68,8 +68,10 @@ class TileRenderer(Renderer):
         _check_model(scene.model, shown)
         device = device or default_device()
         casting = ~np.isin(shown, [scene.floor_geom, *scene.wall_geoms])
+        sources, types = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS), APPEARANCE_FIELDS | POSE_FIELDS
         with wp.ScopedDevice(device):
-            self._mirror = _mirror_of(batch)
+            arrays = {name: wp.empty(source.shape[:2], dtype=types[name]) for name, source in sources.items()}
+            self._mirror = Mirror(sources, arrays)
             self._pipeline = Pipeline(
                 scene.model,
                 shown,
@@ -116,9 +118,3 @@ def _check_model(model: mujoco.MjModel, shown: np.ndarray) -> None:
         raise ValueError(f"the renderer 'tiles' cannot draw MuJoCo's geom types {sorted(unknown)}; use 'warp'")
     if model.nlight != 1 or model.light_type[0] != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL.value:
         raise ValueError(f"the renderer 'tiles' needs one directional light, the scene has {model.nlight}; use 'warp'")
-
-
-def _mirror_of(batch: Batch) -> Mirror:
-    """Copies of the batch's fields on the current device."""
-    sources, types = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS), APPEARANCE_FIELDS | POSE_FIELDS
-    return Mirror(sources, {name: wp.empty(source.shape[:2], dtype=types[name]) for name, source in sources.items()})

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dynahoi_lerobot.core.compatibility import refuse_to_mix
 from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
-from dynahoi_lerobot.sampling.splits import refuse_mixed_streams
+from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
@@ -43,7 +42,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
     Raises:
         ResultsError: if a folder is missing or damaged.
-        MixedError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
+        ValueError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
             benchmark.
     """
     results = [read_results(folder) for folder in dict.fromkeys(Path(folder).resolve() for folder in folders)]

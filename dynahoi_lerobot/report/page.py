@@ -45,8 +45,7 @@ def render_report(
 
     Raises:
         ResultsError: if a folder is missing or damaged.
-        MixedError: for different versions of the benchmark, unless that is allowed.
-        ValueError: if no folder is given.
+        ValueError: if no folder is given, or for different versions of the benchmark, unless that is allowed.
     """
     if not folders:
         raise ValueError("a report needs at least one result folder, got none")

@@ -173,8 +173,8 @@ class RealTimeAgent(Agent):
 
     def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
-        plan = self._agent.plan(observation, worlds, **(self._continued(worlds) if self._continues else {}))
-        for i, actions, seconds in zip(worlds, plan.actions, plan.seconds, strict=True):
+        continued = self._continued(worlds) if self._continues else {}
+        for i, actions, seconds in zip(worlds, *self._agent.plan(observation, worlds, **continued), strict=True):
             self._check(len(actions))
             took = frames_of(seconds) if self._delay is None else self._delay
             self._coming[i] = Chunk(actions, self._frame, self._frame + took)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -83,17 +84,14 @@ class Session:
         for i, recorder in self._recorders.items():
             recorder.add_frame(columns, i, images)
         self.batch.step(checked[ids], ids)
-        wanted = None if labels is None else self._actions(labels, self.observation)
+        if labels is not None:
+            labels = self.batch.as_actions(self.batch.within_workspace(labels), self.observation)
         for i, recorder in self._recorders.items():
-            recorder.add_action(self.batch.commanded[i], None if wanted is None else wanted[i])
+            recorder.add_action(self.batch.commanded[i], None if labels is None else labels[i])
         terminated, full = np.zeros((2, self.batch.size), bool)
         for i, recorder in self._recorders.items():
             terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
         return terminated, full & ~terminated
-
-    def _actions(self, labels: np.ndarray, observation: Observation) -> np.ndarray:
-        """(N, 18) or (N, 4) the labels as actions of the recipe's control mode."""
-        return self.batch.as_actions(self.batch.within_workspace(labels), observation)
 
     def success(self, i: int) -> bool:
         """Return the verdict on what world ``i`` has played so far."""
@@ -109,7 +107,7 @@ class Session:
 
 
 def play(
-    batch: WorldBatch, actor: Actor, jobs: Iterable[Job], *, images: bool = False
+    batch: WorldBatch, actor: Actor, jobs: Iterable[Job], *, images: bool = False, retry: bool = False
 ) -> Iterator[tuple[Job, Episode]]:
     """Play jobs in the worlds of ``batch`` and yield each with its episode, as they end.
 
@@ -121,15 +119,17 @@ def play(
         actor: who moves the hands.
         jobs: consumed lazily.
         images: whether to record images even if the actor asks for none.
+        retry: play jobs that fail again, before any other, as often as the actor may.
 
     Raises:
         ValueError: if the actor needs images and the recipe has no camera.
     """
-    check_sight(actor, batch.recipe)
-    session, waiting = Session(batch), iter(jobs)
+    if actor.sees_images and not batch.recipe.image_size:
+        raise ValueError(f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera")
+    session, fresh, again = Session(batch), iter(jobs), deque[Job]()
     while True:
         if not (actor.has_memory and session.playing.size):
-            _begin(session, actor, waiting)
+            _begin(session, actor, again, fresh)
         if not session.playing.size:
             return
         observation = session.observe(images=images or actor.sees_images)
@@ -137,7 +137,12 @@ def play(
         terminated, truncated = session.step(commands, actor.labels)
         for i in np.flatnonzero(terminated | truncated):
             job = session.job(int(i))
-            yield job, session.finish(int(i), actor.name, actor.first_meeting(job.spec, batch.control, job.attempt))
+            meeting = actor.first_meeting(job.spec, batch.control, job.attempt)
+            episode = session.finish(int(i), actor.name, meeting)
+            if retry and not episode.success and job.attempt <= actor.retries:
+                again.append(replace(job, attempt=job.attempt + 1))
+            else:
+                yield job, episode
 
 
 def record(
@@ -155,7 +160,7 @@ def record(
         raise ValueError(f"split {recipe.split!r} is for evaluations; record another one")
     batch = WorldBatch(recipe, min(batch_size, max(1, len(seeds))), threads)
     expert = Demonstrator(EXPERTS[recipe.expert](), recipe.perturbed_share)
-    for episode in _in_order(_play_with_retries(batch, expert, _fresh_jobs(recipe, seeds, threads), images=True)):
+    for episode in _in_order(play(batch, expert, _fresh_jobs(recipe, seeds, threads), images=True, retry=True)):
         if episode.success or recipe.keep_failures:
             yield episode
 
@@ -199,44 +204,8 @@ def evaluate(
     An expert that may try again does so here as well; ``meta.attempts`` says how often it had to.
     """
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
-    for _, episode in _play_with_retries(batch, actor, jobs, images=images):
+    for _, episode in play(batch, actor, jobs, images=images, retry=True):
         yield episode
-
-
-def check_sight(actor: Actor, recipe: Recipe) -> None:
-    """Refuse a recipe without a camera for an actor that needs images.
-
-    Raises:
-        ValueError: naming the actor.
-    """
-    if actor.sees_images and not recipe.image_size:
-        raise ValueError(f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera")
-
-
-def _play_with_retries(
-    batch: WorldBatch, actor: Actor, fresh: Iterator[Job], *, images: bool
-) -> Iterator[tuple[Job, Episode]]:
-    """Play jobs as ``play`` does, but those that fail again, for as long as the actor may retry."""
-    jobs = _Jobs(fresh)
-    attempts = 1 + actor.retries
-    for job, episode in play(batch, actor, jobs, images=images):
-        if episode.success or job.attempt == attempts:
-            yield job, episode
-        else:
-            jobs.retries.append(replace(job, attempt=job.attempt + 1))
-
-
-class _Jobs(Iterator[Job]):
-    """Retries as they come up, then fresh jobs.
-
-    Unlike a generator it can be asked again after it had nothing: the last episodes to end may still ask for retries.
-    """
-
-    def __init__(self, fresh: Iterator[Job]) -> None:
-        self.retries, self._fresh = deque[Job](), fresh
-
-    def __next__(self) -> Job:
-        return self.retries.popleft() if self.retries else next(self._fresh)
 
 
 def _fresh_jobs(recipe: Recipe, seeds: Sequence[int], threads: int) -> Iterator[Job]:
@@ -245,10 +214,11 @@ def _fresh_jobs(recipe: Recipe, seeds: Sequence[int], threads: int) -> Iterator[
         yield from (Job.evaluation(block + offset, spec) for offset, spec in enumerate(specs))
 
 
-def _begin(session: Session, actor: Actor, waiting: Iterator[Job]) -> None:
-    """Give every idle world a job, as long as there are any."""
+def _begin(session: Session, actor: Actor, again: deque[Job], fresh: Iterator[Job]) -> None:
+    """Give every idle world a job, as long as there are any: first those to be played ``again``, then fresh ones."""
     idle = np.setdiff1d(np.arange(session.batch.size), session.playing)
-    begun = list(zip(idle, waiting, strict=False))
-    if begun:
-        session.begin([i for i, _ in begun], [job for _, job in begun])
+    jobs = [again.popleft() for _ in idle[: len(again)]]
+    jobs += islice(fresh, len(idle) - len(jobs))
+    if jobs:
+        session.begin(idle[: len(jobs)], jobs)
         actor.reset(session.batch.size)

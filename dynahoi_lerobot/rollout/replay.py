@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
-import draccus
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Agent, Observation
@@ -15,9 +13,6 @@ from dynahoi_lerobot.rollout.loop import Job, play, record, record_on_policy
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
-
-Resimulate = Callable[[int], Episode | None]
-"""Makes the episode of a seed again, from nothing but its recipe; None if the expert does not manage it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,33 +50,16 @@ class Player(Agent):
         return np.stack(commands).astype(np.float64)
 
 
-def simulator(recipe: dict[str, Any]) -> Resimulate:
-    """Return a function that makes the expert's episodes of a recipe again.
+def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
+    """Return what recording the episode's seed gives now; None if the expert does not manage it.
 
-    Args:
-        recipe: the recipe as the manifest keeps it.
+    Nothing but its seed matters, or in an on-policy recording the executed commands, in the policy's place.
     """
-    played = draccus.decode(Recipe, recipe)
-
-    def resimulate(seed: int) -> Episode | None:
-        return next(record(played, [seed]), None)
-
-    return resimulate
-
-
-def on_policy_simulator(recipe: Recipe, stored: Callable[[int], Episode]) -> Resimulate:
-    """Return a function that makes on-policy recordings again, from the executed commands; all else is recomputed.
-
-    Args:
-        recipe: what was recorded.
-        stored: returns the recording of a seed.
-    """
-
-    def resimulate(seed: int) -> Episode:
-        player = Player([ActionLog(seed, stored(seed).executed_action)])
-        return next(record_on_policy(recipe, [seed], make_agent=lambda _: player, threads=1))
-
-    return resimulate
+    seed = recorded.meta.seed
+    if not recipe.actor:
+        return next(record(recipe, [seed]), None)
+    player = Player([ActionLog(seed, recorded.executed_action)])
+    return next(record_on_policy(recipe, [seed], make_agent=lambda _: player, threads=1))
 
 
 def replay(

@@ -11,7 +11,7 @@ import numpy as np
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.rules import protocol_of
+from dynahoi_lerobot.core.rules import PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PrescribedMotion, Retimed
@@ -185,7 +185,7 @@ class Candidate:
         spec = randomize_appearance(furnish(spec), self.recipe.appearance)  # around the longest path
         played = self.recipe.path_speeds.index(self.recipe.path_speed)
         spec = replace(spec, motion=self.motions[played], oracle_path=paths_w[played])
-        return with_screen(spec) if protocol_of(self.recipe.protocol).has_screen else spec
+        return with_screen(spec) if PROTOCOLS[self.recipe.protocol].has_screen else spec
 
 
 def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dict[int, EpisodeSpec]:

@@ -13,7 +13,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from dynahoi_lerobot.core.compatibility import refuse_to_mix
 from dynahoi_lerobot.core.conventions import SEED_LIMIT
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -129,6 +128,23 @@ def split_of(label: str) -> str:
     return label.partition(JOINT)[0]
 
 
+def refuse_to_mix(noun: str, found: Iterable[tuple[object, str]], remedy: str) -> None:
+    """Check that all things have one value of ``noun``.
+
+    Args:
+        noun: what must agree, such as ``benchmark``.
+        found: pairs of a thing's name and its value.
+        remedy: what to do instead, the end of the sentence.
+
+    Raises:
+        ValueError: naming the first thing and one that differs, with both values.
+    """
+    pairs = list(found)
+    for name, value in pairs[1:]:
+        if value != pairs[0][1]:
+            raise ValueError(f"{pairs[0][0]} has {noun} {pairs[0][1]!r}, {name} has {noun} {value!r}; {remedy}")
+
+
 def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
     """Refuse results of different salts, or of a salt and the public stream.
 
@@ -136,7 +152,7 @@ def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
         found: what holds the results, for the message, and the ``stream_label`` of its split.
 
     Raises:
-        MixedError: naming two that do not go together.
+        ValueError: naming two that do not go together.
     """
     streams = [(where, label.partition(JOINT)[2] or PUBLIC) for where, label in found]
     refuse_to_mix("salt", streams, "evaluate both with one salt, or without")

@@ -13,14 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import (
-    CONTROL_DT,
-    HAND_SPEED_M_S,
-    MIN_WINDOW_FRAMES,
-    WINDOW_FRACTION,
-)
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_SPEED_M_S, MIN_WINDOW_FRAMES, WINDOW_FRACTION
 from dynahoi_lerobot.core.numerics import cbrt
-from dynahoi_lerobot.core.rules import protocol_of
+from dynahoi_lerobot.core.rules import PROTOCOLS
 from dynahoi_lerobot.motions import MOTIONS, Motion
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
@@ -82,7 +77,7 @@ def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
     travel_m = _draw_travel(MOTIONS[kind], int(travel), rng)
     approach = approach_frames(travel_m)
     length = _draw_length(MOTIONS[kind], int(duration), approach, rng)
-    window = window_frames(length) if protocol_of(protocol).has_window else 0
+    window = window_frames(length) if PROTOCOLS[protocol].has_window else 0
     return Timing(length, window, approach, travel_m)
 
 

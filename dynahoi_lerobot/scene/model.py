@@ -16,14 +16,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import PHYSICS_DT, ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
 from dynahoi_lerobot.hands import Hand
-from dynahoi_lerobot.hands.base import (
-    HAND_GEOM_PREFIX,
-    HIDDEN_GROUP,
-    PALM_BODY,
-    SHOWN_GROUP,
-    SKIN_GROUP,
-    camera_quat,
-)
+from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HIDDEN_GROUP, PALM_BODY, SHOWN_GROUP, SKIN_GROUP, camera_quat
 from dynahoi_lerobot.objects import OBJECTS, ObjectType
 from dynahoi_lerobot.scene.appearance import PATTERNS, texture_pixels
 from dynahoi_lerobot.scene.contact_sensors import add_contact_sensors

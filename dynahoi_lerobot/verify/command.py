@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
@@ -22,7 +21,7 @@ from dynahoi_lerobot.verify.files import format_problems, manifest_problems, rew
 from dynahoi_lerobot.verify.replay import replay_problems
 from dynahoi_lerobot.verify.verdicts import derived_problems, verdict_problems
 
-PASSED, FAILED, BAD_INPUT = 0, 1, 2
+PASSED, FAILED = 0, 1
 SHOWN, LONGEST = 5, 600
 """Findings of a claim that are reported, the rest are counted; characters of a finding that are shown."""
 
@@ -58,12 +57,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify a dataset and print the findings; return the exit code: 0 no findings, 1 findings, 2 bad input."""
+    """Verify a dataset and print the findings; return the exit code: 0 no findings, 1 findings.
+
+    Raises:
+        FileNotFoundError: if ``root`` holds no dataset.
+    """
     try:
         episodes = Store(args.root).info.get("total_episodes")
-    except FileNotFoundError as error:
-        print(f"dynahoi verify: {error}", file=sys.stderr)
-        return BAD_INPUT
     except ValueError:
         episodes = None  # a finding
     with tqdm(total=episodes if isinstance(episodes, int) else None, unit="episode", disable=None) as bar:

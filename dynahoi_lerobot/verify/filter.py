@@ -6,7 +6,6 @@ Appendix "Post-processing": an episode is an outlier if it leaves the robust ran
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from dynahoi_lerobot.dataset.columns import BOOKKEEPING, column_array, numeric_k
 from dynahoi_lerobot.dataset.merge import copy_subset
 from dynahoi_lerobot.dataset.store import Store, frame_column
 
-DONE, FAILED, BAD_INPUT = 0, 1, 2
 MARGIN = 1.0
 """Default margin on either side, in widths of the robust range."""
 ROUNDING = 1e-6
@@ -37,26 +35,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the outliers and copy all other episodes; return the exit code: 0, 1 the disk failed, 2 bad input."""
-    try:
-        if (output := args.out) is None and not args.dry_run:
-            raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
-        episodes = Store(args.root).episodes
-        outliers = {} if args.drop else find_outliers(args.root, args.margin, args.column)
-        if unknown := sorted(set(args.drop or ()) - set(map(str, range(episodes)))):
-            raise ValueError(f"--drop names episode {unknown[0][:40]!r}; {args.root} has 0 to {episodes - 1}")
-        left_out = sorted({int(word) for word in args.drop} if args.drop else outliers)
-        if output is not None and not args.dry_run:
-            copy_subset(args.root, output, [index for index in range(episodes) if index not in left_out])
-    except (ValueError, FileExistsError, FileNotFoundError) as error:
-        return _say(error, BAD_INPUT)
-    except OSError as error:
-        return _say(error, FAILED)
+    """Print the outliers and copy all other episodes; return the exit code.
+
+    Raises:
+        FileExistsError: if the new folder exists.
+        FileNotFoundError: if there is no such dataset.
+        ValueError: for another bad argument.
+    """
+    output: Path | None = None if args.dry_run else args.out
+    if output is None and not args.dry_run:
+        raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
+    episodes = Store(args.root).episodes
+    outliers = {} if args.drop else find_outliers(args.root, args.margin, args.column)
+    if unknown := sorted(set(args.drop or ()) - set(map(str, range(episodes)))):
+        raise ValueError(f"--drop names episode {unknown[0][:40]!r}; {args.root} has 0 to {episodes - 1}")
+    left_out = sorted({int(word) for word in args.drop} if args.drop else outliers)
+    if output is not None:
+        copy_subset(args.root, output, [index for index in range(episodes) if index not in left_out])
     for sentence in outliers.values():
         print(sentence)
     where = "dry run, nothing was written" if args.dry_run else f"the others are in {args.out}"
     print(f"{args.root}: {len(left_out)} of {episodes} episodes left out; {where}")
-    return DONE
+    return 0
 
 
 def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") -> dict[int, str]:
@@ -101,8 +101,3 @@ def _outliers(store: Store, column: str, low: np.ndarray, high: np.ndarray) -> I
             reach = f"{column}.{names[axis]} reaches {values[frame, axis]:.3f}"
             allowed = f"{low[axis]:.3f} to {high[axis]:.3f}"
             yield row["episode_index"], f"episode {row['episode_index']}: {reach}, outside {allowed} in {frames}"
-
-
-def _say(problem: object, code: int) -> int:
-    print(f"dynahoi filter: {problem}", file=sys.stderr)
-    return code

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -18,12 +18,10 @@ from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video import Encoding, VideoFile, decode, encode, stored_packets, stream_for
+from dynahoi_lerobot.dataset.video import Encoding, VideoFile, decode, encode, encoded_stream, stored_packets
+from dynahoi_lerobot.rollout.replay import played_again
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.recipe import Recipe
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.rollout.replay import Resimulate
 
 TOLERANCE = 1e-5
 """Greatest difference of a number [its unit], for replays on another processor; on one machine they are equal."""
@@ -51,15 +49,13 @@ def replay_problems(
     if recipe is None or made_with != here:
         yield f"the dataset was made by other code ({made_with}, here is {here}); only the same code makes it again"
         return
-    resimulate = _simulator(store, recipe)
     images: list[Compared] = []
     for index in indices:
-        row = store.row(index)
-        made, table = resimulate(row["seed"]), store.frames(row)
-        if made is None:
+        table = store.frames(row := store.row(index))
+        stored = store.as_episode(row, table, images=False)
+        if (made := played_again(recipe, stored)) is None:
             yield f"episode {index}: the expert does not manage seed {row['seed']}"
             continue
-        stored = store.as_episode(row, table, images=False)
         problems = [*_facts(made, stored), *_arrays(made, stored)]
         yield from (f"episode {index} replays to {problem}" for problem in problems)
         for key in store.image_keys:
@@ -79,15 +75,6 @@ def _image_problems(images: list[Compared]) -> Iterator[str]:
     for name, apart in images:
         if apart > (0.0 if same_machine else BLOCK_LEVELS):
             yield f"{name} shows other images than are made again, up to {apart:.1f} levels of 255 over {BLOCK_PX} px"
-
-
-def _simulator(store: Store, recipe: Recipe) -> Resimulate:
-    from dynahoi_lerobot.rollout.replay import on_policy_simulator, simulator  # compile the scene
-
-    if not recipe.actor:
-        return simulator(Manifest.read(store.root).provenance["recipe"])
-    place = {row["seed"]: index for index, row in enumerate(store.rows)}
-    return on_policy_simulator(recipe, lambda seed: store.episode(place[seed], images=False))
 
 
 def _facts(made: Episode, stored: Episode) -> Iterator[str]:
@@ -128,7 +115,7 @@ def _apart(made: np.ndarray, store: Store, row: EpisodeRow, table: pa.Table, key
     encoding = Encoding("h264", info["video.crf"], info["video.preset"], info["video.g"])
     with TemporaryDirectory() as folder:
         again = Path(folder) / "again.mp4"
-        video = VideoFile(again, stream_for(encoding, made.shape[1]))
+        video = VideoFile(again, partial(encoded_stream, encoding=encoding, image_size=made.shape[1]))
         video.append(encode(made, encoding))
         video.close()
         stored = islice(stored_packets(store.video_path(row, key)), start, start + row["length"])

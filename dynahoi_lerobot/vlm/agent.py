@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.vlm.client import VlmClient
@@ -43,7 +43,8 @@ class VlmAgent(ChunkAgent):
         """
         due = [i for i, queue in enumerate(self._planned) if not queue and self._in_play(observation, i)]
         states = observation.state.astype(np.float64)
-        for i, commands in zip(due, self.plan(observation, np.array(due, int)).actions, strict=True):
+        chunks, _ = self.plan(observation, np.array(due, int))
+        for i, commands in zip(due, chunks, strict=True):
             self._planned[i].extend(commands)
         return np.stack(
             [queue.popleft() if queue else state for queue, state in zip(self._planned, states, strict=True)]
@@ -56,7 +57,7 @@ class VlmAgent(ChunkAgent):
         *,
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
-    ) -> Plan:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took.
 
         Worlds whose episode has ended are skipped.
@@ -67,7 +68,7 @@ class VlmAgent(ChunkAgent):
         decisions = self._threads.map(lambda i: self._decision(observation, i), shown)
         for i, (commands, took) in zip(shown, decisions, strict=True):
             actions[i], seconds[i] = commands, took
-        return Plan(actions[worlds], seconds[worlds])
+        return actions[worlds], seconds[worlds]
 
     def _decision(self, observation: Observation, i: int) -> tuple[np.ndarray, float]:
         """Request a chunk (10, 18) for world ``i``; also return the seconds that it took."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import threading
 import time
 from collections import Counter
@@ -15,13 +16,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import openai
 
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, Prompt
+from dynahoi_lerobot.vlm.reply import Answer, ReplyError, parse_reply
 
 MAX_TOKENS = 4096
 MOST_ANSWERS = 3
 """Answers that a decision asks for until one is valid."""
-KEY_VARIABLE, URL_VARIABLE = "OPENAI_API_KEY", "OPENAI_BASE_URL"
+KEY_VARIABLE = "OPENAI_API_KEY"
+HTTP_URL = re.compile(r"https?://(\[[\da-fA-F:]+\]|[\w.-]+)(:\d+)?(/[^\s@]*)?")
 NO_KEY = "none"
 """Sent where no key is set; local servers check none."""
 
@@ -52,8 +56,7 @@ class VlmClient:
             log: a JSON-lines file to which a line is appended for every answer, or failure to get one.
 
         Raises:
-            ValueError: for an invalid URL or key, if the endpoint is OpenAI's and there is no key, or if the ``openai``
-                package is not installed.
+            ValueError: for an invalid URL, or if the endpoint is OpenAI's and there is no key.
         """
         self._model, self._timeout_s, self._prompt, self._log = model, timeout_s, prompt, log
         self._structured = True
@@ -95,8 +98,6 @@ class VlmClient:
 
     async def _decide(self, task: str, messages: list[dict[str, Any]]) -> np.ndarray | None:
         """Ask until an answer is valid, ``MOST_ANSWERS`` are not or the deadline has passed."""
-        from dynahoi_lerobot.vlm.reply import ReplyError
-
         start, commands = time.monotonic(), None
         try:
             async with asyncio.timeout(self._timeout_s):
@@ -119,8 +120,6 @@ class VlmClient:
         Raises:
             ReplyError: if it is not in the requested format.
         """
-        from dynahoi_lerobot.vlm.reply import parse_reply
-
         self._totals["answers"] += 1
         completion = await self._complete(messages)
         if completion.usage:
@@ -132,10 +131,6 @@ class VlmClient:
 
     async def _complete(self, messages: list[dict[str, Any]]) -> Any:
         """Request a completion, with structured output as long as the server has not refused it."""
-        import openai
-
-        from dynahoi_lerobot.vlm.reply import Answer
-
         create = self._client.chat.completions.create
         request: dict[str, Any] = {"model": self._model, "messages": messages, "max_tokens": MAX_TOKENS}
         if self._structured:
@@ -148,8 +143,6 @@ class VlmClient:
 
     def _note(self, task: str, error: Exception) -> None:
         """Count a problem; its words are told only if they are ours."""
-        from dynahoi_lerobot.vlm.reply import ReplyError
-
         name = type(error).__name__
         self._problems[name] += 1
         self._write({"task": task, "problem": f"{name}: {error}" if isinstance(error, ReplyError) else name})
@@ -161,34 +154,14 @@ class VlmClient:
 
 
 def _connect(base_url: str | None) -> Any:
-    """Return an `openai.AsyncOpenAI` client.
+    """Return an `openai.AsyncOpenAI` client with the key of the environment variable ``OPENAI_API_KEY``.
 
     Raises:
-        ValueError: if the ``openai`` package is not installed, ``base_url`` is not an HTTP URL, or the key is missing
-            for OpenAI's endpoint or cannot stand in a header.
+        ValueError: if ``base_url`` is no HTTP URL or holds a password, or OpenAI's endpoint has no key.
     """
-    try:
-        import openai
-    except ImportError as error:
-        raise ValueError(f"a VLM needs the openai client ({error}), which the extra `vlm` installs") from error
-    url, key = base_url, os.environ.get(KEY_VARIABLE, "").strip()
-    if url is None and not key:
+    key = os.environ.get(KEY_VARIABLE, "").strip()
+    if base_url is None and not key:
         raise ValueError(f"without --base-url the endpoint is OpenAI's and {KEY_VARIABLE} must be set; it is not")
-    if not all("!" <= character <= "~" for character in key):
-        raise ValueError(f"{KEY_VARIABLE} contains a space or a character that is not printable ASCII")
-    url = os.environ.get(URL_VARIABLE) or None if url is None else url
-    if url is not None and "@" in url:  # results hold the command line
-        raise ValueError(f"the base URL contains a user name or password; set {KEY_VARIABLE} instead")
-    if url is not None and not _is_http(url):
-        raise ValueError(f"the base URL is {url!r}; it must be like http://localhost:8000/v1")
+    if base_url is not None and not HTTP_URL.fullmatch(base_url):  # not repeated: results hold the command line
+        raise ValueError("the base URL must be like http://localhost:8000/v1, without user name or password")
     return openai.AsyncOpenAI(api_key=key or NO_KEY, base_url=base_url)
-
-
-def _is_http(url: str) -> bool:
-    import httpx
-
-    try:
-        parsed = httpx.URL(url)
-    except httpx.InvalidURL:
-        return False
-    return parsed.scheme in ("http", "https") and bool(parsed.host)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_NAMES
-from dynahoi_lerobot.core.rules import DEFAULT_CONTROL_CLASS, control_class_of
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 
 HORIZON = 10
 """T, the number of frames of 0.05 s that one answer commands."""
@@ -77,7 +77,7 @@ class Prompt:
     """
 
     name: str = "extended"
-    palm_speed_m_s: float = control_class_of(DEFAULT_CONTROL_CLASS).palm_speed_m_s
+    palm_speed_m_s: float = CONTROL_CLASSES[DEFAULT_CONTROL_CLASS].palm_speed_m_s
 
     def __post_init__(self) -> None:
         """Check the name.

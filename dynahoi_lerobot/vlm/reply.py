@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
 from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS
@@ -19,13 +19,7 @@ class ReplyError(ValueError):
     """An answer that is not in the requested format; the message says why."""
 
 
-class _Strict(BaseModel):
-    """Numbers are numbers, neither text nor truth values, and finite."""
-
-    model_config = ConfigDict(strict=True, allow_inf_nan=False)
-
-
-class Step(_Strict):
+class Step(BaseModel):
     """One skill of the program. The simulator plays the rollout, so a step changes no command."""
 
     skill: Literal[SKILLS]  # type: ignore[valid-type]
@@ -34,13 +28,13 @@ class Step(_Strict):
     terminate_if: Any = None
 
 
-class Frame(_Strict):
+class Frame(BaseModel):
     """One frame of the rollout: palm centre position [m], home frame, and joint angles [rad]."""
 
-    hand_params: Annotated[list[float], Field(min_length=HAND_DOF, max_length=HAND_DOF)]
+    hand_params: Annotated[list[FiniteFloat], Field(min_length=HAND_DOF, max_length=HAND_DOF)]
 
 
-class Answer(_Strict):
+class Answer(BaseModel):
     """A skill program and the rollout of the next ``HORIZON`` frames (appendix "Details for Evaluating VLMs")."""
 
     action_sequence: Annotated[list[Step], Field(min_length=1)]
@@ -67,7 +61,7 @@ def parse_reply(text: str) -> tuple[np.ndarray, list[tuple[str, int]]]:
     if body.startswith(FENCE):
         body = body.removeprefix(FENCE).removeprefix("json").removesuffix(FENCE)
     try:
-        answer = Answer.model_validate_json(body)
+        answer = Answer.model_validate_json(body, strict=True)  # numbers are neither text nor truth values
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = ".".join(map(str, first["loc"])) or "the answer"

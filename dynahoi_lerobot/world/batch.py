@@ -13,7 +13,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Observation, WorldState
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS, from_grasp, to_grasp
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
-from dynahoi_lerobot.core.rules import control_class_of, one_hot_phase, protocol_of
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS, one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers.views import MOTION_VIEW
@@ -75,7 +75,7 @@ class WorldBatch:
         self.rule = CAPTURES[recipe.capture]()
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
-        self.control = control_class_of(recipe.control_class)
+        self.control = CONTROL_CLASSES[recipe.control_class]
         self.palm_speed_m_s = self.rule.palm_speed_m_s(self.control)
         by_axis = self.rule.gantry_speed_m_s is not None
         self.servo = Servo(self.scene.model, self.palm_speed_m_s, self.control.joint_speed_rad_s, by_axis=by_axis)
@@ -190,10 +190,7 @@ class WorldBatch:
         return check_command(commands, self.size)
 
     def action_limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the (18,) or (4,) least and greatest actions in the recipe's control mode, float32.
-
-        The palm's are the whole length of each slide either way [m]: where on them the home lies is not told.
-        """
+        """Return the (18,) or (4,) least and greatest actions in the recipe's control mode, as ``command_limits``."""
         low, high = self.command_limits()
         if self.recipe.control_mode == JOINTS:
             return low, high
@@ -371,7 +368,7 @@ class WorldBatch:
 
     def _seeing(self, ids: np.ndarray | None) -> np.ndarray:
         """(n,) those of worlds ``ids`` (default: all) whose protocol lets them see now."""
-        blind = np.array([spec is not None and protocol_of(spec.protocol).blind_control for spec in self.specs])
+        blind = np.array([spec is not None and PROTOCOLS[spec.protocol].blind_control for spec in self.specs])
         return np.setdiff1d(np.arange(self.size) if ids is None else ids, np.flatnonzero(blind & self.acting))
 
     def _state_when_due(self) -> np.ndarray:

@@ -28,7 +28,7 @@ def test_it_trains_on_the_device_it_is_evaluated_on(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(quickstart, "_device", lambda: "cuda")
     monkeypatch.setattr(quickstart, "run_lerobot", lambda _, words, *__: said.append(words) or 1)
     for stage in (quickstart._train, quickstart._evaluate):
-        with pytest.raises(quickstart.StageError):
+        with pytest.raises(quickstart.CommandError):
             stage(tmp_path, quickstart.TINY)
     assert all("--policy.device=cuda" in words for words in said)
 
@@ -57,7 +57,7 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkey
 
     monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
     monkeypatch.setattr(quickstart, "_film", lambda *_: None)
-    with pytest.raises(quickstart.StageError, match="code 1"):
+    with pytest.raises(quickstart.CommandError, match="code 1"):
         quickstart._evaluate(tmp_path, quickstart.TINY)
     assert not results.exists()
     quickstart._evaluate(tmp_path, quickstart.TINY)

@@ -105,7 +105,6 @@ BROKEN = {
     "another encoding": b"split: tr\xe4in",
     "a number of 5,000 digits": b"image_size: " + b"9" * 5_000,
     "a month too many": b"split: 2024-13-01",
-    "a key twice": b"split: train\nsplit: test",
     "an object of Python": b"split: !!python/object/apply:os.getcwd []",
     "two documents": b"split: train\n---\nsplit: test",
     "no mapping": b"false",

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import yaml
 
-from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.core.conventions import HAND_NAMES
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, episode_features
@@ -23,7 +22,6 @@ from dynahoi_lerobot.dataset.merge import copy_subset, merge
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import CODECS, Encoding, encode, stored_packets
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.dataset.episodes import varied_episode, write
 
 
@@ -172,14 +170,13 @@ def test_merge_refuses_datasets_of_other_options_and_names_the_column(tmp_path, 
     assert not (tmp_path / "merged").exists()
 
 
-def test_merge_refuses_versions_of_the_benchmark_unless_asked(tmp_path):
+def test_merge_refuses_versions_of_the_benchmark(tmp_path):
     old, new = tmp_path / "old", write(tmp_path / "new", range(1))
     made = varied_episode(1)
     write_episodes(old, [dataclasses.replace(made, meta=dataclasses.replace(made.meta, benchmark="v0"))])
-    with pytest.raises(MixedError, match="'v0'"):
+    with pytest.raises(ValueError, match="'v0'"):
         merge([old, new], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
-    assert merge([old, new], tmp_path / "merged", allow_version_mismatch=True).benchmark == f"v0, {BENCHMARK.version}"
 
 
 def test_a_frame_column_has_a_row_per_frame_wherever_it_is_stored(dataset):

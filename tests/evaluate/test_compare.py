@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.core.registry import UnknownNameError
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, mcnemar, paired_values
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
@@ -106,7 +105,7 @@ def test_an_unknown_metric_is_named():
 def test_other_conditions_are_refused_unless_they_are_what_is_compared(other: dict):
     a, b = results([1.0, 1.0]), results([0.0, 1.0], folder="b", **other)
     ((name, value),) = other.items()
-    with pytest.raises(MixedError, match=f"b has {'salt' if name == 'stream' else name} '{str(value).split('+')[-1]}'"):
+    with pytest.raises(ValueError, match=f"b has {'salt' if name == 'stream' else name} '{str(value).split('+')[-1]}'"):
         compare(a, b, "S_loc", across=[crossed for crossed in CROSSABLE if crossed != name])
     if name in CROSSABLE or name == "benchmark":
         allowed = compare(a, b, "S_loc", across=CROSSABLE, allow_version_mismatch=True)

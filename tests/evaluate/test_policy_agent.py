@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ import pytest
 import torch
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.core.agent import Observation, Plan
+from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame, queued_frame
 from dynahoi_lerobot.evaluate.results import read_results
 
@@ -41,10 +40,9 @@ def test_results_say_which_weights_they_are_of(tmp_path: Path) -> None:
 def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(mode, tmp_path, monkeypatch):
     plan, worlds = PolicyAgent.plan, []
 
-    def slow(agent: PolicyAgent, observation: Observation, chosen: np.ndarray, **told: Any) -> Plan:
+    def slow(agent: PolicyAgent, observation: Observation, chosen: np.ndarray, **told: Any) -> tuple:
         worlds.append(len(observation.state))
-        took = plan(agent, observation, chosen, **told)
-        return replace(took, seconds=np.full(1, 0.55))  # its chunks are of 8 frames, 0.4 s
+        return plan(agent, observation, chosen, **told)[0], np.full(1, 0.55)  # its chunks are of 8 frames, 0.4 s
 
     monkeypatch.setattr(PolicyAgent, "plan", slow)
     words = ["evaluate", "--policy", CHECKPOINT, "--split", "val", "--episodes", "2", "--out", str(tmp_path)]

@@ -5,6 +5,7 @@ import json
 
 import pytest
 
+from dynahoi_lerobot.cli.main import exit_code
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.generate import command
 from tests.generate import recorder
@@ -16,7 +17,8 @@ def run(*words, record=recorder.record) -> int:
     if "--episodes" not in words:
         words = (*words, "--episodes", 4)
     command.add_arguments(parser)
-    return command.run(parser.parse_args([str(word) for word in words]), record=record, recipe=FakeRecipe())
+    args = parser.parse_args([str(word) for word in words])
+    return exit_code("dynahoi generate", lambda: command.run(args, record=record, recipe=FakeRecipe()))
 
 
 def test_generates_and_summarises(tmp_path, capsys):

@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate import executors
 from dynahoi_lerobot.generate.executors import ClusterResources
 from dynahoi_lerobot.generate.pipeline import generate
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
+from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from tests.generate import recorder
 from tests.generate.recorder import FakeRecipe
@@ -122,13 +123,13 @@ def test_slurm_submits_two_jobs(tmp_path, monkeypatch):
 
 def test_machines_with_other_code_refuse_to_work(plan, tmp_path):
     other = dataclasses.replace(plan, code="0123")
-    with pytest.raises(GenerationError, match="made by code 0123, this machine has"):
+    with pytest.raises(CommandError, match="made by code 0123, this machine has"):
         executors.run("local", other, tmp_path / "d", recorder.record, ClusterResources(workers=1))
 
 
 def test_shards_that_are_missing_are_not_merged(plan, tmp_path):
     maker = executors.ShardMaker(plan, tmp_path / "d.partial", recorder.record)
-    with pytest.raises(GenerationError, match="4 of 4 shards are missing"):
+    with pytest.raises(CommandError, match="4 of 4 shards are missing"):
         executors.merge_shards(maker, tmp_path / "d")
 
 

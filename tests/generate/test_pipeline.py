@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate import pipeline
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationError, GenerationPlan
+from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 from tests.generate import recorder
@@ -70,7 +71,7 @@ def test_corrupt_recordings_are_rejected_and_drawn_again(tmp_path):
 
 
 def test_an_impossible_recipe_ends_with_a_sentence(tmp_path):
-    with pytest.raises(GenerationError, match=f"failed {MAX_DRAWS} times on each of 3 slots, the first of seed 0"):
+    with pytest.raises(CommandError, match=f"failed {MAX_DRAWS} times on each of 3 slots, the first of seed 0"):
         generate(plan(hopeless=True), tmp_path / "d", record=recorder.record)
     assert not (tmp_path / "d").exists()
     with pytest.raises(FileExistsError, match="hopeless"):  # its unfinished work belongs to another plan
@@ -88,7 +89,7 @@ def test_a_dead_worker_is_replaced(tmp_path):
 
 def test_workers_that_keep_dying_end_with_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "STARTS", 1)
-    with pytest.raises(GenerationError, match="died 1 times with 4 shards to go"):
+    with pytest.raises(CommandError, match="died 1 times with 4 shards to go"):
         generate(plan(), tmp_path / "d", record=recorder.record_and_die, workers=2)
     assert not (tmp_path / "d").exists()
 

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.agent import ChunkAgent, Observation, Plan
+from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.rollout.inference import Inference, QueuedPolicy, RealTimeAgent, StepwiseInference, frames_of
 
@@ -45,13 +45,13 @@ class Clock(ChunkAgent):
         *,
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
-    ) -> Plan:
+    ) -> tuple:
         told = [None if values is None else values.tolist() for values in (executed, delays)]
         self.calls.append((self.t, worlds.tolist(), *told))
         actions = 100 * self.t + self.t + np.arange(5.0)
         self.t += 1
         chunks = np.broadcast_to(actions[None, :, None], (len(worlds), 5, 18))
-        return Plan(chunks, self.seconds[worlds])
+        return chunks, self.seconds[worlds]
 
 
 def observation() -> Observation:
@@ -139,9 +139,9 @@ class Counter(ChunkAgent):
     def act(self, observation: Observation) -> np.ndarray:
         raise AssertionError("a chunk was asked for")
 
-    def plan(self, observation: Observation, worlds: np.ndarray, **continued: np.ndarray) -> Plan:
+    def plan(self, observation: Observation, worlds: np.ndarray, **continued: np.ndarray) -> tuple:
         t = float(observation.state[0, 0])
-        return Plan(np.broadcast_to((101 * t + np.arange(12.0))[None, :, None], (1, 12, 18)), np.zeros(1))
+        return np.broadcast_to((101 * t + np.arange(12.0))[None, :, None], (1, 12, 18)), np.zeros(1)
 
     def select_action(self, frame: int) -> np.ndarray:
         """As LeRobot's policies do: infer if the queue is empty, else answer from it without a look."""

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.core.compatibility import MixedError
 from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
@@ -133,11 +132,11 @@ def test_a_hash_makes_no_episode():
 def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: dict[str, Path]):
     assert len(read_entries([runs["salted"], runs["again"]])) == 2
     for name in ("public", "other"):
-        with pytest.raises(MixedError, match=rf"salted has salt '\w{{8}}', .*{name} has salt .*; evaluate both"):
+        with pytest.raises(ValueError, match=rf"salted has salt '\w{{8}}', .*{name} has salt .*; evaluate both"):
             read_entries([runs["salted"], runs[name]])
     results = {name: read_results(folder) for name, folder in runs.items()}
     assert compare(results["salted"], results["again"], "S_loc").n == 3
-    with pytest.raises(MixedError, match=r"salted has salt '\w{8}', .*public has salt 'none'; evaluate both"):
+    with pytest.raises(ValueError, match=r"salted has salt '\w{8}', .*public has salt 'none'; evaluate both"):
         compare(results["salted"], results["public"], "S_loc")
 
 

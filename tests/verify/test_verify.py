@@ -17,7 +17,7 @@ from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video import Encoding, VideoFile, stored_packets, stream_like
+from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, stored_packets
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -121,7 +121,7 @@ def column(path: str, key: str, change: Callable[[list], list]) -> Callable[[Pat
 
 def without_a_packet(root: Path) -> None:
     *kept, _ = stored_packets(root / VIDEO)
-    video = VideoFile(root / "again.mp4", stream_like(root / VIDEO))
+    video = VideoFile(root / "again.mp4", lambda container: copied_stream(container, root / VIDEO))
     video.append(kept)
     video.close()
     (root / "again.mp4").replace(root / VIDEO)
@@ -250,7 +250,7 @@ def test_only_the_code_that_made_a_dataset_replays_it(copy):
 
 
 def test_an_expert_that_fails_where_it_succeeded_is_found(sound, monkeypatch):
-    monkeypatch.setattr("dynahoi_lerobot.verify.replay._simulator", lambda *_: lambda seed: None)
+    monkeypatch.setattr("dynahoi_lerobot.verify.replay.played_again", lambda *_: None)
     assert found(sound, replayed=2) == {"replay"}
 
 

@@ -54,15 +54,7 @@ class Look:
 
 @wp.func
 def color_row(
-    worlds: Worlds,
-    look: Look,
-    textures: Textures,
-    w: int,
-    tile: int,
-    depths: Row,
-    visible: Indices,
-    xs: Row,
-    ys: Row,
+    worlds: Worlds, look: Look, textures: Textures, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row
 ) -> tuple[Row, Row, Row]:
     """Return red, green and blue of the visible points; behind a translucent shape the nearest opaque one is seen."""
     red, green, blue = _surface_row(worlds, look, textures, w, tile, depths, visible, xs, ys)
@@ -95,15 +87,7 @@ def _mix_row(visible: Indices, s: int, value: float, others: Row) -> Row:
 
 @wp.func
 def _surface_row(
-    worlds: Worlds,
-    look: Look,
-    textures: Textures,
-    w: int,
-    tile: int,
-    depths: Row,
-    visible: Indices,
-    xs: Row,
-    ys: Row,
+    worlds: Worlds, look: Look, textures: Textures, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row
 ) -> tuple[Row, Row, Row]:
     """Red, green and blue, 0 to 1, of the surfaces at the points of a row."""
     red, green, blue = Row(0.0), Row(0.0), Row(0.0)
@@ -156,11 +140,7 @@ def _openness_row(worlds: Worlds, look: Look, w: int, depths: Row, visible: Indi
 
 @wp.kernel
 def trace(
-    first_row: int,
-    intrinsics: CameraIntrinsics,
-    worlds: Worlds,
-    visible: wp.array3d[Indices],
-    depths: wp.array3d[Row],
+    first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds, visible: wp.array3d[Indices], depths: wp.array3d[Row]
 ):
     """Write index (-1 for none) and depth [m] of the shapes that one pixel row of one tile shows.
 

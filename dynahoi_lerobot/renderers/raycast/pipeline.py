@@ -78,7 +78,7 @@ class Pipeline:
         rows = (nsim, image_size, self._across)
         self._pixels = [wp.empty(rows, dtype=Indices), wp.empty(rows, dtype=Row)]
         self._placing = [*self._record_shapes(model), *(self._record_casters(casting) if soft else [])]
-        self._sorting_casters = self._record_caster_sorting()
+        self._sorting_casters = self._record_caster_sorting() if soft else None
         look, textures = _look(model, shown, self._intrinsics, soft=soft), textures_of(model, filtered=soft)
         first = [0, self._intrinsics]
         tracing = [*first, self._worlds, *self._pixels]
@@ -123,15 +123,8 @@ class Pipeline:
         names = ("geom_size", "geom_rgba", "geom_matid", "geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xdir")
         moving = [self._fields[name] for name in names]
         placing = [self._intrinsics, self._geoms, *fixed, *moving, self._worlds.shapes, bounds]
-        sorting = [
-            self._intrinsics,
-            self._across,
-            self._room,
-            self._worlds.shapes,
-            bounds,
-            self._worlds.lists,
-            self._worlds.counts,
-        ]
+        sorting = [self._intrinsics, self._across, self._room, self._worlds.shapes, bounds]
+        sorting += [self._worlds.lists, self._worlds.counts]
         return [
             (_recorded(place_shapes, 2, placing), (self._shapes,)),
             (_recorded(sort_into_tiles, 2, sorting), (self._across**2,)),
@@ -150,9 +143,7 @@ class Pipeline:
         ]
 
     def _record_caster_sorting(self) -> Any:
-        """Launch that lists the casters of each tile; None without shadows."""
-        if not self._soft:
-            return None
+        """Launch that lists the casters of each tile."""
         worlds = self._worlds
         seen = [self._intrinsics, self._across, worlds.light_frames, self._pixels[1]]
         casters = [worlds.caster_lows, worlds.caster_highs, worlds.casters, worlds.caster_counts]
@@ -195,10 +186,8 @@ def _worlds(fields: dict[str, wp.array], nsim: int, tiles: int, shapes: int) -> 
     worlds.shapes = wp.empty((nsim, shapes), dtype=Shape)
     worlds.lists, worlds.counts = wp.empty((nsim, tiles, shapes), dtype=int), wp.empty((nsim, tiles), dtype=int)
     worlds.casters, worlds.caster_counts = wp.empty_like(worlds.lists), wp.zeros_like(worlds.counts)
-    worlds.caster_lows, worlds.caster_highs = (
-        wp.empty((nsim, shapes), dtype=wp.vec3),
-        wp.empty((nsim, shapes), dtype=wp.vec3),
-    )
+    worlds.caster_lows = wp.empty((nsim, shapes), dtype=wp.vec3)
+    worlds.caster_highs = wp.empty((nsim, shapes), dtype=wp.vec3)
     worlds.light_frames = wp.empty(nsim, dtype=LightFrame)
     worlds.diffuse, worlds.specular = fields["light_diffuse"], fields["light_specular"]
     return worlds

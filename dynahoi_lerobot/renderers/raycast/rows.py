@@ -11,31 +11,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.shapes import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    ELLIPSOID,
-    PLANE,
-    enter_box,
-    enter_capsule,
-    enter_cylinder,
-    enter_ellipsoid,
-    enter_plane,
-    enter_sphere,
-    normal_box,
-    normal_capsule,
-    normal_cylinder,
-    normal_ellipsoid,
-    normal_plane,
-    normal_sphere,
-    uv_box,
-    uv_capsule,
-    uv_cylinder,
-    uv_ellipsoid,
-    uv_plane,
-    uv_sphere,
-)
+from dynahoi_lerobot.renderers.raycast import shapes as solids
+from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE
 from dynahoi_lerobot.renderers.raycast.textures import Textures, level_of, texel
 from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, Indices, Row, Shape
 from dynahoi_lerobot.scene.model import SHININESS
@@ -137,28 +114,18 @@ def _texturing(uv: wp.Function, normal: wp.Function) -> wp.Function:
     return textured
 
 
-_enter_plane, _light_plane, _shine_plane = _entering(enter_plane), _lighting(normal_plane), _shining(normal_plane)
-_enter_sphere, _light_sphere, _shine_sphere = _entering(enter_sphere), _lighting(normal_sphere), _shining(normal_sphere)
-_enter_capsule, _light_capsule, _shine_capsule = (
-    _entering(enter_capsule),
-    _lighting(normal_capsule),
-    _shining(normal_capsule),
-)
-_enter_cylinder, _light_cylinder, _shine_cylinder = (
-    _entering(enter_cylinder),
-    _lighting(normal_cylinder),
-    _shining(normal_cylinder),
-)
-_enter_ellipsoid, _light_ellipsoid, _shine_ellipsoid = (
-    _entering(enter_ellipsoid),
-    _lighting(normal_ellipsoid),
-    _shining(normal_ellipsoid),
-)
-_enter_box, _light_box, _shine_box = _entering(enter_box), _lighting(normal_box), _shining(normal_box)
-_texture_plane, _texture_sphere = _texturing(uv_plane, normal_plane), _texturing(uv_sphere, normal_sphere)
-_texture_capsule, _texture_box = _texturing(uv_capsule, normal_capsule), _texturing(uv_box, normal_box)
-_texture_cylinder = _texturing(uv_cylinder, normal_cylinder)
-_texture_ellipsoid = _texturing(uv_ellipsoid, normal_ellipsoid)
+def _of_a_row(solid: str) -> tuple[wp.Function, wp.Function, wp.Function, wp.Function]:
+    """Return the functions of a row for a type of shape: depths, lighting, highlights and texture."""
+    enter, normal, uv = (getattr(solids, f"{what}_{solid}") for what in ("enter", "normal", "uv"))
+    return _entering(enter), _lighting(normal), _shining(normal), _texturing(uv, normal)
+
+
+_enter_plane, _light_plane, _shine_plane, _texture_plane = _of_a_row("plane")
+_enter_sphere, _light_sphere, _shine_sphere, _texture_sphere = _of_a_row("sphere")
+_enter_capsule, _light_capsule, _shine_capsule, _texture_capsule = _of_a_row("capsule")
+_enter_cylinder, _light_cylinder, _shine_cylinder, _texture_cylinder = _of_a_row("cylinder")
+_enter_ellipsoid, _light_ellipsoid, _shine_ellipsoid, _texture_ellipsoid = _of_a_row("ellipsoid")
+_enter_box, _light_box, _shine_box, _texture_box = _of_a_row("box")
 
 
 @wp.func

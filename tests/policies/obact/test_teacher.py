@@ -68,12 +68,12 @@ def test_the_first_virtual_palm_is_the_recorded_one_and_the_others_are_near_it_o
 
 @pytest.mark.parametrize("late", [0, 3])
 def test_it_agrees_with_the_expert(late: int):
-    from dynahoi_lerobot.core.rules import control_class_of
+    from dynahoi_lerobot.core.rules import CONTROL_CLASSES
     from dynahoi_lerobot.experts.intercept import earliest_arrival
     from dynahoi_lerobot.sampling.recipe import Recipe
     from dynahoi_lerobot.sampling.sampler import sample_specs
 
-    control = control_class_of("late" if late else "standard")
+    control = CONTROL_CLASSES["late" if late else "standard"]
     for spec in sample_specs(Recipe(control_class=control.name), range(22)):
         path = torch.from_numpy(spec.oracle_path - spec.home_pos_w).float()[None]
         due = spec.window_frames + 2 + late
