@@ -67,7 +67,6 @@ CASES = [
     (f"{GENERATE} --codec images --preset fast", "preset is 'fast'; images has none"),
     (f"{GENERATE} --workers 0", "number of workers is 0"),
     (f"{GENERATE} --executor local --workers 0", "number of workers is 0; it must be 1 or more"),
-    (f"{GENERATE} --executor slurm --dry-run --time soon", "time limit is 'soon'; it must be like 24"),
     (f"{GENERATE} --recipe recipe.yaml", "motions must be a list, got 'lob'; write [lob]"),
     (f"{GENERATE} --actor nowhere", "there is no policy 'nowhere'"),
     (f"{GENERATE} --actor user/name --trust", "--trust needs a folder as the actor, got 'user/name'"),

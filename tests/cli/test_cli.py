@@ -13,9 +13,9 @@ import pytest
 from PIL import Image, ImageSequence
 
 from dynahoi_lerobot.cli import main as cli
-from dynahoi_lerobot.cli.clip import Clip, write_clip
 from dynahoi_lerobot.cli.listing import LISTS
 from dynahoi_lerobot.cli.sample_page import stratified
+from dynahoi_lerobot.cli.view import Clip, write_clip
 from dynahoi_lerobot.dataset import frame_column
 from dynahoi_lerobot.evaluate.gif import BORDERS
 from dynahoi_lerobot.evaluate.results import read_results
