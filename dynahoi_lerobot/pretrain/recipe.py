@@ -10,7 +10,6 @@ import draccus
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.files import read_yaml
-from dynahoi_lerobot.renderers.views import CAMERAS, MOTION_VIEW
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 
@@ -20,11 +19,10 @@ class PretrainRecipe:
 
     Attributes:
         out: folder that receives the weights, ``log.jsonl`` and what a killed run resumes from.
-        camera: whose images it sees, ``ego`` or ``side``; a backbone may see the view ``ego_motion``.
+        camera: whose images it sees, ``ego`` or ``side``.
         eye: options of ObAct's ``Eye``, such as ``weights`` to start from.
         policy: training recipe of an ACT, whose backbone is trained instead of an eye.
         device: of the training.
-        bf16: compute in bfloat16 where that is precise enough, which a processor with AVX-512 BF16 does twice as fast.
         episodes: what the images show.
         n_episodes: how many different episodes they show.
         randomized_share: share of those whose appearance is randomised in every way, see ``randomization``.
@@ -41,7 +39,6 @@ class PretrainRecipe:
     eye: dict[str, Any] = field(default_factory=dict)
     policy: Path | None = None
     device: str = "cpu"
-    bf16: bool = False
     episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
     n_episodes: int = 1024
     randomized_share: float = 0.0
@@ -57,9 +54,6 @@ class PretrainRecipe:
         Raises:
             ValueError: naming the value received and the ones allowed.
         """
-        cameras = CAMERAS if self.policy is None else (*CAMERAS, MOTION_VIEW)
-        if self.camera not in cameras:
-            raise ValueError(f"camera must be {' or '.join(cameras)}, got {self.camera}")
         for name in ("n_episodes", "batch_size", "save_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")

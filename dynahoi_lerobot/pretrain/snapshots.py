@@ -12,13 +12,10 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, HAND_DOF, PAL
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
-from dynahoi_lerobot.renderers.views import MOTION_VIEW
 from dynahoi_lerobot.rollout.recorder import camera_pose, intrinsics
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.sensors import MOTION_FRAMES, luminance
 
 POSES = 8
 """Configurations of a world before it shows another episode: to begin one costs as much as several images."""
@@ -39,9 +36,9 @@ OPEN_SHARE = 0.5
 FINGERS_MOVE_SHARE = 0.4
 """Share of the other images in which the fingers move: else whatever moves in the hand would pass for a target."""
 MOST_OPENED, MOST_CLOSED = 0.3, 0.7
-"""How far fingers may move between the first and the last image, of the way from open to closed."""
+"""How far fingers may move between the two images, of the way from open to closed."""
 REPEATED_SHARE = 0.03
-"""Share of all images that are repeated, as the first of an episode is."""
+"""Share of all images that come twice, as the first of an episode does."""
 STILL_SHARE, FAST_SHARE = 0.15, 0.2
 """Shares of the other hands that stand still, and of the moving ones that may be fast."""
 PALM_SPEEDS_M_S = [control.palm_speed_m_s for control in CONTROL_CLASSES.values()]
@@ -51,9 +48,7 @@ WANDER_M = 0.1
 """Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
 LOWEST_PALM_M = 0.05
 SLOWER, FASTER = 0.6, 1.6
-"""Least and greatest speed of a target between the images, relative to its own."""
-EYE_FRAMES = [0, 1]
-"""How many frames ago an eye's images were seen."""
+"""Least and greatest speed of a target between the two images, relative to its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +56,9 @@ class Snapshots:
     """N images of as many worlds.
 
     Attributes:
-        images: (N, H, W, 6) uint8 RGB of a camera, and RGB one frame before; of ``ego_motion`` (N, H, W, 3) grey at
-            its T = 3 frames.
-        place: (N, T, 3) float32 target centre relative to the palm centre at that frame, or, if the camera stands
-            still, to where that is at home [m], world axes.
+        images: (N, H, W, 6) uint8 RGB of a camera, and RGB one frame before.
+        place: (N, 3) float32 target centre relative to the palm centre, or, if the camera stands still, to where that
+            is at home [m], world axes.
     """
 
     images: np.ndarray
@@ -113,50 +107,51 @@ def snapshots(
         batch: of a recipe with the hand, the renderer and the image size.
         specs: episodes whose objects, paths and surroundings are shown; each serves many images.
         rng: source of every draw.
-        camera: whose images these are, ``ego`` or ``side``, or the view ``ego_motion``.
+        camera: whose images these are, ``ego`` or ``side``.
     """
-    ages = MOTION_FRAMES if camera == MOTION_VIEW else EYE_FRAMES
     while True:
         chosen = [specs[i] for i in rng.choice(len(specs), batch.size)]
         batch.reset(np.arange(batch.size), chosen)
         for _ in range(POSES):
-            poses = np.stack([_poses(spec, ages, rng) for spec in chosen])  # (N, T, 21)
-            hand, target = poses[..., :HAND_DOF], poses[..., HAND_DOF:]
+            poses = np.stack([_pose(spec, rng) for spec in chosen])  # (N, 2, 21)
             turns = _turns(batch.size, rng)
             images = []
-            for at in range(len(ages)):
-                batch.place(hand[:, at], np.concatenate([target[:, at], turns], axis=1))
-                images.append(batch.cameras.render(view=EGO_VIEW if camera == MOTION_VIEW else camera))
-            place = target - (0.0 if camera == SIDE_CAMERA else hand[..., :PALM_DOF])
-            seen = np.concatenate([luminance(i)[..., None] for i in images] if camera == MOTION_VIEW else images, -1)
-            yield Snapshots(seen, place.astype(np.float32))
+            for hand, target in ((poses[:, at, :HAND_DOF], poses[:, at, HAND_DOF:]) for at in (NOW, BEFORE)):
+                batch.place(hand, np.concatenate([target, turns], axis=1))
+                images.append(batch.cameras.render(view=camera))
+            place = poses[:, NOW, HAND_DOF:] - (poses[:, NOW, :PALM_DOF] if camera == EGO_VIEW else 0.0)
+            yield Snapshots(np.concatenate(images, axis=-1), place.astype(np.float32))
 
 
-def _poses(spec: EpisodeSpec, ages: list[int], rng: np.random.Generator) -> np.ndarray:
-    """Draw (T, 21) hand (18) and target (3) [m, rad], home frame, ``ages`` frames before a frame of an episode."""
+NOW, BEFORE = 0, 1
+
+
+def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> np.ndarray:
+    """Draw (2, 21) hand (18) and target (3) [m, rad], home frame, at a frame of an episode and at the one before."""
     path = spec.oracle_path - spec.home_pos_w
-    poses = (_at_home if rng.random() < HOME_SHARE else _on_its_way)(spec, path, np.array(ages), rng)
-    return poses[[0] * len(ages)] if rng.random() < REPEATED_SHARE else poses
+    pose = _at_home(spec, path, rng) if rng.random() < HOME_SHARE else _on_its_way(spec, path, rng)
+    return pose[[NOW, NOW]] if rng.random() < REPEATED_SHARE else pose
 
 
-def _at_home(spec: EpisodeSpec, path: np.ndarray, ages: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw (T, 21) a hand that watches the target on its path (F, 3) [m], home frame."""
+def _at_home(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw (2, 21) a hand that watches the target on its path (F, 3) [m], home frame."""
     hand = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
     frame = min(int(rng.integers(1, spec.window_frames + LEAD_FRAMES)), len(path) - 1)
-    return np.hstack([np.tile(hand, (len(ages), 1)), path[np.maximum(frame - ages, 0)]])
+    return np.stack([np.concatenate([hand, path[frame]]), np.concatenate([hand, path[frame - 1]])])
 
 
-def _on_its_way(spec: EpisodeSpec, path: np.ndarray, ages: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw (T, 21) a hand that moves to a target on its path (F, 3) [m], home frame."""
+def _on_its_way(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Draw (2, 21) a hand that moves to a target on its path (F, 3) [m], home frame."""
     frame = int(rng.integers(1, len(path)))
-    target = path[frame] - rng.uniform(SLOWER, FASTER) * (path[frame] - path[np.maximum(frame - ages, 0)])
+    before = path[frame] - rng.uniform(SLOWER, FASTER) * (path[frame] - path[frame - 1])
     palm = _palm(spec, path, frame, rng)
     step = np.zeros(PALM_DOF)
     if rng.random() > STILL_SHARE:
         direction = path[frame] - palm + rng.normal(0.0, WANDER_M, PALM_DOF)
         speed = rng.uniform(0.0, FAST_M_S if rng.random() < FAST_SHARE else SLOW_M_S)
         step = speed * CONTROL_DT * direction / max(float(np.linalg.norm(direction)), 1e-6)
-    return np.hstack([palm - ages[:, None] * step, _fingers(spec, ages, rng), target])
+    joints, joints_before = _fingers(spec, rng)
+    return np.stack([np.concatenate([palm, joints, path[frame]]), np.concatenate([palm - step, joints_before, before])])
 
 
 def _palm(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
@@ -173,13 +168,13 @@ def _palm(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Genera
     return palm
 
 
-def _fingers(spec: EpisodeSpec, ages: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Draw (T, J) joint angles [rad]."""
+def _fingers(spec: EpisodeSpec, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Draw (J,) joint angles [rad] now and one frame before."""
     moving = rng.random() < FINGERS_MOVE_SHARE
     closed = rng.random() if moving or rng.random() > OPEN_SHARE else 0.0
     before = np.clip(closed + rng.uniform(-MOST_CLOSED, MOST_OPENED), 0.0, 1.0) if moving else closed
-    share = closed + (before - closed) * ages / ages[-1]  # (T,) of the way from open to closed
-    return spec.open_joints + share[:, None] * (spec.reference_joints - spec.open_joints)
+    way = spec.reference_joints - spec.open_joints
+    return spec.open_joints + closed * way, spec.open_joints + before * way
 
 
 def _turns(count: int, rng: np.random.Generator) -> np.ndarray:

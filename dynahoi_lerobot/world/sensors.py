@@ -58,7 +58,7 @@ class ImageHistory:
         """
         motion = np.zeros_like(images)
         for i in ids:
-            passed, grey = int(frames[i] - self._frame[i]), luminance(images[i])
+            passed, grey = int(frames[i] - self._frame[i]), _grey(images[i])
             if self._frame[i] < 0:
                 self._grey[:, i] = grey
             elif passed:
@@ -69,9 +69,9 @@ class ImageHistory:
         return motion
 
 
-def luminance(images: np.ndarray) -> np.ndarray:
-    """(..., H, W) uint8 grey of RGB images, in whole numbers, which round alike everywhere."""
-    return ((images.astype(np.uint32) @ LUMINANCE + 500) // 1000).astype(np.uint8)
+def _grey(image: np.ndarray) -> np.ndarray:
+    """(H, W) uint8 luminance of an RGB image, in whole numbers, which round alike everywhere."""
+    return ((image.astype(np.uint32) @ LUMINANCE + 500) // 1000).astype(np.uint8)
 
 
 class Cameras:

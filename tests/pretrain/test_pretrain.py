@@ -79,18 +79,14 @@ def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(
         torch.testing.assert_close(weights[name], tensor, rtol=0, atol=0, msg=name)
 
 
-@pytest.mark.parametrize("view", ["ego", "ego_motion"])
-def test_act_starts_from_a_pretrained_backbone(view: str, tmp_path: Path):
+def test_act_starts_from_a_pretrained_backbone(tmp_path: Path):
     from lerobot.configs import PreTrainedConfig
     from lerobot.policies.act.modeling_act import ACTPolicy
 
     act = yaml.safe_load((ROOT / "recipes" / "train" / "act.yaml").read_text())
-    state = {"observation.state": {"type": "STATE", "shape": [18]}}
-    act["policy"]["input_features"] = {f"observation.images.{view}": {"type": "VISUAL", "shape": [3, 32, 32]}} | state
+    act["policy"]["input_features"]["observation.images.ego"]["shape"] = [3, 32, 32]
     (tmp_path / "act.yaml").write_text(yaml.safe_dump(act))
-    assert (
-        main(["pretrain", "--recipe", str(tiny_recipe(tmp_path, policy=str(tmp_path / "act.yaml"), camera=view))]) == 0
-    )
+    assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path, policy=str(tmp_path / "act.yaml")))]) == 0
     policy = ACTPolicy.from_pretrained(tmp_path / "eye")
     fresh = ACTPolicy(PreTrainedConfig.from_pretrained(tmp_path / "eye"))
     name = "backbone.layer4.1.bn2.running_mean"
@@ -133,7 +129,6 @@ def test_a_finished_run_is_not_trained_again(
         ({"save_every": 0}, "save_every must be 1 or more, got 0"),
         ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
         ({"images": 3}, "images must be at least batch_size, 4, got 3"),
-        ({"camera": "ego_motion"}, "camera must be ego or side, got ego_motion"),
     ],
 )
 def test_a_wrong_recipe_is_refused_in_a_sentence(

@@ -1,9 +1,9 @@
-"""What `dynahoi pretrain` trains of LeRobot's ACT: its ResNet, which learns where the target is and was.
+"""What `dynahoi pretrain` trains of LeRobot's ACT: its ResNet, which learns where the target is.
 
 ACT keeps the statistics of its backbone's batch normalisation frozen, so random weights are not normalised at all, and
-little of the loss of its actions reaches them. Here batch normalisation is in use, and the place of the target is a
-linear map of the last feature map. The backbone is saved within a whole ACT checkpoint, from which ``lerobot-train``
-starts with ``policy.pretrained_path``.
+little of the loss of its actions reaches them. Here the backbone is trained with batch normalisation in use, by what a
+linear map of its last feature map says of the target's place. It is saved within a whole ACT checkpoint, from which
+``lerobot-train`` starts with ``policy.pretrained_path``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import cast
 
 import draccus
 import torch
-from einops import rearrange
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.act.modeling_act import ACTPolicy
@@ -27,8 +26,6 @@ from torchvision.models._utils import IntermediateLayerGetter
 from dynahoi_lerobot.core.files import read_yaml
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream
-from dynahoi_lerobot.renderers.views import MOTION_VIEW
-from dynahoi_lerobot.world.sensors import MOTION_FRAMES
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """By which LeRobot standardises images unless told otherwise."""
@@ -39,29 +36,28 @@ LARGEST_LOSS = 4.0
 
 
 class Localiser(nn.Module):
-    """ACT's backbone with batch normalisation, and a linear map to the target's place at T frames.
+    """ACT's backbone with batch normalisation, and a linear map to the target's place.
 
     Args:
         config: of the policy.
         size: side of the images [px].
-        n_frames: whose grey images are the channels; 1 for RGB.
     """
 
     mean: Tensor
     std: Tensor
 
-    def __init__(self, config: ACTConfig, size: int, n_frames: int) -> None:
+    def __init__(self, config: ACTConfig, size: int) -> None:
         super().__init__()
         resnet = cast(ResNet, get_model(config.vision_backbone, weights=config.pretrained_backbone_weights))
         self.backbone = IntermediateLayerGetter(resnet, return_layers={"layer4": "feature_map"})
-        self.place = nn.Linear(resnet.fc.in_features * ceil(size / 32) ** 2, 3 * n_frames)
+        self.place = nn.Linear(resnet.fc.in_features * ceil(size / 32) ** 2, 3)
         self.register_buffer("mean", torch.tensor(IMAGENET_MEAN).view(-1, 1, 1))
         self.register_buffer("std", torch.tensor(IMAGENET_STD).view(-1, 1, 1))
 
     def forward(self, images: Tensor) -> Tensor:
-        """Return where the target is and was, ``(F, T, 3)`` [m]; images are ``(F, 3, H, W)`` in [0, 1]."""
+        """Return where the target is, ``(F, 3)`` [m]; images are ``(F, 3, H, W)`` in [0, 1]."""
         cells = self.backbone((images - self.mean) / self.std)["feature_map"]
-        return PLACE_M * rearrange(self.place(cells.flatten(1)), "f (t xyz) -> f t xyz", xyz=3)
+        return PLACE_M * self.place(cells.flatten(1))
 
 
 class BackboneLearner:
@@ -78,15 +74,12 @@ class BackboneLearner:
     def __init__(self, recipe: PretrainRecipe, images: ImageStream) -> None:
         assert recipe.policy is not None
         self._config = act_config(recipe.policy)
-        n_frames = len(MOTION_FRAMES) if recipe.camera == MOTION_VIEW else 1
-        self.module = Localiser(self._config, recipe.episodes.image_size, n_frames)
+        self.module = Localiser(self._config, recipe.episodes.image_size)
 
     def loss(self, images: Tensor, place: Tensor) -> Tensor:
-        """Return the mean error of the places, ``(F,)``, in units that grow with the distance."""
-        seen = self.module(images[:, :3])
-        true = place[:, : seen.shape[1]]
-        error = (seen - true).norm(dim=-1) / (0.05 + 0.3 * true.norm(dim=-1))
-        return error.clamp_max(LARGEST_LOSS).mean(1)
+        """Return the error of the place, ``(F,)``, in units that grow with the distance."""
+        error = (self.module(images[:, :3]) - place).norm(dim=-1)
+        return (error / (0.05 + 0.3 * place.norm(dim=-1))).clamp_max(LARGEST_LOSS)
 
     def save(self, folder: Path) -> None:
         """Write an ACT checkpoint with this backbone; its other weights are random."""

@@ -64,7 +64,7 @@ class EyeLearner:
 
     def loss(self, images: Tensor, place: Tensor) -> Tensor:
         """Return the loss of each image, see `sighting_loss`."""
-        return sighting_loss(self.module, self._camera.to(place.device), images, place[:, 0])
+        return sighting_loss(self.module, self._camera.to(place.device), images, place)
 
     def save(self, folder: Path) -> None:
         """Write the weights, for the option ``weights`` of `Eye`."""

@@ -35,8 +35,8 @@ class Learner(Protocol):
         """Return the loss of each image, ``(F,)``.
 
         Args:
-            images: in [0, 1], ``(F, C, H, W)``.
-            place: where the target is and was [m], ``(F, T, 3)``; see `Snapshots` for both.
+            images: RGB in [0, 1] with the images before, ``(F, 6, H, W)``.
+            place: where the target is [m], ``(F, 3)``, see `Snapshots`.
         """
         ...
 
@@ -114,8 +114,7 @@ class Training:
         """
         device = self.recipe.device
         images = rearrange(torch.from_numpy(shown.images).to(device), "f h w c -> f c h w") / 255.0
-        with torch.autocast(device, torch.bfloat16, enabled=self.recipe.bf16):
-            loss = self.learner.loss(images, torch.from_numpy(shown.place).to(device)).mean()
+        loss = self.learner.loss(images, torch.from_numpy(shown.place).to(device)).mean()
         if not math.isfinite(value := loss.item()):
             raise FloatingPointError(f"the loss of update {self.n_updates} is {value}; lower learning_rate")
         progress = self.n_updates / self._all_updates
