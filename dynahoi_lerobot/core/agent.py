@@ -93,8 +93,7 @@ class Actor(ABC):
         has_memory: what it does depends on earlier frames, so that all worlds must begin their episodes together.
         sees_images: turns rendering on.
         sees_environment_state: it is an `Agent` that needs ``Observation.environment_state``.
-        image_size: side of the images it was trained on [px], None if it does not say.
-        trained_for: the ``control_class``, ``protocol`` and ``image_size`` it was trained for, those that it tells.
+        trained_for: values of fields of the recipe that it was trained for, such as ``image_size``, as far as it tells.
         views: the views it needs besides ``ego``.
         weights: sha256 of its files of weights, by name; empty if it has none.
         retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
@@ -107,7 +106,6 @@ class Actor(ABC):
     has_memory: ClassVar[bool]
     sees_images: bool = False
     sees_environment_state: bool = False
-    image_size: int | None = None
     trained_for: Mapping[str, Any] = MappingProxyType({})
     views: tuple[str, ...] = ()
     weights: Mapping[str, str] = MappingProxyType({})

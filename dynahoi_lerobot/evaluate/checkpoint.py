@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
-from dynahoi_lerobot.core.features import CAMERA_KEY
+from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import printable, sha256
 from dynahoi_lerobot.dataset.manifest import Manifest
 
@@ -131,7 +131,7 @@ def folder_weights(folder: Path) -> dict[str, str]:
 def trained_for(folder: Path) -> dict[str, Any]:
     """Return what a checkpoint tells of the rules it was trained for: the values of some fields of `Recipe`.
 
-    ``image_size`` [px] is that of the config's camera, ``control_mode`` follows from the size of its actions.
+    ``image_size`` [px] is that of the config's cameras, ``control_mode`` follows from the size of its actions.
     ``control_class`` and ``protocol`` come from the ``env`` of ``train_config.json``, or else from the recipe of the
     dataset that it names, if that is on this machine.
     """
@@ -140,7 +140,8 @@ def trained_for(folder: Path) -> dict[str, Any]:
         env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
         rules = env if env.get("type") == "dynahoi" else _recipe_of(root)
         told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
-        if camera := config.get("input_features", {}).get(CAMERA_KEY):
+        inputs = config.get("input_features", {})
+        if camera := next((feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None):
             told["image_size"] = camera["shape"][-1]
         if config.get("output_features", {}).get("action", {}).get("shape") == [len(CONTROL_MODES[GRASP])]:
             told["control_mode"] = GRASP

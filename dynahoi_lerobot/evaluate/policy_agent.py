@@ -14,7 +14,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.features import CAMERA_KEY, ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
 from dynahoi_lerobot.evaluate.checkpoint import (
     PolicyError,
     checked_folder,
@@ -73,7 +73,6 @@ class PolicyAgent(ChunkAgent):
         inputs = self._policy.config.input_features
         self.sees_environment_state = self.privileged = ENVIRONMENT_STATE in inputs
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
-        self.image_size = int(inputs[CAMERA_KEY].shape[-1]) if CAMERA_KEY in inputs else None
         self.package = type(self._policy).__module__.partition(".")[0]
         self.views = tuple(view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs)
 

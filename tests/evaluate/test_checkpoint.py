@@ -89,7 +89,7 @@ def test_a_third_partys_step_plays_with_trust(checkpoint: Path) -> None:
         add_step(checkpoint, {"registry_name": "a_third_partys_step", "config": {}})
         with pytest.raises(PolicyError, match=r"a_third_partys_step.*--trust"):
             PolicyAgent(str(checkpoint))
-        assert PolicyAgent(str(checkpoint), trust=True).image_size == 96
+        assert PolicyAgent(str(checkpoint), trust=True).weights
     finally:
         ProcessorStepRegistry.unregister("a_third_partys_step")
 
@@ -205,6 +205,12 @@ def test_the_dataset_tells_what_a_checkpoint_was_trained_for(checkpoint: Path, t
     assert trained_for(checkpoint) == recipe | {"image_size": 96}
 
 
+def test_any_camera_tells_the_size_of_the_images(checkpoint: Path) -> None:
+    camera = {"type": "VISUAL", "shape": [3, 64, 64]}
+    change(checkpoint / "config.json", lambda c: c.update(input_features={"observation.images.ego_motion": camera}))
+    assert trained_for(checkpoint)["image_size"] == 64
+
+
 @pytest.fixture
 def hub(checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Serve the checkpoint as the Hub's repository you/obact, laid out as its cache is; collect what is fetched."""
@@ -240,7 +246,7 @@ def test_a_harmless_hub_repository_plays_without_its_other_files(checkpoint: Pat
     (checkpoint / "optimizer.pt").write_bytes(b"never fetched")
     agent = PolicyAgent("you/obact")
     assert agent.name == "you/obact"
-    assert agent.image_size == 96
+    assert agent.trained_for["image_size"] == 96
     assert "model.safetensors" in hub
     assert "optimizer.pt" not in hub
 

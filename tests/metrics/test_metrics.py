@@ -154,7 +154,9 @@ def test_relative_speed_is_that_of_the_step_in_which_they_meet():
 
 
 def random_path(seed: int, points: int = 7) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).astype(float)  # as exact as the episode, in double precision
+    return (
+        np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).astype(float)
+    )  # as exact as the episode, in double precision
 
 
 @pytest.mark.parametrize("seed", range(5))
