@@ -61,14 +61,26 @@ def new_folder(target: Path) -> Iterator[Path]:
                 raise
 
 
+class _Loader(yaml.SafeLoader):
+    """Refuses a key that appears twice, of which YAML would keep the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if str(key.value) in seen:
+                raise yaml.YAMLError(f"key {key.value!r} appears again in line {key.start_mark.line + 1}")
+            seen.add(str(key.value))
+        return super().construct_mapping(node, deep)
+
+
 def read_yaml(path: Path) -> Any:
     """Return what a YAML file holds.
 
     Raises:
-        ValueError: in one sentence that names the file, if it cannot be read or is not YAML in UTF-8.
+        ValueError: in one sentence that names the file, if it cannot be read or is not YAML in UTF-8 or repeats a key.
     """
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:

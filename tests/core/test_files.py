@@ -106,6 +106,7 @@ BROKEN = {
     "a number of 5,000 digits": b"image_size: " + b"9" * 5_000,
     "a month too many": b"split: 2024-13-01",
     "an object of Python": b"split: !!python/object/apply:os.getcwd []",
+    "a key twice": b"split: train\nsplit: test",
     "two documents": b"split: train\n---\nsplit: test",
     "no mapping": b"false",
 }
