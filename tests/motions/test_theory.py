@@ -27,7 +27,7 @@ THROWS, ROLLING, PENDULUMS = (
 ROUND, SLIDING = ([n for n, kind in OBJECTS.items() if MOTIONS[motion].suits(kind)] for motion in ("ramp", "struck"))
 FALL_M_S = GRAVITY_M_S2 * PHYSICS_DT
 """What a step of free fall adds to the speed."""
-SEEDS = range(3)
+SEEDS = range(5)
 
 
 def played(drawn: Drawn, seconds: float) -> Track:
@@ -49,7 +49,7 @@ def test_a_throw_is_held_then_flies_a_parabola(kind: str):
 def test_bounces_return_the_stated_share_of_the_speed():
     """Speeds at the height of the floor are those of the energy; the mean error is none."""
     errors = []
-    for seed in range(16):
+    for seed in range(24):
         drawn = draw_motion("bounce", seed)
         track = played(drawn, drawn.motion.release_s + 1.0)
         clear = track.pos[:, 2] - drawn.target.rest_height_m
@@ -60,7 +60,7 @@ def test_bounces_return_the_stated_share_of_the_speed():
         ]
         errors.append(level[1] / level[0] - drawn.motion.restitution)
         assert abs(errors[-1]) < FALL_M_S / level[0]
-    assert abs(np.mean(errors)) < 0.004
+    assert abs(np.mean(errors)) < 0.003
 
 
 @pytest.mark.parametrize("kind", ROLLING)
@@ -106,7 +106,7 @@ def test_runs_out_with_the_energy_of_the_ramp():
         expected = np.sqrt(2 * acceleration * run_m) * kept - resisted
         errors.append(track.velocity[-1] @ np.asarray(heading(motion.yaw_rad)) / expected - 1)
     assert np.abs(errors).max() < 0.01
-    assert abs(np.mean(errors)) < 0.003
+    assert abs(np.mean(errors)) < 0.002
 
 
 def arms(drawn: Drawn, track: Track) -> np.ndarray:
@@ -168,11 +168,10 @@ def test_drag_shrinks_the_swing_exponentially():
     np.testing.assert_allclose(swing[peaks], expected, rtol=0.0015)
 
 
-@pytest.mark.parametrize("name", SLIDING)
-def test_a_central_blow_at_the_stated_time_keeps_momentum_and_returns_the_stated_share(name: str):
+def test_a_central_blow_at_the_stated_time_keeps_momentum_and_returns_the_stated_share():
     """Contacts are 0.1 % short of rigid; the table slows by mu g h, and lifts what begins to slide at v by mu v."""
-    for seed in SEEDS:
-        drawn = draw_motion("struck", seed, name)
+    errors = []
+    for drawn in (draw_motion("struck", seed, name) for name in SLIDING for seed in SEEDS):
         motion = drawn.motion
         track = played(drawn, motion.impact_s + 0.2)
         along, striker = track.velocity @ motion.direction(), track.striker_speed
@@ -185,15 +184,15 @@ def test_a_central_blow_at_the_stated_time_keeps_momentum_and_returns_the_stated
         across = track.velocity[last] - along[last] * motion.direction()
         assert across[2] == pytest.approx(lift, rel=0.01)
         assert np.hypot(*across[:2]) < 1e-4, "the blow is not central"
-        returned = (along[last] - striker[last]) / (striker[first] - along[first])
-        assert returned == pytest.approx(motion.restitution, abs=0.002)
+        errors.append((along[last] - striker[last]) / (striker[first] - along[first]) - motion.restitution)
+    assert np.abs(errors).max() < 0.002
+    assert abs(np.mean(errors)) < 0.001
 
 
-@pytest.mark.parametrize("name", SLIDING)
-def test_the_wall_is_met_on_time_and_returns_the_stated_share_of_the_stated_speed(name: str):
+def test_the_wall_is_met_on_time_and_returns_the_stated_share_of_the_stated_speed():
     """Four steps of friction for the speed; a ball that begins to roll on the way stops slowing down."""
-    for seed in SEEDS:
-        drawn = draw_motion("wall_rebound", seed, name)
+    errors = []
+    for name, drawn in ((name, draw_motion("wall_rebound", seed, name)) for name in SLIDING for seed in SEEDS):
         motion, near_m = drawn.motion, 0.002
         track = played(drawn, motion.impact_s + 0.3)
         speed = track.velocity @ motion.direction()
@@ -205,4 +204,6 @@ def test_the_wall_is_met_on_time_and_returns_the_stated_share_of_the_stated_spee
         before = int(np.flatnonzero(gap < near_m)[0]) - 1
         after = before + 1 + int(np.flatnonzero((gap[before + 1 :] > near_m) & (speed[before + 1 :] < 0))[0])
         lost = motion.friction * GRAVITY_M_S2 * (track.time[after] - track.time[before]) / 2
-        assert (lost - speed[after]) / (speed[before] - lost) == pytest.approx(motion.restitution, abs=0.008)
+        errors.append((lost - speed[after]) / (speed[before] - lost) - motion.restitution)
+    assert np.abs(errors).max() < 0.008
+    assert abs(np.mean(errors)) < 0.004
