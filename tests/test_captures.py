@@ -184,6 +184,14 @@ def begin(spec: EpisodeSpec) -> WorldBatch:
     return batch
 
 
+def energy_j(batch: WorldBatch, spec: EpisodeSpec) -> float:
+    """Kinetic and potential energy of the target."""
+    linear, angular = batch.target_velocity[0, :3], batch.target_velocity[0, 3:]
+    inertia = max(spec.target.inertia)  # an upper bound is enough
+    potential = spec.target.mass_kg * 9.81 * (batch.target_pose[0, 2] + spec.home_pos_w[2])
+    return 0.5 * spec.target.mass_kg * linear @ linear + 0.5 * inertia * angular @ angular + potential
+
+
 @pytest.mark.parametrize("kind", ["ball", "egg", "disc", "ring", "bottle", "cube"])
 def test_a_target_at_4_m_s_does_not_pass_through_the_palm(constant: EpisodeSpec, kind: str):
     spec = flying(constant, 4.0, kind)
@@ -192,6 +200,18 @@ def test_a_target_at_4_m_s_does_not_pass_through_the_palm(constant: EpisodeSpec,
         batch.step(batch.executed)
         assert batch.target_pose[0, 0] - batch.state[0, 0] > PALM_BACK_M, "it would be behind the palm"
     assert batch.target_velocity[0, 0] > -1.0, "the palm has stopped it"
+
+
+@pytest.mark.parametrize("friction", [0.6, 1.1])
+@pytest.mark.parametrize("speed_m_s", [0.5, 2.0, 4.0])
+def test_a_still_hand_gives_no_energy(constant: EpisodeSpec, speed_m_s: float, friction: float):
+    spec = flying(constant, speed_m_s, friction=friction)
+    batch = begin(spec)
+    start = energy_j(batch, spec)
+    for _ in range(20):
+        batch.step(batch.executed)
+        assert energy_j(batch, spec) <= start * (1 + 1e-3) + 1e-4
+    assert np.isfinite(batch.state).all()
 
 
 def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
@@ -208,6 +228,13 @@ def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
     for _ in range(10):
         batch.step(batch.executed)
     assert batch.target_pose[0, 2] < -0.5, "nothing carries it any more"
+
+
+def test_a_touched_pendulum_loses_its_string():
+    spec = sample_spec(replace(RECIPE, motions=("planar",)), 1)
+    episode = caught([spec])[0]
+    assert episode.stage == "held"
+    assert np.linalg.norm(episode.target_pose[-1, :3] - episode.state[-1, :3]) < 0.05
 
 
 def caught(specs: list[EpisodeSpec], size: int = 8, threads: int = 1) -> list:
@@ -227,6 +254,12 @@ def test_the_expert_holds_nearly_everything_at_its_first_attempt(every_kind: lis
     for episode in episodes:
         step = np.abs(np.diff(episode.action[:, :3], axis=0)).max()
         assert step <= 0.1 + 1e-6, "2 m/s along each axis"
+
+
+def test_a_hand_that_stays_open_holds_nothing(every_kind: list[EpisodeSpec]):
+    batch = WorldBatch(RECIPE, 8, 1)
+    jobs = (Job.evaluation(i, spec) for i, spec in enumerate(every_kind[:8]))
+    assert not any(episode.success for _, episode in play(batch, EXPERTS["hold"](), jobs))
 
 
 # -- the verdict ---------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -88,8 +89,21 @@ def test_a_world_remembers_nothing_of_its_last_episode(every_kind: list[EpisodeS
 
 
 RECIPE = Recipe(split="test", image_size=32)
+SHIFT_W = np.array([0.5, -0.25, 0.125])
 ROUNDING = 2e-6
 """Of positions up to 3 m in single precision [m]."""
+
+
+def shifted(spec: EpisodeSpec) -> EpisodeSpec:
+    """The episode of a target in straight motion with everything in it elsewhere in the world."""
+    assert isinstance(spec.motion, Constant)
+    return replace(
+        spec,
+        motion=replace(spec.motion, meeting=tuple((np.asarray(spec.motion.meeting) + SHIFT_W).tolist())),
+        home_pos_w=spec.home_pos_w + SHIFT_W,
+        intercept_pos_w=spec.intercept_pos_w + SHIFT_W,
+        oracle_path=spec.oracle_path + SHIFT_W,
+    )
 
 
 def test_the_first_observation_is_the_same_wherever_the_home_is(specs: list[EpisodeSpec]):
@@ -98,6 +112,19 @@ def test_the_first_observation_is_the_same_wherever_the_home_is(specs: list[Epis
     assert not observation.state[:, :PALM_DOF].any()
     np.testing.assert_allclose(observation.state, np.tile(observation.state[0], (len(specs), 1)), atol=ROUNDING)
     np.testing.assert_allclose(fingertips, np.tile(fingertips[0], (len(specs), 1)), atol=5e-6)
+
+
+def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]):
+    here = next(spec for spec in specs if spec.motion.name == "constant")
+    one, other = world([here]), world([shifted(here)])
+    rng = np.random.default_rng(3)
+    while not one.localized[0] and one.frame[0] < here.window_frames + 12:
+        command = np.concatenate([rng.uniform(-0.3, 0.3, PALM_DOF), rng.uniform(0, 1, HAND_DOF - PALM_DOF)])[None]
+        for batch in (one, other):
+            batch.step(command)
+        for name in ("state", "commanded", "target_pose", "target_velocity", "palm_distance"):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name)
+    np.testing.assert_allclose(other.home_pos_w - one.home_pos_w, SHIFT_W[None], atol=1e-12)
 
 
 def test_the_action_space_does_not_tell_the_home_and_holds_every_reachable_command(specs: list[EpisodeSpec]):
