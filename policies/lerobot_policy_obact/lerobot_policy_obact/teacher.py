@@ -24,6 +24,9 @@ UNREACHABLE_WEIGHT = 0.1
 PLANNED_SPEED = 0.85
 """Share of the palm's speed limit that the teacher plans with where that suffices: a palm that needs all of it comes
 too late whenever the forecast was wrong."""
+SLACK_M = 0.015
+"""A palm this far from the target has met it: half of what localisation allows. Without it, a hand that trails a target
+a little faster than itself heads for a distant meeting instead of closing the last centimetres."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class Answers:
 
 
 def answers(path: Tensor, length: Tensor, due: Tensor, palms: Tensor, step_m: float) -> Answers:
-    """Return where the teacher meets the target.
+    """Return where the teacher meets the target: at the earliest point in reach, or where it is the least late.
 
     Args:
         path: of the untouched target [m], ``(B, F, 3)``.
@@ -70,11 +73,11 @@ def answers(path: Tensor, length: Tensor, due: Tensor, palms: Tensor, step_m: fl
     index = repeat(torch.minimum(frame, last), "b q k -> b (q k) i", i=3)
     future = rearrange(path.gather(1, index), "b (q k) i -> b q 1 k i", q=q)
     distance, known = (future - palms[:, :, :, None]).norm(dim=-1), (frame <= last)[:, :, None]  # (B, Q, M, K)
-    possible, planned = (known & (distance <= share * step_m * ahead) for share in (1.0, PLANNED_SPEED))
+    late = (distance - step_m * ahead).masked_fill(~known, float("inf"))  # how far off the palm is then
+    possible, planned = late <= SLACK_M, known & (distance - PLANNED_SPEED * step_m * ahead <= SLACK_M)
     reachable = possible.any(-1)
     possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
-    latest = repeat((last[..., 0] - due).clamp(1, LONGEST_FRAMES), "b q -> b q m", m=m)
-    frames = torch.where(reachable, possible.int().argmax(-1) + 1, latest)
+    frames = torch.where(reachable, possible.int().argmax(-1), late.argmin(-1)) + 1
     chosen = repeat(frames - 1, "b q m -> b q m 1 i", i=3)
     meeting = future.expand(-1, -1, m, -1, -1).gather(3, chosen)[:, :, :, 0]
     return Answers(palms, meeting, frames, reachable)

@@ -117,9 +117,9 @@ def test_samples_cover_two_answers_and_nothing_between(name: str):
     assert 0.4 < (samples < -0.5).float().mean() < 0.6
 
 
-def test_the_draw_nearest_to_the_others_is_taken():
-    draws = torch.tensor([[[-1.0, 0.0]], [[1.0, 9.0]], [[1.1, 0.0]]])[None]
-    assert torch.equal(most_central(draws, 1), draws[:, 1]), "the second entry does not count"
+def test_the_palm_goes_the_way_nearest_to_the_others_and_the_fingers_the_median():
+    draws = torch.tensor([[[-1.0, 0.0]], [[1.0, 9.0]], [[1.1, 2.0]]])[None]
+    assert torch.equal(most_central(draws, 1), torch.tensor([[[1.0, 2.0]]]))
 
 
 @torch.no_grad()

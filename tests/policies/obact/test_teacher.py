@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from lerobot_policy_obact.teacher import CLOSED_FRAMES, CLOSING_FRAMES, PLANNED_SPEED, answers, virtual_palms
+from lerobot_policy_obact.teacher import CLOSED_FRAMES, CLOSING_FRAMES, PLANNED_SPEED, SLACK_M, answers, virtual_palms
 
 STEP_M = 0.025
 
@@ -18,9 +18,9 @@ def paths(n: int, frames: int = 60) -> torch.Tensor:
 
 
 def searched(path: torch.Tensor, due: int, palm: torch.Tensor, share: float) -> int | None:
-    """The first number of frames in which the palm reaches the path at a share of its full speed."""
+    """The first number of frames in which the palm gets near enough to the path at a share of its full speed."""
     for ahead in range(1, len(path) - due):
-        if (path[due + ahead] - palm).norm() <= share * STEP_M * ahead:
+        if (path[due + ahead] - palm).norm() <= share * STEP_M * ahead + SLACK_M:
             return ahead
     return None
 
@@ -37,18 +37,27 @@ def test_it_meets_the_target_at_the_first_point_in_reach_with_time_to_spare_if_t
             assert torch.equal(told.meeting[b, q, m], path[b, int(due[b, q]) + (calm or found)])
 
 
-def test_out_of_reach_it_goes_to_the_end_of_the_path_and_counts_little():
-    path = torch.tensor([[[5.0, 0, 0]]]).expand(1, 40, 3)
-    told = answers(path, torch.tensor([40]), torch.tensor([[10]]), torch.zeros(1, 1, 1, 3), STEP_M)
+@pytest.mark.parametrize(("speed_m", "frames"), [(0.0, 29), (0.03, 1)])
+def test_out_of_reach_it_goes_where_it_is_the_least_late_and_counts_little(speed_m: float, frames: int):
+    path = torch.tensor([5.0, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([speed_m, 0, 0])
+    told = answers(path[None], torch.tensor([40]), torch.tensor([[10]]), torch.zeros(1, 1, 1, 3), STEP_M)
     assert not told.reachable.any()
-    assert int(told.frames) == 29
+    assert int(told.frames) == frames
     assert float(told.weight) < 0.5
+
+
+def test_a_hand_that_trails_a_faster_target_within_reach_closes_the_gap():
+    path = torch.tensor([0.035, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([1.1 * STEP_M, 0, 0])
+    ahead = 0.035 + 1.1 * STEP_M - STEP_M  # after one frame at full speed
+    told = answers(path[None], torch.tensor([40]), torch.tensor([[0]]), torch.zeros(1, 1, 1, 3), STEP_M)
+    assert not told.reachable.any() and ahead > SLACK_M
+    assert int(told.frames) == 1
 
 
 def test_fingers_are_closed_before_the_meeting_and_open_long_before():
     path = torch.tensor([[[1.0, 0, 0]]]).expand(1, 100, 3)
     closing = answers(path, torch.tensor([100]), torch.tensor([[0]]), torch.zeros(1, 1, 1, 3), STEP_M).closing(50)
-    left = 48 - torch.arange(50)  # 1 m at 0.85 of 2.5 cm a frame
+    left = 47 - torch.arange(50)  # 0.985 m at 0.85 of 2.5 cm a frame
     assert (closing[0, 0, 0, left <= CLOSED_FRAMES] == 1).all()
     assert (closing[0, 0, 0, left >= CLOSED_FRAMES + CLOSING_FRAMES] == 0).all()
     assert (closing[0, 0, 0].diff() >= 0).all()
@@ -67,12 +76,13 @@ def test_the_first_virtual_palm_is_the_recorded_one_and_the_others_are_near_it_o
 
 
 @pytest.mark.parametrize("late", [0, 3])
-def test_it_agrees_with_the_expert(late: int):
+def test_without_slack_it_agrees_with_the_expert(late: int, monkeypatch: pytest.MonkeyPatch):
     from dynahoi_lerobot.core.rules import CONTROL_CLASSES
     from dynahoi_lerobot.experts.intercept import earliest_arrival
     from dynahoi_lerobot.sampling.recipe import Recipe
     from dynahoi_lerobot.sampling.sampler import sample_specs
 
+    monkeypatch.setattr("lerobot_policy_obact.teacher.SLACK_M", 0.0)
     control = CONTROL_CLASSES["late" if late else "standard"]
     for spec in sample_specs(Recipe(control_class=control.name), range(22)):
         path = torch.from_numpy(spec.oracle_path - spec.home_pos_w).float()[None]
@@ -80,4 +90,5 @@ def test_it_agrees_with_the_expert(late: int):
         told = answers(path, torch.tensor([path.shape[1]]), torch.tensor([[due]]), torch.zeros(1, 1, 1, 3), STEP_M)
         waiting = np.concatenate([spec.home_pos_w, spec.reference_joints])
         arrival = earliest_arrival(waiting, spec.reference_joints, spec.oracle_path[due:], PLANNED_SPEED * 0.5, control)
-        assert abs(int(told.frames) - arrival) <= 1  # single precision decides ties
+        missed = arrival == len(spec.oracle_path) - due - 1
+        assert missed or abs(int(told.frames) - arrival) <= 1  # single precision decides ties
