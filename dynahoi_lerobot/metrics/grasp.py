@@ -17,7 +17,7 @@ from dynahoi_lerobot.metrics.base import FRACTION, UNIT, metric
 
 
 def share_of_frames(episode: Episode, min_fingers: int) -> float:
-    """Return the share of control frames, 0 to 1, in which at least ``min_fingers`` match the reference in all joints."""
+    """Return the share of control frames, 0 to 1, in which at least ``min_fingers`` match the reference grasp."""
     reached = joints_reached(episode.joints[episode.control], episode.open_joints, episode.reference_joints)
     by_finger = reached.reshape(-1, len(FINGERS), JOINTS_PER_FINGER)  # (T, 15) -> (T, 5, 3)
     return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= min_fingers))
