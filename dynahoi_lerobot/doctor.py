@@ -23,7 +23,7 @@ import numpy as np
 from packaging.requirements import Requirement
 
 from dynahoi_lerobot.core.arguments import path
-from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF
+from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.core.registry import GROUP, import_plugin
 from dynahoi_lerobot.dataset.video import CODECS
@@ -36,6 +36,7 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 SOUND, PROBLEMS = 0, 1
+"""Exit codes."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ def cores() -> int:
 EPISODE_MB = 0.13
 """Size of an episode at 128 px (docs/notes/scale.md)."""
 LEAST_GB = 0.5
-"""What the quickstart and the compiled kernels need."""
+"""Disk space that the quickstart and the compiled kernels need."""
 
 
 def disk(folder: Path) -> Iterator[Fact]:
@@ -136,7 +137,8 @@ def disk(folder: Path) -> Iterator[Fact]:
     free_gb = shutil.disk_usage(place).free / 1e9
     enough = free_gb >= LEAST_GB
     room = f"room for about {free_gb / EPISODE_MB:.0f} thousand episodes at 128 px"
-    yield Fact("disk", f"{free_gb:.1f} GB free in {place}", room if enough else "0.5 GB are needed", problem=not enough)
+    follows = room if enough else f"{LEAST_GB} GB are needed"
+    yield Fact("disk", f"{free_gb:.1f} GB free in {place}", follows, problem=not enough)
 
 
 def gpu() -> Iterator[Fact]:
@@ -171,8 +173,8 @@ def codecs() -> Iterator[Fact]:
         importlib.import_module("torchcodec")
         yield Fact("torchcodec", version("torchcodec"), "LeRobot decodes with torchcodec")
     except (ImportError, OSError, RuntimeError):
-        told = "LeRobot decodes with PyAV, slower; install FFmpeg's libraries for torchcodec"
-        yield Fact("torchcodec", f"{version('torchcodec')}, finds no FFmpeg libraries", told)
+        follows = "LeRobot decodes with PyAV, slower; install FFmpeg's libraries for torchcodec"
+        yield Fact("torchcodec", f"{version('torchcodec')}, finds no FFmpeg libraries", follows)
 
 
 OURS = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
@@ -184,7 +186,7 @@ OPTIONAL = {
 
 
 def versions() -> Iterator[Fact]:
-    """Yield the versions of Python and the distributions; report what one of ours requires and is not there."""
+    """Yield the versions of Python and of distributions; a requirement of ours that is not met is a problem."""
     yield Fact("Python", platform.python_version())
     for name in (*OURS, "mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL):
         found = installed_version(name)
@@ -217,22 +219,22 @@ def plugins() -> Iterator[Fact]:
     for name, installed in sorted(found):
         yield Fact(name, installed, "LeRobot finds it")
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             import_plugin(entry)
-        follows = str(told[0].message) if told else ""
-        yield Fact(f"plugin {entry.name}", entry.value, follows, problem=bool(told))
+        follows = str(caught[0].message) if caught else ""
+        yield Fact(f"plugin {entry.name}", entry.value, follows, problem=bool(caught))
 
 
 PACED = Recipe(image_size=64)
 PACED_EPISODES = 16
 KNOWN_FRAMES_S, KNOWN_PROCESSOR_S, KNOWN_ELAPSED_S = 593.0, 400.0, 276.0
-"""Speed of a core of the machine on which the quickstart was timed; its processor time there, and wall time on two idle
-cores."""
+"""Where the quickstart was timed: speed of one core [frames/s]; the quickstart's processor time and its wall time on
+two idle cores [s]."""
 
 
 def pace() -> Iterator[Fact]:
-    """Yield the speed over some episodes of ``train``, sampling included, and an estimate from it."""
+    """Yield this machine's speed, sampling included, and the quickstart's duration estimated from it."""
     frames_s = frames_per_s()
     known_s = KNOWN_PROCESSOR_S if cores() == 1 else KNOWN_ELAPSED_S
     minutes = max(1.0, known_s * KNOWN_FRAMES_S / frames_s / 60)
@@ -260,7 +262,7 @@ TOLERANCE = 1e-5
 
 
 Reference = dict[str, np.ndarray]
-"""What the expert's first ``n`` episodes of ``test`` were on some machine.
+"""The expert's first ``n`` episodes of ``test``, as some machine played them.
 
 ``machine``: processor and library versions, in words. ``motions`` and ``images``: (n,) digests of states, commands and
 target poses, and of all images. ``poses``: (K, 25) float32, hand state [m, rad] and target pose [m, 1] at every tenth
@@ -269,17 +271,18 @@ frame of all episodes. ``pixels``: (n, 32, 32, 3) uint8 RGB at control start.
 
 
 def read_reference() -> Reference:
-    """Read the packaged file."""
+    """Return the reference that comes with the package."""
     with np.load(REFERENCE, allow_pickle=False) as held:
         return dict(held)
 
 
 def play(count: int) -> Reference:
-    """Play the first ``count`` episodes on this machine."""
+    """Return the first ``count`` episodes as this machine plays them."""
     specs = sample_specs(PLAYED, range(count), threads=0)
     played = evaluate(WorldBatch(PLAYED, min(count, 22)), EXPERTS[PLAYED.expert](), specs, images=True)
     episodes = sorted(played, key=lambda episode: episode.meta.seed)
-    machine = ", ".join([platform.machine(), *(f"{library} {version(library)}" for library in LIBRARIES[:4])])
+    computing = LIBRARIES[:4]  # those that compute states and pixels
+    machine = ", ".join([platform.machine(), *(f"{library} {version(library)}" for library in computing)])
     return {
         "machine": np.array(machine),
         "motions": np.array([digest([e.state, e.action, e.target_pose]) for e in episodes]),
@@ -290,7 +293,7 @@ def play(count: int) -> Reference:
 
 
 def digest(arrays: Iterable[np.ndarray]) -> str:
-    """Return 16 hexadecimal digits of the bytes."""
+    """Return 16 hexadecimal digits of the sha256 of the arrays' bytes."""
     return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:16]
 
 
@@ -298,27 +301,28 @@ def compare(found: Reference, wanted: Reference) -> Iterator[Fact]:
     """Yield how this machine's episodes differ from the reference."""
     yield Fact("reference", f"benchmark {BENCHMARK.version}, {wanted['machine']}", f"here {found['machine']}")
     same = found["motions"] == wanted["motions"]
-    told = _counted(same)
+    identical = _count(same)
     if same.all():
-        yield Fact("motion", told, "results agree with ours to the last digit")
+        yield Fact("motion", identical, "results agree with ours to the last digit")
     elif found["poses"].shape != wanted["poses"].shape:
-        yield Fact("motion", f"{told}; some lengths differ", "results differ from ours", problem=True)
+        yield Fact("motion", f"{identical}; some lengths differ", "results differ from ours", problem=True)
     else:
         off = np.abs(found["poses"] - wanted["poses"]).max(axis=0)
-        told += f"; palm off by at most {off[:3].max():.2g} m, target by {off[HAND_DOF:][:3].max():.2g} m"
+        palm_m, target_m = off[:PALM_DOF].max(), off[HAND_DOF : HAND_DOF + 3].max()
         close = bool(off.max() <= TOLERANCE)
         confirmed = "`dynahoi evaluate --replay` confirms results across both, with the same library versions"
-        yield Fact("motion", told, confirmed if close else "results differ from ours", problem=not close)
+        differs = f"{identical}; palm off by at most {palm_m:.2g} m, target by {target_m:.2g} m"
+        yield Fact("motion", differs, confirmed if close else "results differ from ours", problem=not close)
     same = found["images"] == wanted["images"]
-    told = _counted(same)
+    identical = _count(same)
     if same.all():
-        yield Fact("images", told, "policies see identical images")
+        yield Fact("images", identical, "policies see identical images")
     else:
         off = np.abs(found["pixels"].astype(int) - wanted["pixels"])
-        yield Fact("images", f"{told}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average")
+        yield Fact("images", f"{identical}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average")
 
 
-def _counted(same: np.ndarray) -> str:
+def _count(same: np.ndarray) -> str:
     return f"{int(same.sum())} of {len(same)} episodes are bit-identical to ours"
 
 

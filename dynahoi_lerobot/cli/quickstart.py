@@ -35,6 +35,7 @@ from dynahoi_lerobot.sampling.splits import SMALL_TEST
 
 IMAGE_SIZE = 96
 TRAINING = Path(__file__).with_suffix(".yaml")
+"""LeRobot's training config: recipes/train/obact.yaml without evaluation; the command line sets folders and steps."""
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
 KINDS = BENCHMARK.splits[SMALL_TEST].motions
 GIFS = 6
@@ -42,12 +43,13 @@ BASELINES = ("intercept", "constant_velocity", "hold")
 NEEDS = ("torch", "lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
 """Packages that the core does not install."""
 TABLE = "table.txt"
+"""Written last, so that its presence says that every baseline was evaluated."""
 TASK_DONE = "metrics so far:"
 """What the environment prints after each kind of motion."""
 STEPS_DONE, LOG_STEPS = " step:", 5
-"""What `lerobot-train` prints after so many steps."""
+"""What `lerobot-train` prints, and every how many steps."""
 ONE_THREAD = {"OMP_NUM_THREADS": "1"}
-"""One compute thread beside those that decode; more of them contend for two cores and slow each other down."""
+"""One compute thread beside those that decode images; more would compete for two cores."""
 POLICY = "obact"
 """Name of the trained policy's results."""
 
@@ -60,7 +62,7 @@ class Size:
         episodes: of the dataset.
         steps: of training, a multiple of ``LOG_STEPS``.
         per_kind: evaluation episodes per kind of motion.
-        kinds: how many kinds of motion, from the first.
+        kinds: how many of ``KINDS`` are evaluated, from the first.
     """
 
     episodes: int = 800
@@ -70,7 +72,7 @@ class Size:
 
 
 FULL = Size()
-TINY = Size(2, LOG_STEPS, 1, 2)
+TINY = Size(episodes=2, steps=LOG_STEPS, per_kind=1, kinds=2)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -125,8 +127,8 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
 
 
 def _generate(out: Path, size: Size) -> None:
-    words = ["--root", str(out / "dataset"), "--episodes", str(size.episodes), "--image-size", str(IMAGE_SIZE)]
-    if cli.main(["generate", *words, "--workers", str(cores())]):
+    arguments = ["--root", str(out / "dataset"), "--episodes", str(size.episodes), "--image-size", str(IMAGE_SIZE)]
+    if cli.main(["generate", *arguments, "--workers", str(cores())]):
         raise CommandError("generation failed; see the message above")
 
 
@@ -135,9 +137,9 @@ def _checkpoint(out: Path) -> Path:
 
 
 def _train(out: Path, size: Size) -> None:
-    """Train, and keep the last checkpoint."""
+    """Train; keep only the last checkpoint."""
     checkpoint, partial = _checkpoint(out), out / "training.partial"
-    words = [
+    arguments = [
         f"--config_path={TRAINING}",
         f"--dataset.root={out / 'dataset'}",
         f"--output_dir={partial / 'run'}",
@@ -147,15 +149,15 @@ def _train(out: Path, size: Size) -> None:
         f"--log_freq={LOG_STEPS}",
     ]
     bar = {"total": size.steps // LOG_STEPS, "desc": "encoding and training", "bar_format": BAR}
-    with _lerobot("train", words, out, partial, STEPS_DONE, **bar):
+    with _run_into("train", arguments, out, partial, STEPS_DONE, **bar):
         checkpoint.parent.mkdir(exist_ok=True)
         (partial / "run" / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)
 
 
 def _evaluate(out: Path, size: Size) -> None:
-    """Evaluate, and keep the results once all kinds have been played."""
+    """Evaluate; keep the results only once every kind of motion has been played."""
     kinds, results, partial = KINDS[: size.kinds], out / "results" / POLICY, out / "results" / f"{POLICY}.partial"
-    words = [
+    arguments = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
         "--env.type=dynahoi",
@@ -168,14 +170,14 @@ def _evaluate(out: Path, size: Size) -> None:
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     ]
-    with _lerobot("eval", words, out, partial, TASK_DONE, total=len(kinds), desc="evaluating", unit="kind"):
+    with _run_into("eval", arguments, out, partial, TASK_DONE, total=len(kinds), desc="evaluating", unit="kind"):
         _film(_checkpoint(out), partial / "film", partial / results.name)
         (partial / results.name).rename(results)
 
 
 @contextmanager
-def _lerobot(command: str, words: list[str], out: Path, partial: Path, step: str, **bar: Any) -> Iterator[None]:
-    """Run ``lerobot-train`` or ``lerobot-eval`` into ``partial``, which is gone at the end; the body keeps what counts.
+def _run_into(command: str, arguments: list[str], out: Path, partial: Path, step: str, **bar: Any) -> Iterator[None]:
+    """Run ``lerobot-train`` or ``lerobot-eval``; the body moves out of ``partial`` what is kept, the rest is deleted.
 
     Raises:
         CommandError: if the command fails.
@@ -183,23 +185,23 @@ def _lerobot(command: str, words: list[str], out: Path, partial: Path, step: str
     log = out / f"lerobot_{command}.log"
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    print(f"lerobot-{command} {' '.join(words)}\noutput: {log}", flush=True)
+    print(f"lerobot-{command} {' '.join(arguments)}\noutput: {log}", flush=True)
     with tqdm(disable=None, **bar) as progress:
-        code = run_lerobot(command, words, log, step, progress)
+        code = run_lerobot(command, arguments, log, step, progress)
     if code:
         raise CommandError(f"lerobot-{command} exited with code {code}; see {log}")
     yield
     shutil.rmtree(partial)
 
 
-def run_lerobot(command: str, words: list[str], log: Path, step: str, bar: tqdm) -> int:
+def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: tqdm) -> int:
     """Run ``lerobot-<command>`` with its output in ``log``; ``bar`` advances by one at each line with ``step`` in it.
 
     Returns:
         Its exit code.
     """
     process = subprocess.Popen(
-        [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *words],
+        [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         env=os.environ | ONE_THREAD,
@@ -216,8 +218,8 @@ def run_lerobot(command: str, words: list[str], log: Path, step: str, bar: tqdm)
 
 def _film(checkpoint: Path, scratch: Path, results: Path) -> None:
     """Record the first episodes as GIFs beside ``results``."""
-    words = ["--policy", str(checkpoint), "--out", str(scratch), "--episodes", str(GIFS), "--gifs", str(GIFS)]
-    if cli.main(["evaluate", *words]):
+    arguments = ["--policy", str(checkpoint), "--out", str(scratch), "--episodes", str(GIFS), "--gifs", str(GIFS)]
+    if cli.main(["evaluate", *arguments]):
         raise CommandError("recording clips failed; see the message above")
     for clip in scratch.glob("*.gif"):
         clip.rename(results / clip.name)
@@ -235,8 +237,8 @@ def _baselines(out: Path, size: Size) -> None:
     count = str(len(read_results(out / "results" / POLICY).rows))
     for name in BASELINES:
         folder = str(out / "results" / name)
-        words = ["--policy", name, "--out", folder, "--episodes", count, "--image-size", "0"]
-        if cli.main(["evaluate", *words]):
+        arguments = ["--policy", name, "--out", folder, "--episodes", count, "--image-size", "0"]
+        if cli.main(["evaluate", *arguments]):
             raise CommandError(f"the baseline {name!r} failed")
 
 

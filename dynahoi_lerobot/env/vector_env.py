@@ -30,7 +30,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 DEFAULT_RECIPE = Recipe(split="test")
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
-"""Reset option: play one episode in every world, then stand still until the next reset."""
+"""Reset option: play one episode in every world, then wait for the next reset."""
 RENDER_MODES = ("rgb_array",)
 RANDOM_SEED_LIMIT = 2**31
 """Seeds that the environment draws itself are below this."""
@@ -51,42 +51,40 @@ class DynahoiVectorEnv(VectorEnv):
     Description:
         A floating five-fingered hand (3 palm translations, 15 flexion joints) and a target that moves on a path of its
         own, at 20 Hz. In the observation window (the first 20 % of the frames, at least 8) actions are ignored and the
-        hand is held still; ``phase`` turns from [1, 0] to [0, 1] when the control phase begins. Then the hand has L
-        control steps. SI units; positions are in the home frame: axes of the world, z up, origin where the palm's
-        centre waits in this episode, so that the palm begins at (0, 0, 0).
+        hand stays still; ``phase`` changes from [1, 0] to [0, 1] when the control phase of L steps begins. SI units;
+        positions are in the home frame: axes of the world, z up, origin at the palm's start.
     Observation:
         A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
         view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], home frame, and joint angles
-        [rad]; ``phase`` (2,); and, if the
-        capture rule uses contact sensors, ``touch`` (5,) force of each finger on the target [N]. Only on request
-        ``environment_state`` (13,), the simulator's truth: pose of the target [m, 1], home frame, and its linear and
-        angular velocity [m/s, rad/s].
+        [rad]; ``phase`` (2,); and, if the capture rule uses contact sensors, ``touch`` (5,) force of each finger on the
+        target [N]. Only on request ``environment_state`` (13,), the simulator's truth: pose of the target [m, 1], home
+        frame, and its linear and angular velocity [m/s, rad/s].
     Action:
         (18,) float32 target for the next frame: palm centre [m], home frame, and joint angles [rad]. The palm's bounds
-        are the length of the gantry's slides either way (4, 4 and 2.48 m), the same in every episode; where on the
-        slides the home lies is not told. Clipped to the joint ranges and, in the world, to the slides; cut to the speed
-        of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``, ``late``) or 2 m/s
+        are the length of the gantry's slides either way (4, 4 and 2.48 m), the same in every episode, so that they do
+        not give away where on the slides the hand starts. Clipped to the joint ranges and to the slides, and limited to
+        the speed of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``, ``late``) or 2 m/s
         (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It takes effect at once,
-        or after 150 ms (``late``). With ``control_mode="grasp"`` (4,): the palm's displacement from where it is now
-        [m], and how far the hand should be closed, 0 to 1.
+        or after 150 ms (``late``). With ``control_mode="grasp"`` (4,): the palm's displacement from its current
+        position [m], and the closure of the hand, 0 to 1.
     Reward:
         One of ``REWARDS``: 1 at the frame at which the episode ends in success, else 0 (``sparse``), or progress
         towards the target as well (``dense``).
     Episode end:
-        Terminated when the outcome is settled, half a second (``attach``) after localisation; truncated after L control
-        steps and one more, whose action has no consequence: it records what the last one led to. Autoreset: the next
+        Terminated when the outcome is settled, half a second (``attach``) after localisation; truncated after L + 1
+        control steps, of which the last ignores its action and records where the one before led. Autoreset: the next
         step begins the world's next episode and ignores its action.
     Info:
         ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
         it does not apply, with its mask ``_<name>``.
     Options:
-        ``reset(options={"lerobot_new_rollout": True})`` plays one episode per world and then stands still.
+        ``reset(options={"lerobot_new_rollout": True})`` plays one episode in every world, then waits for a reset.
 
-    Copies (``pickle``, ``deepcopy``) have the same constructor arguments and begin before their first reset.
+    Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset.
 
     Attributes:
         recipe: rules of the episodes.
-        kind: the kind of motion that is played, None for all.
+        kind: the only kind of motion played; None for all.
         reward: one of ``REWARDS``.
     """
 
@@ -119,9 +117,9 @@ class DynahoiVectorEnv(VectorEnv):
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
-            inference: timing of a policy whose inferences take time, for this env alone. A step is then a call of the
-                policy; after some of them the world stands still, the observation is the one before, and nothing ends.
-            fields: of the recipe, which they change, such as ``split="val"`` or ``image_size=96``; see ``Recipe``.
+            inference: timing of a policy whose inferences take time, for this env alone. A step is then one call of the
+                policy: some calls only fetch more of a chunk, return the same observation and advance no world.
+            fields: fields of the recipe to change, such as ``split="val"`` or ``image_size=96``; see ``Recipe``.
 
         Raises:
             ValueError: for an unknown name or a value out of range, naming those allowed.
@@ -142,9 +140,9 @@ class DynahoiVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._numbers = np.zeros(num_envs, int)  # of the episodes, within split and kind
-        self._longest = np.zeros(num_envs, int)  # lengths of the episodes at most [frames]
+        self._max_frames = np.zeros(num_envs, int)  # of each world's episode
         self._success, self._ended = np.zeros((2, num_envs), bool)
-        self._distance_m = np.zeros(num_envs)  # of palm centre and target centre at the last frame
+        self._distance_m = np.zeros(num_envs)  # from palm centre to target centre at the last frame, for ``DENSE``
         self._one_episode = False
 
     def reset(
@@ -153,8 +151,9 @@ class DynahoiVectorEnv(VectorEnv):
         """Begin an episode in every world.
 
         Args:
-            seed: number of the episode within the split (and kind), 0 to 2^40 - 1, one for each world or a first one
-                that counts up; None draws numbers at random. Later episodes count on, from the last number to 0.
+            seed: number of the episode within the split (and kind), 0 to 2^40 - 1: one for each world, or that of the
+                first world, from which the others count up; None draws at random. Each later episode of a world has its
+                number plus N, modulo 2^40.
             options: see the class.
 
         Raises:
@@ -192,8 +191,9 @@ class DynahoiVectorEnv(VectorEnv):
             actions = self._batch.check(actions)
             commands = self._inference.answer(actions, before.state.astype(np.float64))
             if commands is None:
-                still, infos = np.zeros((2, self.num_envs), bool), {"is_success": self._success.copy()}
-                return as_gym(before), np.zeros(self.num_envs), still[0], still[1], infos
+                terminated, truncated = np.zeros((2, self.num_envs), bool)
+                infos = {"is_success": self._success.copy()}
+                return as_gym(before), np.zeros(self.num_envs), terminated, truncated, infos
             actions = commands
         restarting = np.flatnonzero(self._ended)
         terminated, truncated = self._session.step(actions)
@@ -219,7 +219,7 @@ class DynahoiVectorEnv(VectorEnv):
         return tuple(images[EGO_VIEW] if images else self._batch.cameras.render())
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Return attribute ``name`` of every world, called if it can be; as gymnasium's other vector envs do."""
+        """Return attribute ``name`` of every world, called if it is callable, like gymnasium's other vector envs."""
         value = getattr(self, name)
         if name == "render":
             return value()
@@ -242,12 +242,12 @@ class DynahoiVectorEnv(VectorEnv):
 
     @property
     def _max_episode_steps(self) -> int:
-        """Most steps of the episodes now being played; LeRobot asks after every reset."""
-        frames = int(self._longest.max())
+        """Steps after which every episode now being played has ended; LeRobot reads it after every reset."""
+        frames = int(self._max_frames.max())
         return frames if self._inference is None else self._inference.calls(frames)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy is made from: the constructor's arguments, and what gymnasium made the env from."""
+        """Return what a copy is made from: the constructor's arguments and gymnasium's ``spec``."""
         arguments = {name: getattr(self, name) for name in ("num_envs", "recipe", "kind", "reward", "render_mode")}
         arguments |= {"threads": self._threads, "on_episode": self._on_episode}
         return {"arguments": arguments | {"inference": copy.deepcopy(self._inference)}, "spec": self.spec}
@@ -258,7 +258,12 @@ class DynahoiVectorEnv(VectorEnv):
         self.spec = state["spec"]
 
     def _observed(self) -> Observation:
-        """The latest observation; there is one between the first ``reset`` and ``close``."""
+        """The latest observation.
+
+        Raises:
+            ResetNeeded: before the first ``reset``.
+            ClosedEnvironmentError: after ``close``.
+        """
         check_open(self.closed)
         if self._session.observation is None:
             raise ResetNeeded("call reset first: no episode has begun")
@@ -284,11 +289,11 @@ class DynahoiVectorEnv(VectorEnv):
         specs = sample_specs(self.recipe, seeds, threads=max(1, self._threads))
         jobs = [Job.evaluation(int(i), spec) for i, spec in zip(ids, specs, strict=True)]
         self._session.begin(ids, jobs)
-        self._longest[ids], self._success[ids] = [job.frames for job in jobs], False
+        self._max_frames[ids], self._success[ids] = [job.frames for job in jobs], False
         self._distance_m = self._measured_distance_m()
 
     def _infos(self, ending: np.ndarray) -> dict[str, Any]:
-        """End the episodes of worlds ``ending`` (N,) bool and return what is told after a step, see the class."""
+        """Finish the episodes of worlds ``ending`` (N,) bool; return the step's infos, see the class."""
         for i in self._session.playing:
             self._success[i] = self._session.success(int(i))
         infos: dict[str, Any] = {"is_success": self._success.copy()}
@@ -306,8 +311,8 @@ class DynahoiVectorEnv(VectorEnv):
         """(N,) reward of the step just made, before the next episodes begin; see ``REWARDS``.
 
         Args:
-            acted: (N,) bool, its action took effect.
-            ending: (N,) bool, the episode ends with it.
+            acted: (N,) bool, whether the step's action took effect.
+            ending: (N,) bool, whether the episode ends with this step.
         """
         rewards = (self._success & ending).astype(np.float64)
         if self.reward == DENSE:
@@ -325,7 +330,7 @@ def observation_space(features: Sequence[Feature]) -> spaces.Dict:
     """Return the space of one world's observations: a Box for each of ``features`` that policies see.
 
     Args:
-        features: as of ``Recipe.features``; those that policies do not see are left out.
+        features: as ``Recipe.features`` returns them.
     """
     groups: dict[str, dict[str, spaces.Space]] = {"": {}}
     for feature in features:

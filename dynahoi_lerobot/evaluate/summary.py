@@ -15,14 +15,14 @@ Z_95 = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""
 RESAMPLES = 2000
 SEED = 0
-CHUNK = 2_000_000
-"""Resampled values held at once, so that memory stays bounded for any number of episodes."""
+RESAMPLED_AT_ONCE = 2_000_000
+"""Values resampled at once, which bounds memory for any number of episodes."""
 
 
 def wilson(successes: int, count: int) -> tuple[float, float]:
     """Return Wilson's 95 % score interval of a rate, within [0, 1].
 
-    Unlike the normal interval it is not empty at 0 or at ``count`` successes (E. B. Wilson, JASA 1927).
+    Unlike the normal approximation's, it has a width at 0 and at ``count`` successes (E. B. Wilson, JASA 1927).
     """
     rate, spread = successes / count, Z_95**2 / count
     centre = (rate + spread / 2) / (1 + spread)
@@ -32,10 +32,10 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
 
 
 def bootstrap_means(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> np.ndarray:
-    """Return (resamples,) means of resamples with replacement of (n,) ``values``, independent of their order."""
+    """Return (resamples,) means of (n,) ``values`` resampled with replacement, the same for any order of the values."""
     values = np.sort(np.asarray(values, np.float64))
     rng = np.random.default_rng(seed)
-    rows = max(1, CHUNK // values.size)
+    rows = max(1, RESAMPLED_AT_ONCE // values.size)
     counts = [min(rows, resamples - start) for start in range(0, resamples, rows)]
     picks = (rng.integers(values.size, size=(count, values.size)) for count in counts)
     return np.concatenate([values[pick].mean(axis=1) for pick in picks])
@@ -55,7 +55,7 @@ class Estimate:
         value: the mean, in ``unit``; None if no episode meets the metric's condition.
         low: lower end of the interval, None with ``value``.
         high: upper end of the interval, None with ``value``.
-        unit: ``fraction``, ``u`` (0.1 m) or ``score``.
+        unit: ``fraction``, ``u`` (0.1 m), ``m/s`` or ``score``.
         n: how many episodes meet the metric's condition.
     """
 
@@ -70,7 +70,7 @@ Summary = dict[str, Estimate]
 
 
 def estimate(metric: Metric, values: Iterable[float | None]) -> Estimate:
-    """Return the mean of one metric over the episodes where it applies (a None is left out)."""
+    """Return the mean of one metric over the episodes to which it applies, those whose value is not None."""
     known = np.array([value for value in values if value is not None], np.float64)
     if known.size == 0:
         return Estimate(None, None, None, metric.unit, 0)
@@ -79,7 +79,7 @@ def estimate(metric: Metric, values: Iterable[float | None]) -> Estimate:
 
 
 def summarise_rows(rows: Sequence[Row]) -> Summary:
-    """Return every metric over ``rows``; a metric without a column there has ``n = 0``."""
+    """Return every metric over ``rows``; a metric that the rows lack has ``n = 0``."""
     return {name: estimate(metric, (row.get(name) for row in rows)) for name, metric in METRICS.items()}
 
 

@@ -1,4 +1,4 @@
-"""Catching for real: meet the target at its own velocity, close on contact, regulate the grip, brake, lift, shake."""
+"""Catching by contact: meet the target at its own velocity, close on contact, hold the grip, brake, lift, shake."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
 
 PALM_FACE_M = -0.036
-"""The palm's surface, from the palm centre along x."""
+"""The palm's surface along x, from the palm centre."""
 SEAT_Y_M, SEAT_Z_M = 0.0, 0.004
-"""Where a target sits in the hand, from the palm centre."""
+"""Where the centre of a held target is along y and z, from the palm centre."""
 CLOSING_SPEED_M_S = 0.3
-"""At contact the palm moves this much faster than the target, along its normal."""
+"""At contact the palm moves this much faster than the target, along the palm's normal."""
 FOLLOW_FRAMES = 2
-"""The palm follows the untouched path a little longer, while the fingers close."""
+"""After contact the palm stays this long on the path of the untouched target, while the fingers close."""
 LEAD_FRAMES = 1
-"""The fingers begin to close this long before the palm touches."""
+"""The fingers begin to close this long before contact."""
 FAST_RAD, GRIP_RAD = 0.5, 0.2
-"""How far a joint is commanded beyond where it is: while closing, and while holding (0.2 rad are 0.6 N m)."""
+"""How far a joint is commanded beyond its angle: while closing, and while holding (0.2 rad give 0.6 N m)."""
 BRAKE_FRAMES = 10
 LIFT_M = 0.06
+"""Rise of the palm while it brakes."""
 SHAKE_M, SHAKE_FRAMES, LONGEST_SHAKE_FRAMES = 0.015, 12, 120
+"""Amplitude along y and z, period, and length of the shake."""
 MAX_PALM_ACCELERATION_M_S2 = 60.0
 """Half of what the servos' 120 N give."""
 SHORTEST_APPROACH_FRAMES, LONGEST_SEARCH_FRAMES = 4, 60
 NEAR_M, BEHIND_MARGIN_M = 0.2, 0.004
-"""Within the first distance of its seat a target may be no further than the second behind the palm's surface."""
+"""A target nearer to its seat than the first may be behind the palm's surface by the second at most."""
 RETRY_SPACING = 3
-"""Each further attempt takes the moment that many places down the ranking."""
+"""Each further attempt moves this many places down the ranking of moments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,7 @@ class Catch:
     def command(self, frame: int, state: np.ndarray) -> np.ndarray:
         """Return (18,) the command that takes effect at ``frame``: where the hand should be one frame later.
 
-        A hand that was disturbed before contact comes back little by little, just in time.
+        A hand that was disturbed before contact returns to the path evenly until contact.
 
         Args:
             frame: of the episode.
@@ -81,7 +83,7 @@ class Catch:
 class Match(SingleWorldExpert):
     """Velocity-matched interception with a power grasp, for the capture rule ``contact``.
 
-    It plans from the episode and the attempt alone, and keeps the plans of episodes for as long as they are played.
+    A plan follows from the episode and the attempt alone, and is kept while the episode is played.
     """
 
     retries = 3
@@ -105,9 +107,9 @@ class Match(SingleWorldExpert):
 
 
 def plan_catch(spec: EpisodeSpec, attempt: int = 1) -> Catch:
-    """Return the catch of the ``attempt``-th try (from 1): the easiest moments that the hand can make, in turn.
+    """Return the catch for an attempt (from 1): the first is planned for the easiest moment, others for harder ones.
 
-    Its first command takes effect as control starts.
+    The first command takes effect when control starts.
     """
     seat = np.array([PALM_FACE_M + spec.target.grasp_radius_m, SEAT_Y_M, SEAT_Z_M])
     goal = spec.oracle_path - seat  # (F, 3) where the palm must be for the target to sit in it
@@ -127,23 +129,23 @@ def _ranked_moments(spec: EpisodeSpec, goal: np.ndarray) -> list[int]:
 
 
 def _difficulty(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> float:
-    """How hard a catch is: beyond the hand's limits, into the back of the hand, fast, jerky, far from the intercept."""
+    """Return a cost: over the hand's limits, target behind the palm, fast, jerky, far from the intercept."""
     palm = _approach(spec, goal, moment)
     velocity = np.diff(palm, axis=0) / CONTROL_DT
-    push = np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / CONTROL_DT
-    excess = max(np.abs(velocity).max() / GANTRY_SPEED_M_S - 1, 0) + max(push / MAX_PALM_ACCELERATION_M_S2 - 1, 0)
+    peak_m_s2 = np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / CONTROL_DT
+    excess = max(np.abs(velocity).max() / GANTRY_SPEED_M_S - 1, 0) + max(peak_m_s2 / MAX_PALM_ACCELERATION_M_S2 - 1, 0)
     offset = goal[spec.window_frames : moment + 1] - palm  # (K, 3) of the target from its seat
     near = np.linalg.norm(offset, axis=1) < NEAR_M
     behind = np.maximum(-offset[near, 0] - BEHIND_MARGIN_M, 0.0).sum()
     speed = norm(_velocity(goal, moment))
     carried = goal[moment : moment + FOLLOW_FRAMES + 1]
-    jolt = np.linalg.norm(np.diff(carried, n=2, axis=0), axis=1).max() / CONTROL_DT**2
-    late = abs(moment - spec.intercept_frame)
-    return float(100 * (excess + behind) + speed + 0.02 * jolt + 0.05 * late)
+    carried_m_s2 = np.linalg.norm(np.diff(carried, n=2, axis=0), axis=1).max() / CONTROL_DT**2
+    frames_off = abs(moment - spec.intercept_frame)
+    return float(100 * (excess + behind) + speed + 0.02 * carried_m_s2 + 0.05 * frames_off)
 
 
 def _approach(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> np.ndarray:
-    """Return (K, 3) from rest at home to the target's position, velocity and acceleration at ``moment``."""
+    """Return the palm's (K, 3) path [m], world, from rest at home to the target's motion at ``moment``."""
     before, at, after = goal[moment - 1 : moment + 2]
     velocity = _velocity(goal, moment) + [CLOSING_SPEED_M_S, 0.0, 0.0]
     velocity = np.clip(velocity, -GANTRY_SPEED_M_S, GANTRY_SPEED_M_S)  # a limit of each axis of the gantry
@@ -158,7 +160,7 @@ def _velocity(path: np.ndarray, frame: int) -> np.ndarray:
 
 
 def _carry_away(path: np.ndarray) -> np.ndarray:
-    """Append braking with a lift, and a gentle shake, to the path (K, 3) of a palm with a target in it."""
+    """Return the (K, 3) path of a palm that holds a target, followed by braking with a lift and a gentle shake [m]."""
     velocity, still = (path[-1] - path[-2]) / CONTROL_DT, np.zeros(3)
     rest = path[-1] + velocity * BRAKE_FRAMES * CONTROL_DT / 2 + [0.0, 0.0, LIFT_M]
     braking = _quintic((path[-1], velocity, still), (rest, still, still), BRAKE_FRAMES)
@@ -172,7 +174,7 @@ State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _quintic(start: State, end: State, frames: int) -> np.ndarray:
-    """Return (frames + 1, 3) the fifth-order polynomial that joins two states."""
+    """Return (frames + 1, 3) positions [m] on the fifth-order polynomial that joins two states."""
     scale = np.array([1.0, frames * CONTROL_DT, (frames * CONTROL_DT) ** 2])[:, None]
     boundary = np.concatenate([np.stack(start) * scale, np.stack(end) * scale])
     progress = np.linspace(0.0, 1.0, frames + 1)

@@ -16,16 +16,22 @@ from dynahoi_lerobot.core.episode import Episode, joints_reached
 from dynahoi_lerobot.metrics.base import FRACTION, UNIT, metric
 
 
-def share_of_frames(episode: Episode, at_least: int) -> float:
-    """Return the share of control frames, 0 to 1, in which ``at_least`` fingers match the reference in all joints."""
+def share_of_frames(episode: Episode, min_fingers: int) -> float:
+    """Return the share of control frames, 0 to 1, in which at least ``min_fingers`` match the reference grasp."""
     reached = joints_reached(episode.joints[episode.control], episode.open_joints, episode.reference_joints)
     by_finger = reached.reshape(-1, len(FINGERS), JOINTS_PER_FINGER)  # (T, 15) -> (T, 5, 3)
-    return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= at_least))
+    return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= min_fingers))
 
 
-def grasps_at(episode: Episode, frames: slice) -> bool:
-    """Tell whether all 15 joints reach the reference in any of ``frames``."""
-    reached = joints_reached(episode.joints[frames], episode.open_joints, episode.reference_joints)
+def grasps_within(episode: Episode, frames: int) -> bool | None:
+    """Tell whether all 15 joints match the reference in any of ``frames`` frames, counted from the first localised one.
+
+    None if the target is never localised.
+    """
+    first = episode.first_localized
+    if first is None:
+        return None
+    reached = joints_reached(episode.joints[first : first + frames], episode.open_joints, episode.reference_joints)
     return bool(reached.all(axis=1).any())
 
 
@@ -40,8 +46,7 @@ def s_gra(episode: Episode) -> bool | None:
     Fraction of localised episodes, higher is better. Paper: Section "Evaluation metrics" and Appendix "Evaluation
     Criteria".
     """
-    first = episode.first_localized
-    return None if first is None else grasps_at(episode, slice(first, first + 1))
+    return grasps_within(episode, 1)
 
 
 WINDOW_S = 0.5
@@ -55,11 +60,10 @@ def s_gra_window(episode: Episode) -> bool | None:
     ``S_gra_window = 1 if S_gra's condition holds at any t in [t_loc, t_loc + 0.5 s], else 0``; None if the target is
     never localised.
 
-    Fraction of localised episodes, higher is better. Ours: S_gra judges one instant, which a hand that closes 50 ms
-    late fails.
+    Fraction of localised episodes, higher is better. Ours: S_gra judges a single frame, so a hand that closes 50 ms
+    late fails it.
     """
-    first = episode.first_localized
-    return None if first is None else grasps_at(episode, slice(first, first + round(WINDOW_S * CONTROL_HZ) + 1))
+    return grasps_within(episode, 1 + round(WINDOW_S * CONTROL_HZ))
 
 
 @metric("S_gra_two_sided", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
@@ -76,8 +80,8 @@ def s_gra_two_sided(episode: Episode) -> bool | None:
     if first is None:
         return None
     wanted = episode.reference_joints - episode.open_joints
-    counts = np.abs(wanted) > 1e-6
-    share = (episode.joints[first] - episode.open_joints)[counts] / wanted[counts]
+    turns = np.abs(wanted) > 1e-6  # (15,) joints that the reference grasp turns
+    share = (episode.joints[first] - episode.open_joints)[turns] / wanted[turns]
     return bool(((share >= GRASP_FRACTION - 1e-6) & (share <= LARGEST_GRASP_FRACTION + 1e-6)).all())
 
 
@@ -87,9 +91,9 @@ def s_joint(episode: Episode) -> bool:
 
     ``S_joint = S_loc * S_gra_two_sided``, over all episodes.
 
-    Fraction of episodes, higher is better. Ours: S_joint_paper with the grasp that a fist fails.
+    Fraction of episodes, higher is better. Ours: like S_joint_paper, but a fist fails it.
     """
-    return bool(s_gra_two_sided(episode))
+    return bool(s_gra_two_sided(episode))  # None, never localised, is a failure
 
 
 @metric("S_joint_paper", unit=FRACTION, direction="higher", aggregation="rate")
@@ -98,18 +102,18 @@ def s_joint_paper(episode: Episode) -> bool:
 
     ``S_joint_paper = S_loc * S_gra``, over all episodes.
 
-    Fraction of episodes, higher is better. Ours: the paper calls its S_gra conditional, yet prints 0.80 % beside S_loc
-    = 10.30 %; of 103 localised in 1,000 one is already 0.97 %, so its S_gra column is best compared with this one.
+    Fraction of episodes, higher is better. Ours: compare the paper's S_gra column with this metric. The paper calls its
+    S_gra conditional, yet prints 0.80 % beside S_loc = 10.30 %: of 103 localised episodes, one is already 0.97 %.
     """
-    return bool(s_gra(episode))
+    return bool(s_gra(episode))  # None, never localised, is a failure
 
 
 @metric("S_hold", unit=FRACTION, direction="higher", aggregation="rate", condition="capture rule contact")
 def s_hold(episode: Episode) -> bool | None:
     """Physical capture: the hand holds the free target off every other surface for 0.5 s.
 
-    ``S_hold = 1 if the capture rule contact reports success, else 0``; None under the capture rule attach, where the
-    target is welded to the palm and cannot slip.
+    ``S_hold = 1 if the capture rule contact reports success, else 0``; None under the other rules, which weld the
+    target to the palm so that it cannot slip.
 
     Fraction of episodes under contact, higher is better. Ours.
     """
@@ -136,7 +140,7 @@ def grasp_loose(episode: Episode) -> float:
 
     Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Loose.
     """
-    return share_of_frames(episode, at_least=3)
+    return share_of_frames(episode, min_fingers=3)
 
 
 @metric("grasp_medium", unit=FRACTION, direction="higher", aggregation="mean")
@@ -147,7 +151,7 @@ def grasp_medium(episode: Episode) -> float:
 
     Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Medium.
     """
-    return share_of_frames(episode, at_least=4)
+    return share_of_frames(episode, min_fingers=4)
 
 
 @metric("grasp_strict", unit=FRACTION, direction="higher", aggregation="mean")
@@ -158,4 +162,4 @@ def grasp_strict(episode: Episode) -> float:
 
     Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Strict.
     """
-    return share_of_frames(episode, at_least=5)
+    return share_of_frames(episode, min_fingers=5)

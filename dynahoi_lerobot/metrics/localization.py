@@ -14,9 +14,9 @@ from dynahoi_lerobot.metrics.trajectory import until_localized
 def s_loc(episode: Episode) -> bool:
     """Localisation success: the palm centre comes within 0.3 u (0.03 m) of the target centre.
 
-    ``S_loc = 1 if exists t >= t_control: |palm(t) - target(t)| < 0.3 u, else 0``, the distance in 3-D and between
-    frames as well, over the control phase. Under the capture rule attach_lenient the threshold is 1.0 u (S_loc* of the
-    paper's table of vision-language models), here and wherever a metric speaks of localisation.
+    ``S_loc = 1 if exists t >= t_control: |palm(t) - target(t)| < 0.3 u, else 0``, the 3-D distance, checked between
+    frames as well. Under the capture rule attach_lenient the threshold is 1.0 u (S_loc* of the paper's table of
+    vision-language models), here and in every metric that depends on localisation.
 
     Fraction of episodes, higher is better. Paper: Section "Evaluation metrics", threshold from Appendix "Evaluation
     Criteria".
@@ -29,10 +29,11 @@ def s_loc_planar(episode: Episode) -> bool:
     """Planar localisation: the horizontal distance of palm and target centre falls below 0.3 u (0.03 m).
 
     ``S_loc_planar = 1 if exists t: |(palm(t) - target(t))_xy| < 0.3 u, else 0`` over the control frames until the
-    target is attached; 3-D localisation implies it, also between two frames. Under attach_lenient within 1.0 u.
+    target is attached. 3-D localisation implies it, also between two frames. Under attach_lenient the threshold is
+    1.0 u.
 
-    Fraction of episodes, higher is better. Source: the authors' evaluation code, which ignores height where the paper's
-    Section "Evaluation metrics" says distance.
+    Fraction of episodes, higher is better. Source: the authors' evaluation code, which ignores height, although the
+    paper's Section "Evaluation metrics" says distance.
     """
     if episode.first_localized is not None:
         return True
@@ -42,22 +43,22 @@ def s_loc_planar(episode: Episode) -> bool:
     return bool((np.linalg.norm(offset, axis=1) < radius_m).any())
 
 
-SPARE_FRAMES = round(0.1 * CONTROL_HZ)
-"""A target localised up to 0.1 s after the oracle's intercept still counts as met there."""
+INTERCEPT_TOLERANCE_FRAMES = round(0.1 * CONTROL_HZ)
+"""A target localised this long after the oracle's intercept, 0.1 s, still counts as intercepted."""
 
 
 @metric("S_intercept", unit=FRACTION, direction="higher", aggregation="rate")
 def s_intercept(episode: Episode) -> bool:
     """Localisation at the first opportunity: no later than 0.1 s after the oracle's intercept.
 
-    ``S_intercept = 1 if t_loc <= t_intercept + 0.1 s, else 0`` with the first localised frame of the control phase and
-    the earliest intercept that a hand of 0.3 m/s can reach.
+    ``S_intercept = 1 if t_loc <= t_intercept + 0.1 s, else 0`` with ``t_loc`` the first localised frame of the control
+    phase and ``t_intercept`` the earliest at which a hand of 0.3 m/s can meet the target.
 
-    Fraction of episodes, higher is better. Ours: a hand that follows its target and catches it later needs
-    no prediction.
+    Fraction of episodes, higher is better. Ours: a hand that chases its target and catches it later needs no
+    prediction.
     """
     first = episode.first_localized
-    return first is not None and first <= episode.meta.intercept_frame + SPARE_FRAMES
+    return first is not None and first <= episode.meta.intercept_frame + INTERCEPT_TOLERANCE_FRAMES
 
 
 @metric("E_loc", unit=UNIT, direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
@@ -82,11 +83,11 @@ def e_loc(episode: Episode) -> float:
 def relative_speed(episode: Episode) -> float | None:
     """Relative speed of palm and target at localisation.
 
-    ``relative_speed = |v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first
-    localised frame: the target's velocity of the frame before, as a welded target has the palm's, and the palm's mean
-    velocity in between. None if the target is never localised.
+    ``relative_speed = |v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first localised frame. The
+    target's velocity is that of the frame before, because at t a welded target already moves with the palm. None if the
+    target is never localised.
 
-    In m/s, lower is better. Ours: under ``attach`` a target is caught at any speed, which no hand can.
+    In m/s, lower is better. Ours: ``attach`` catches at any relative speed, which no real hand can.
     """
     first = episode.first_localized
     if first is None:
@@ -99,8 +100,8 @@ def relative_speed(episode: Episode) -> float | None:
 def r_time(episode: Episode) -> float:
     """Time score, counted from control start; 0 if the target is never localised.
 
-    ``R_time = 1 - T / N``, clipped to [0, 1], with N the recording's length and T the frames from control start to the
-    first localised one.
+    ``R_time = 1 - T / N``, clipped to [0, 1], with N the recording's length [frames] and T the frames from control
+    start to the first localised one.
 
     Score in [0, 1], higher is better. Paper: Section "Evaluation metrics"; the start of the clock follows the authors'
     evaluation code.

@@ -1,4 +1,7 @@
-"""The objects to catch: each function draws the sizes and positions of one object's solids [m]."""
+"""The objects to catch: each function draws the sizes and positions of one object's solids [m].
+
+`ObjectGeometry` takes the solids, then the grasp radius, the rest height and, of objects that roll, the roll radius.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,10 @@ import numpy as np
 
 from dynahoi_lerobot.core.numerics import cos, sin, tan
 from dynahoi_lerobot.objects.base import ObjectGeometry, object_type
-from dynahoi_lerobot.objects.primitives import Primitive
+from dynahoi_lerobot.objects.primitives import IDENTITY_QUAT, Primitive
+
+ABOUT_X, ABOUT_Y = (0.5**0.5, 0.5**0.5, 0.0, 0.0), (0.5**0.5, 0.0, 0.5**0.5, 0.0)
+"""Quaternions wxyz of a quarter turn about one axis; solids lie along z before it."""
 
 
 @object_type("ball", rolls=True, slides=True)
@@ -18,7 +24,7 @@ def ball(rng: np.random.Generator) -> ObjectGeometry:
 
 @object_type("egg")
 def egg(rng: np.random.Generator) -> ObjectGeometry:
-    """An egg: an ellipsoid with half axes of 2.4 to 3.2 cm, 1.25 to 1.45 times as tall."""
+    """An egg: an ellipsoid of radius 2.4 to 3.2 cm, 1.25 to 1.45 times as tall as wide."""
     radius = rng.uniform(0.024, 0.032)
     height = radius * rng.uniform(1.25, 1.45)
     return ObjectGeometry((Primitive("ellipsoid", (radius, radius, height)),), radius, height)
@@ -61,7 +67,7 @@ def capsule(rng: np.random.Generator) -> ObjectGeometry:
 
 @object_type("bottle")
 def bottle(rng: np.random.Generator) -> ObjectGeometry:
-    """A bottle: a body of radius 2.4 to 3.2 cm, a neck half as wide and a cap."""
+    """A bottle: a body of radius 2.4 to 3.2 cm, a neck 0.45 times as wide and a spherical cap."""
     radius, half = rng.uniform(0.024, 0.032), rng.uniform(0.035, 0.05)
     neck_radius, neck_half = 0.45 * radius, 0.35 * half
     shift = 0.12 * half  # puts the centre of mass at the origin, within a few per cent
@@ -73,19 +79,18 @@ def bottle(rng: np.random.Generator) -> ObjectGeometry:
 
 @object_type("cup", slides=True)
 def cup(rng: np.random.Generator) -> ObjectGeometry:
-    """A mug: a cup of radius 2.8 to 3.6 cm with a handle."""
+    """A mug: a solid cylinder of radius 2.8 to 3.6 cm and half height 3 to 4.2 cm, with a handle of three bars."""
     radius, half = rng.uniform(0.028, 0.036), rng.uniform(0.03, 0.042)
-    turn = (0.7071067811865476, 0.7071067811865476, 0.0, 0.0)
     body = Primitive("cylinder", (radius, half))
     bar = Primitive("capsule", (0.005, 0.5 * half), (0.0, radius + 0.016, 0.0))
-    upper = Primitive("capsule", (0.005, 0.01), (0.0, radius + 0.008, 0.5 * half), turn)
-    lower = Primitive("capsule", (0.005, 0.01), (0.0, radius + 0.008, -0.5 * half), turn)
+    upper = Primitive("capsule", (0.005, 0.01), (0.0, radius + 0.008, 0.5 * half), ABOUT_X)
+    lower = Primitive("capsule", (0.005, 0.01), (0.0, radius + 0.008, -0.5 * half), ABOUT_X)
     return ObjectGeometry((body, bar, upper, lower), radius, half)
 
 
 @object_type("cone")
 def cone(rng: np.random.Generator) -> ObjectGeometry:
-    """A cone of base radius 2.8 to 3.8 cm, six tapering slices high."""
+    """A cone of base radius 2.8 to 3.8 cm and height 6 to 9 cm, stacked from six cylinders."""
     radius, slice_half = rng.uniform(0.028, 0.038), rng.uniform(0.005, 0.0075)
     widths = radius * (1 - np.arange(6) / 6)
     middles = (2 * np.arange(6) + 1) * slice_half  # above the base
@@ -94,12 +99,12 @@ def cone(rng: np.random.Generator) -> ObjectGeometry:
         Primitive("cylinder", (float(width), slice_half), (0.0, 0.0, float(middle - center)))
         for width, middle in zip(widths, middles, strict=True)
     )
-    return ObjectGeometry(slices, 0.75 * radius, center)
+    return ObjectGeometry(slices, 0.75 * radius, center)  # a cone's radius at its centre of mass
 
 
 @object_type("dumbbell")
 def dumbbell(rng: np.random.Generator) -> ObjectGeometry:
-    """Two balls of radius 2 to 2.8 cm on a bar."""
+    """A dumbbell: two balls of radius 2 to 2.8 cm on a bar, their centres 5 to 8 cm apart."""
     radius, half = rng.uniform(0.02, 0.028), rng.uniform(0.025, 0.04)
     bar = Primitive("capsule", (0.4 * radius, half))
     ends = [Primitive("sphere", (radius,), (0.0, 0.0, z)) for z in (-half, half)]
@@ -108,10 +113,10 @@ def dumbbell(rng: np.random.Generator) -> ObjectGeometry:
 
 @object_type("jack")
 def jack(rng: np.random.Generator) -> ObjectGeometry:
-    """Three crossed bars of half length 3 to 4 cm."""
+    """A jack: three crossed bars of radius 0.9 to 1.2 cm and half length 3 to 4 cm between the caps."""
     tube, half = rng.uniform(0.009, 0.012), rng.uniform(0.03, 0.04)
-    turns = ((1.0, 0.0, 0.0, 0.0), (0.5**0.5, 0.5**0.5, 0.0, 0.0), (0.5**0.5, 0.0, 0.5**0.5, 0.0))
-    bars = tuple(Primitive("capsule", (tube, half), (0.0, 0.0, 0.0), turn) for turn in turns)
+    turns = (IDENTITY_QUAT, ABOUT_X, ABOUT_Y)
+    bars = tuple(Primitive("capsule", (tube, half), quat=turn) for turn in turns)
     return ObjectGeometry(bars, 0.8 * half, half + tube)
 
 
@@ -119,14 +124,10 @@ def jack(rng: np.random.Generator) -> ObjectGeometry:
 def ring(rng: np.random.Generator) -> ObjectGeometry:
     """A ring of eight segments, 2.8 to 3.6 cm from the centre to the middle of its 0.8 cm tube."""
     radius, tube = rng.uniform(0.028, 0.036), 0.008
-    half = radius * tan(np.pi / 8)
-    return ObjectGeometry(tuple(_segment(i, radius, tube, half) for i in range(8)), radius + tube, tube)
-
-
-def _segment(index: int, radius: float, tube: float, half: float) -> Primitive:
-    """Return one capsule, lying along the tangent of the circle."""
-    angle = index * np.pi / 4
-    pos = (float(radius * cos(angle)), float(radius * sin(angle)), 0.0)
-    # the capsule's own z axis is laid into the plane, then turned to the tangent
-    quat = (0.5**0.5, float(-(0.5**0.5) * cos(angle)), float(-(0.5**0.5) * sin(angle)), 0.0)
-    return Primitive("capsule", (tube, float(half)), pos, quat)
+    half = float(radius * tan(np.pi / 8))
+    segments = []
+    for i in range(8):
+        x, y = float(cos(i * np.pi / 4)), float(sin(i * np.pi / 4))
+        tangent = (0.5**0.5, -(0.5**0.5) * x, -(0.5**0.5) * y, 0.0)  # a quarter turn about (-x, -y, 0)
+        segments.append(Primitive("capsule", (tube, half), (radius * x, radius * y, 0.0), tangent))
+    return ObjectGeometry(tuple(segments), radius + tube, tube)

@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH_IN, ACROSS = 12.0, 5
-"""Width of every figure [inch], which is the width of the page's column; panels in a row."""
+WIDTH_IN = 12.0
+"""Width of every figure [inch], that of the page's column."""
+PANELS_PER_ROW = 5
 INK = "#0a0b0c"
 """Placeholder for the text colour while drawing; in the SVG the page's text colour replaces it."""
 INK_CSS = "<style>:root{--ink:#1f2328}@media(prefers-color-scheme:dark){:root{--ink:#e6e8eb}}</style>"
@@ -119,8 +120,8 @@ def subplots(rows: int, columns: int, height_in: float, **options: Any) -> tuple
 
 def metric_panels(names: Sequence[str], row_height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
     """Return a figure with a titled panel for each metric."""
-    rows = -(-len(names) // ACROSS)
-    drawing, axes = subplots(rows, min(ACROSS, len(names)), row_height_in * rows + 0.4, **options)
+    rows = -(-len(names) // PANELS_PER_ROW)
+    drawing, axes = subplots(rows, min(PANELS_PER_ROW, len(names)), row_height_in * rows + 0.4, **options)
     for panel, name in zip(axes, names, strict=False):
         panel.set_title(heading(name))
     for unused in axes[len(names) :]:
@@ -136,8 +137,8 @@ def legend(drawing: Figure, shown: Sequence[tuple[str, str]]) -> None:
     drawing.legend(handles=handles, loc="outside upper left", ncols=min(len(shown), 4))
 
 
-def named(entries: Sequence[Entry]) -> list[tuple[str, str]]:
-    """Return label and colour of each evaluation."""
+def legend_items(entries: Sequence[Entry]) -> list[tuple[str, str]]:
+    """Return label and colour of each evaluation, for ``legend``."""
     return [(entry.label, entry.colour) for entry in entries]
 
 
@@ -146,17 +147,17 @@ def shown_metrics(entries: Sequence[Entry]) -> tuple[str, ...]:
     return columns_for([entry.results for entry in entries])
 
 
-def printed(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
-    """Return (K,) values and (2, K) distances to the interval's ends as printed: fractions in per cent, None as nan."""
+def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (K,) values and (2, K) lengths of their error bars, fractions in per cent; nan where there is none."""
     rows = [(e.value, e.low, e.high) if e else (None,) * 3 for e in estimates]
     scales = np.array([100 if e and e.unit == "fraction" else 1 for e in estimates])
-    value, low, high = np.array(rows, np.float64).reshape(-1, 3).T * scales  # None becomes nan
+    value, low, high = np.array(rows, np.float64).reshape(-1, 3).T * scales
     return value, np.stack([value - low, high - value])
 
 
 def points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate | None], colour: str) -> None:
-    """Draw estimates over (K,) numbers with their 95 % intervals, joined by a line."""
-    values, errors = printed(estimates)
+    """Draw K estimates with their 95 % intervals at (K,) places ``x``, joined by a line."""
+    values, errors = error_bars(estimates)
     line = "-" if len(x) > 1 else "none"
     panel.errorbar(x, values, errors, fmt="o", ms=4, lw=1.2, linestyle=line, capsize=2, color=colour)
 
@@ -168,7 +169,7 @@ def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
         return None
     names = shown_metrics(entries)
     drawing, axes = metric_panels(names, 2.0)
-    legend(drawing, named(entries))
+    legend(drawing, legend_items(entries))
     for panel, name in zip(axes, names, strict=True):
         for place, entry in enumerate(entries):
             shift = 0.12 * (place - (len(entries) - 1) / 2) / max(1, len(entries) / 4)
@@ -192,7 +193,7 @@ def main_metrics(entries: Sequence[Entry]) -> Figure:
     names = shown_metrics(entries)
     drawing, axes = metric_panels(names, 0.8 + 0.26 * len(entries), sharey=True)
     for panel, name in zip(axes, names, strict=True):
-        values, errors = printed([entry.results.summary()[name] for entry in entries])
+        values, errors = error_bars([entry.results.summary()[name] for entry in entries])
         colours = [entry.colour for entry in entries]
         panel.barh([entry.label for entry in entries], values, xerr=errors, color=colours, height=0.65, **BARS)
         panel.grid(visible=False, axis="y")
@@ -209,7 +210,7 @@ STAGES = {
     "captured": "#1b7837",
     "held": "#1b7837",
 }
-"""The stages of both capture rules, from the earliest failure to success."""
+"""Colour of each stage of both capture rules, from the earliest failure to success."""
 
 
 @figure("stages", "Where episodes end")
@@ -254,8 +255,8 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     drawing, axes = subplots(len(maps), 1, sum(heights) + 1.7, sharex=True, height_ratios=heights)
     for panel, (name, shown) in zip(axes, maps.items(), strict=True):
         found = [entry.results.by("kind") for entry in shown]
-        rows = [printed([groups[kind][name] if kind in groups else None for kind in kinds])[0] for groups in found]
-        _heat(panel, np.stack(rows), name)
+        cells = [[by_kind[kind][name] if kind in by_kind else None for kind in kinds] for by_kind in found]
+        _heat_map(panel, np.stack([error_bars(row)[0] for row in cells]), name)
         panel.set_yticks(range(len(shown)), [entry.label for entry in shown])
         panel.set_xticks(range(len(kinds)), kinds, rotation=45, ha="right", rotation_mode="anchor")
         for separator in np.cumsum([len(group) for group in groups])[:-1]:
@@ -263,7 +264,8 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     return drawing
 
 
-def _heat(panel: Axes, grid: np.ndarray, name: str) -> None:
+def _heat_map(panel: Axes, grid: np.ndarray, name: str) -> None:
+    """Draw (evaluations, kinds) values [%] as coloured cells with their numbers; nan leaves a cell empty."""
     panel.imshow(grid, cmap="viridis", vmin=0, vmax=100, aspect="auto")
     for (row, column), value in np.ndenumerate(grid):
         if not np.isnan(value):
@@ -308,23 +310,23 @@ FINGERS_AT_LEAST = {"loose": 3, "medium": 4, "strict": 5}
 def per_frame_grasp(entries: Sequence[Entry]) -> Figure:
     """The share of control frames in which at least 3, 4 or 5 fingers are at the reference grasp.
 
-    Figure "Grasp success rate under per-frame evaluation". A hand is rightly open on its way, so 100 % is not
-    the aim.
+    Figure "Grasp success rate under per-frame evaluation". The hand should be open as it approaches, so
+    100 % is not the aim.
     """
     drawing, (panel,) = subplots(1, 1, 3.0)
     width = 0.8 / len(entries)
     for place, entry in enumerate(entries):
-        values, errors = printed([entry.results.summary()[f"grasp_{setting}"] for setting in FINGERS_AT_LEAST])
+        values, errors = error_bars([entry.results.summary()[f"grasp_{setting}"] for setting in FINGERS_AT_LEAST])
         x = np.arange(len(values)) + (place - (len(entries) - 1) / 2) * width
         panel.bar(x, values, 0.9 * width, yerr=errors, color=entry.colour, **BARS)
     panel.set_xticks(range(3), [f"{setting}\n≥ {n} fingers" for setting, n in FINGERS_AT_LEAST.items()])
     panel.set_ylabel("frames [%]")
     panel.grid(visible=False, axis="x")
-    legend(drawing, named(entries))
+    legend(drawing, legend_items(entries))
     return drawing
 
 
-# -- metrics over the latency -----------------------------------------------------------------------------------------
+# -- metrics by latency -----------------------------------------------------------------------------------------------
 
 
 def latency_ms(entry: Entry) -> float | None:
@@ -338,7 +340,7 @@ def latency_ms(entry: Entry) -> float | None:
 
 @figure("latency", "Inference latency")
 def latency(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics over the latency of inference, one line per policy and its rules.
+    """The metrics by inference latency, one line for each policy under each set of rules.
 
     Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where the world waits.
     """
@@ -376,14 +378,15 @@ def data_statistics(entries: Sequence[Entry]) -> Figure:
     """
     rows = distinct_episodes(entries)
     drawing, (durations, travels) = subplots(1, 2, 3.0)
-    _shares(durations, rows, "duration", PAPER_DURATION)
-    _shares(travels, rows, "travel", PAPER_TRAVEL)
+    _share_bars(durations, rows, "duration", PAPER_DURATION)
+    _share_bars(travels, rows, "travel", PAPER_TRAVEL)
     durations.set(xlabel="recording [frames]", ylabel="episodes [%]")
     travels.set(xlabel="straight distance to the intercept [u]")
     return drawing
 
 
-def _shares(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str, float]) -> None:
+def _share_bars(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str, float]) -> None:
+    """Draw the share of episodes with each label of ``stratum`` [%], and ``paper``'s shares [%] as diamonds."""
     counts = Counter(row[stratum] for row in rows)
     labels = [label for label in STRATA[stratum].order if counts[label] or label in paper]
     panel.bar(labels, [100 * counts[label] / len(rows) for label in labels], color=COLOURS[0], width=0.7)
@@ -392,7 +395,7 @@ def _shares(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str, flo
     panel.legend()
 
 
-BINS = 41
+HISTOGRAM_BINS = 41
 
 
 def command_deltas(results: Results) -> np.ndarray:
@@ -405,9 +408,9 @@ def command_deltas(results: Results) -> np.ndarray:
 
 
 def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]) -> None:
-    """Draw the (K,) samples of every entry over common bins that hold all of them, as shares of its frames [%]."""
+    """Draw a histogram of every entry's (K,) samples, in shares of its frames [%], over bins common to all entries."""
     reach = max((float(np.abs(sample).max()) for sample in samples if sample.size), default=0.0) or 1.0
-    edges = np.linspace(-reach, reach, BINS + 1)
+    edges = np.linspace(-reach, reach, HISTOGRAM_BINS + 1)
     for sample, entry in zip(samples, entries, strict=True):
         share = 100 * np.histogram(sample, edges)[0] / max(1, sample.size)
         panel.stairs(share, edges, color=entry.colour, lw=1.2)
@@ -431,7 +434,7 @@ def joint_deltas(entries: Sequence[Entry]) -> Figure:
         panel.set_title(name.replace("_", " "))
     for panel in axes[10:]:
         panel.set_xlabel("change [deg]")
-    legend(drawing, named(entries))
+    legend(drawing, legend_items(entries))
     return drawing
 
 
@@ -446,5 +449,5 @@ def palm_displacements(entries: Sequence[Entry]) -> Figure:
     for axis, panel in enumerate(axes):
         overlay(panel, [values[:, axis] for values in deltas], entries)
         panel.set_xlabel(f"change along {'xyz'[axis]} [mm]")
-    legend(drawing, named(entries))
+    legend(drawing, legend_items(entries))
     return drawing

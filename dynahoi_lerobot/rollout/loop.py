@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, frame_columns
-from dynahoi_lerobot.rollout.teacher_labels import Demonstrator, Taught
+from dynahoi_lerobot.rollout.teacher_labels import Demonstrator, LabelledAgent
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -178,7 +178,7 @@ def record_on_policy(
     """
     for first in range(0, len(seeds), DEFAULT_BATCH):
         group = seeds[first : first + DEFAULT_BATCH]
-        agent = Taught(make_agent(group[0]), recipe.teacher(), recipe.actor)
+        agent = LabelledAgent(make_agent(group[0]), recipe.teacher(), recipe.actor)
         jobs = _fresh_jobs(recipe, group, threads)
         yield from _in_order(play(WorldBatch(recipe, len(group), threads), agent, jobs, images=True))
 

@@ -1,8 +1,8 @@
-"""Recordings for learning: in every frame the teacher's goal is the label, whoever moves the hand and wherever it is.
+"""Who moves the hand in recordings: the expert, in part perturbed, or a policy. The expert labels every frame.
 
-An expert that is recorded executes its own labels. In a share of the episodes its palm is perturbed: pulled away for
-several frames at a time, and trembling. A policy that only ever saw a hand on its way does not know what to do after
-its own first mistake (DART; Laskey et al., 2017). What was executed is recorded beside the labels.
+A recorded expert executes its own labels. In a share of the episodes its palm is perturbed: pulled away for several
+frames at a time, and jittering. A policy trained only on undisturbed approaches cannot recover from its own first
+mistake (DART; Laskey et al., 2017). The executed commands are recorded beside the labels.
 """
 
 from __future__ import annotations
@@ -19,29 +19,30 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import Teacher
 
 PULL_ODDS = 0.15
-"""Probability with which a pull begins in a frame without one."""
+"""Probability that a pull begins in a frame without one."""
 PULL_M = 0.12
-"""Standard deviation of where the palm is pulled, along each axis, from where it is when the pull begins [m]."""
+"""Standard deviation along each axis of a pull's destination, from where the palm is when the pull begins [m]."""
 PULL_FRAMES = (2, 8)
 """Shortest and longest pull."""
 TREMOR_ODDS, TREMOR_M = 0.5, 0.006
-"""Share of the other frames with tremor, and its standard deviation along each axis [m]."""
+"""Share of the frames without a pull that have tremor, and its standard deviation along each axis [m]."""
 PERTURBED_ATTEMPTS = 3
-"""An attempt that fails is made again with another perturbation, after so many without one, so that targets that pass
-once are not left out."""
+"""Attempts at an episode that are perturbed, each differently. A further attempt is not, so that targets that pass only
+once are recorded too."""
 STREAM = 0xD157
+"""Separates these random draws from those that sample the episode from the same seed."""
 
 
 def labels(teacher: Expert, world: WorldState) -> np.ndarray:
-    """Return (N, 18) what the teacher wants from here, home frame: its goal, or its next command if it tells none."""
+    """Return (N, 18) a `Teacher`'s goals, or the next commands of any other expert: [m], home frame, and [rad]."""
     return teacher.goals(world) if isinstance(teacher, Teacher) else teacher.act(world)
 
 
 class Demonstrator(Expert):
-    """An expert that is recorded: it executes its labels, in some episodes perturbed."""
+    """A recorded expert: it executes its own labels, perturbed in some episodes."""
 
     def __init__(self, expert: Expert, perturbed_share: float) -> None:
-        """Record ``expert``, perturbed in a share of the episodes if it finds back."""
+        """Record ``expert``, perturbed in a share (0 to 1) of the episodes if it ``finds_back``."""
         self.name, self.retries, self._expert = expert.name, expert.retries, expert
         self._share = perturbed_share if expert.finds_back else 0.0
         if self._share:
@@ -64,6 +65,7 @@ class Demonstrator(Expert):
         return commands
 
     def _perturbation(self, i: int, spec: EpisodeSpec, attempt: int) -> Perturbation:
+        """Return the perturbation of world ``i``, drawn when its episode or attempt is new."""
         known = self._perturbations.get(i)
         if known is None or known.spec is not spec or known.attempt != attempt:
             known = self._perturbations[i] = Perturbation.drawn(spec, attempt, self._share)
@@ -72,15 +74,15 @@ class Demonstrator(Expert):
 
 @dataclass
 class Perturbation:
-    """What moves the palm besides the expert in one attempt at an episode; it follows from seed and attempt.
+    """Pulls and tremor of the palm in one attempt at an episode, determined by seed and attempt.
 
     Attributes:
         spec: the episode.
         attempt: from 1.
         pull_begin: (F,) int, the frame in which the pull of each frame began, -1 for frames without one.
-        pull_m: (F, 3) where a pull that begins in a frame leads, from the palm then [m].
-        tremor_m: (F, 3) what is added to the commands of frames without a pull [m].
-        aims: where each pull leads [m], home frame, by the frame in which it began.
+        pull_m: (F, 3) destination of a pull that begins in each frame, from the palm's position then [m].
+        tremor_m: (F, 3) added to the commands of frames without a pull [m].
+        destinations: (3,) of each pull [m], home frame, by the frame in which it began.
     """
 
     spec: EpisodeSpec
@@ -88,11 +90,11 @@ class Perturbation:
     pull_begin: np.ndarray
     pull_m: np.ndarray
     tremor_m: np.ndarray
-    aims: dict[int, np.ndarray] = field(default_factory=dict)
+    destinations: dict[int, np.ndarray] = field(default_factory=dict)
 
     @classmethod
     def drawn(cls, spec: EpisodeSpec, attempt: int, share: float) -> Perturbation:
-        """Draw it for an attempt at an episode; a ``share`` of the episodes has one, but not in the last attempt."""
+        """Draw it; only a ``share`` (0 to 1) of the episodes is perturbed, and those in ``PERTURBED_ATTEMPTS`` only."""
         rng, frames = np.random.default_rng([STREAM, spec.seed, attempt]), spec.horizon_frames
         perturbed = np.random.default_rng([STREAM, spec.seed]).random() < share and attempt <= PERTURBED_ATTEMPTS
         begins = rng.random(frames) < PULL_ODDS
@@ -106,23 +108,23 @@ class Perturbation:
         return cls(spec, attempt, pull_begin, pull_m, tremor_m * perturbed)
 
     def __call__(self, frame: int, palm_h: np.ndarray, wanted_h: np.ndarray) -> np.ndarray:
-        """Return (3,) where the palm is sent in a frame, home frame.
+        """Return (3,) the palm's command in a frame [m], home frame.
 
         Args:
             frame: of the episode.
-            palm_h: (3,) where it will be when the command takes effect [m].
-            wanted_h: (3,) where the expert sends it [m].
+            palm_h: (3,) where the palm will be when the command takes effect [m].
+            wanted_h: (3,) the expert's command [m].
         """
         begin = int(self.pull_begin[frame])
         if begin < 0:
             return wanted_h + self.tremor_m[frame]
-        if begin not in self.aims:
-            self.aims[begin] = palm_h + self.pull_m[begin]
-        return self.aims[begin]
+        if begin not in self.destinations:
+            self.destinations[begin] = palm_h + self.pull_m[begin]
+        return self.destinations[begin]
 
 
-class Taught(Agent):
-    """A policy that moves the hand while a teacher labels the states it gets into (DAgger; Ross et al., 2011)."""
+class LabelledAgent(Agent):
+    """A policy that moves the hand while a teacher labels the states it visits (DAgger; Ross et al., 2011)."""
 
     def __init__(self, agent: Agent, teacher: Teacher, name: str) -> None:
         self.name, self.sees_images, self._agent, self._teacher = name, agent.sees_images, agent, teacher
@@ -132,7 +134,7 @@ class Taught(Agent):
         self._agent.reset(count)
 
     def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
-        """Return (N, 18) the policy's commands, which sees the observation alone."""
+        """Return (N, 18) the commands of the policy, which sees only the observation."""
         self.labels = labels(self._teacher, world_state(observation))
         return self.act(observation)
 
