@@ -48,9 +48,8 @@ def test_out_of_reach_it_goes_where_it_is_the_least_late_and_counts_little(speed
 
 def test_a_hand_that_trails_a_faster_target_within_reach_closes_the_gap():
     path = torch.tensor([0.035, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([1.1 * STEP_M, 0, 0])
-    ahead = 0.035 + 1.1 * STEP_M - STEP_M  # after one frame at full speed
     told = answers(path[None], torch.tensor([40]), torch.tensor([[0]]), torch.zeros(1, 1, 1, 3), STEP_M)
-    assert not told.reachable.any() and ahead > SLACK_M
+    assert not told.reachable.any()
     assert int(told.frames) == 1
 
 
