@@ -4,8 +4,9 @@
     attention  over the cells, whose values are viewing rays (`SpatialAttention`)
     sighting   (u, v, log depth) in the camera's frame, and log scales of the errors across and along the line of sight
 
-The default, the eye, looks twice: its attention says where, and a fovea, the pixels around that, says how far off and
-how far away. The change since the image before shows what moves. Errors are taken to be Laplace distributed.
+The default, the eye, looks twice: attention over the whole image finds the target, and a fovea, the pixels around it,
+refines the direction and estimates the distance. The change since the image before shows what moves. Errors are taken
+to be Laplace distributed.
 """
 
 from __future__ import annotations
