@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
@@ -37,6 +38,7 @@ def catch() -> None:
     """Draw what ObAct catches and misses, side by side."""
     recipe = Recipe(split="test", image_size=PLAYED_PX)
     specs = sample_specs(recipe, [CAUGHT, MISSED])
+    torch.manual_seed(5)  # the policy samples its actions
     obact = make_actor("checkpoints/obact_standard")
     played = evaluate(WorldBatch(recipe, len(specs)), obact, specs)
     logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed_action) for episode in played}
