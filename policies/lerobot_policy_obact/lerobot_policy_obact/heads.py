@@ -249,7 +249,8 @@ class FlowHead(ActionHead):
 def most_central(draws: Tensor, size: int) -> Tensor:
     """Return the chunk nearest to the others in the first ``size`` entries, with the median of every other entry.
 
-    Of the palm's ways one must be chosen: between two lies neither. Noise in fifteen joints only opens the hand.
+    The palm follows one of the draws, since an average may lie between two modes. The median removes noise from the
+    fingers, which would loosen the grasp.
 
     Args:
         draws: chunks, ``(R, N, H, A)``.

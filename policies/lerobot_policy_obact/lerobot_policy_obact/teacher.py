@@ -25,8 +25,8 @@ PLANNED_SPEED = 0.85
 """Share of the palm's speed limit that the teacher plans with where that suffices: a palm that needs all of it comes
 too late whenever the forecast was wrong."""
 SLACK_M = 0.015
-"""A palm this far from the target has met it: half of what localisation allows. Without it, a hand that trails a target
-a little faster than itself heads for a distant meeting instead of closing the last centimetres."""
+"""Within this distance the palm has met the target: half of the localisation radius. Without it, a hand that trails a
+slightly faster target heads for a distant meeting instead of closing the last centimetres."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Answers:
 
 
 def answers(path: Tensor, length: Tensor, due: Tensor, palms: Tensor, step_m: float) -> Answers:
-    """Return where the teacher meets the target: at the earliest point in reach, or where it is the least late.
+    """Return where the teacher meets the target: at the earliest point in reach, or where it misses by least.
 
     Args:
         path: of the untouched target [m], ``(B, F, 3)``.
@@ -73,7 +73,7 @@ def answers(path: Tensor, length: Tensor, due: Tensor, palms: Tensor, step_m: fl
     index = repeat(torch.minimum(frame, last), "b q k -> b (q k) i", i=3)
     future = rearrange(path.gather(1, index), "b (q k) i -> b q 1 k i", q=q)
     distance, known = (future - palms[:, :, :, None]).norm(dim=-1), (frame <= last)[:, :, None]  # (B, Q, M, K)
-    late = (distance - step_m * ahead).masked_fill(~known, float("inf"))  # how far off the palm is then
+    late = (distance - step_m * ahead).masked_fill(~known, float("inf"))  # what the palm is short of [m]
     possible, planned = late <= SLACK_M, known & (distance - PLANNED_SPEED * step_m * ahead <= SLACK_M)
     reachable = possible.any(-1)
     possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
