@@ -10,6 +10,7 @@ import draccus
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.files import read_yaml
+from dynahoi_lerobot.renderers.views import CAMERAS
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 
@@ -54,6 +55,8 @@ class PretrainRecipe:
         Raises:
             ValueError: naming the value received and the ones allowed.
         """
+        if self.camera not in CAMERAS:
+            raise ValueError(f"camera must be {' or '.join(CAMERAS)}, got {self.camera}")
         for name in ("n_episodes", "batch_size", "save_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
