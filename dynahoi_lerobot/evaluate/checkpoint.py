@@ -132,13 +132,13 @@ def trained_for(folder: Path) -> dict[str, Any]:
     """Return what a checkpoint tells of the rules it was trained for: the values of some fields of `Recipe`.
 
     ``image_size`` [px] is that of the config's cameras, ``control_mode`` follows from the size of its actions.
-    ``control_class`` and ``protocol`` come from the ``env`` of ``train_config.json``, or else from the recipe of the
-    dataset that it names, if that is on this machine.
+    ``control_class`` and ``protocol`` come from the recipe of the dataset that ``train_config.json`` names, if that is
+    on this machine, or else from its ``env``.
     """
     config, training = (_read_object(file) if (file := folder / name).is_file() else {} for name in (CONFIG, TRAINING))
     try:
         env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
-        rules = env if env.get("type") == "dynahoi" else _recipe_of(root)
+        rules = _recipe_of(root) or (env if env.get("type") == "dynahoi" else {})
         told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
         inputs = config.get("input_features", {})
         if camera := next((feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None):

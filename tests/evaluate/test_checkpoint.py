@@ -197,11 +197,12 @@ def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_p
     assert read_results(tmp_path / "told").recipe().control_class == "unlimited"
 
 
-def test_the_dataset_tells_what_a_checkpoint_was_trained_for(checkpoint: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("env", [None, {"type": "dynahoi", "control_class": "standard"}])
+def test_the_dataset_tells_what_a_checkpoint_was_trained_for(env, checkpoint: Path, tmp_path: Path) -> None:
     (tmp_path / "data" / "meta").mkdir(parents=True)
     recipe = {"control_class": "late", "protocol": "direct_act"}
     Manifest(0, 0, {}, provenance={"recipe": recipe}).write(tmp_path / "data")
-    change(checkpoint / "train_config.json", lambda c: c.update(env=None, dataset={"root": str(tmp_path / "data")}))
+    change(checkpoint / "train_config.json", lambda c: c.update(env=env, dataset={"root": str(tmp_path / "data")}))
     assert trained_for(checkpoint) == recipe | {"image_size": 96}
 
 

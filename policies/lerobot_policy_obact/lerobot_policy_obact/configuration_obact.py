@@ -54,7 +54,8 @@ class ObActConfig(PreTrainedConfig):
         episodes_per_sample: episodes that a sample stands for with ``encode_once``: its own and others at random.
             LeRobot decodes an image for every sample, which then goes unused.
         n_decisions: decisions in an episode at which the loss is computed, with ``encode_once``.
-        forecast_weight: weight of the loss of the forecast.
+        forecast_weight: weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
+            path.
         action_weight: weight of the loss of the head.
         ema_decay: of the average of the weights, which acts.
         fps: frame rate of the data [Hz]; taken from the dataset, like all below.

@@ -234,7 +234,11 @@ def describe(meta: Any, config: ObActConfig) -> None:
     if limits := table.get(HAND_LIMITS):
         config.palm_speed_m_s = float(limits[0][0])
         config.delay_frames = math.ceil(limits[0][2] / 1000 * config.fps - 1e-6)
-    config.forecasts = config.encode_once and TARGET_PATH in pq.read_schema(_episode_files(meta)[0]).names
+    config.forecasts = (
+        config.encode_once
+        and config.forecast_weight > 0
+        and TARGET_PATH in pq.read_schema(_episode_files(meta)[0]).names
+    )
 
 
 def _free_frames(localized: list[bool]) -> int:

@@ -120,8 +120,12 @@ def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_
     assert policy.select_action(step(policy)).shape == (2, 18)
 
 
-@pytest.mark.parametrize("share", [0.0, 1.0])
-def test_the_loss_falls_on_recorded_and_on_virtual_episodes(share, hand_root, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("changes", "lesson"),
+    [({"virtual_share": 0.0}, "forecast"), ({"virtual_share": 1.0}, "forecast"), ({"forecast_weight": 0.0}, "action")],
+    ids=["recorded", "virtual", "actions alone"],
+)
+def test_the_loss_falls(changes, lesson, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     torch.manual_seed(0)
     meta = LeRobotDataset("local/tiny", root=hand_root).meta
@@ -130,7 +134,7 @@ def test_the_loss_falls_on_recorded_and_on_virtual_episodes(share, hand_root, tm
         "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
     }
     outputs = {"action": PolicyFeature(FeatureType.ACTION, (18,))}
-    options = TINY | RECORDED | {"virtual_share": share, "input_features": inputs, "output_features": outputs}
+    options = TINY | RECORDED | changes | {"input_features": inputs, "output_features": outputs}
     policy = ObActPolicy(ObActConfig(**options), dataset_stats=meta.stats, dataset_meta=meta).train()
     optimizer = torch.optim.Adam(policy.get_optim_params(), lr=3e-3)
     batch, losses = {"episode_index": torch.arange(4)}, []
@@ -140,7 +144,8 @@ def test_the_loss_falls_on_recorded_and_on_virtual_episodes(share, hand_root, tm
         loss.backward()
         optimizer.step()
         policy.update()
-        losses.append(told["forecast"])
+        losses.append(told[lesson])
+    assert ("forecast" in told) == (lesson == "forecast")
     assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
     one_each, _ = policy(batch, reduction="none")
     assert one_each.shape == (4,)
