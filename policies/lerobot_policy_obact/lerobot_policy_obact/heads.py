@@ -114,7 +114,7 @@ class ActionHead(nn.Module):
     generative = False
 
     def __init__(
-        self, context: int, horizon: int, groups: list[int], *, width: int = 128, n_steps: int = 4, n_draws: int = 32
+        self, context: int, horizon: int, groups: list[int], *, width: int = 128, n_steps: int = 8, n_draws: int = 32
     ) -> None:
         super().__init__()
         self.horizon, self.groups, self.n_steps, self.action_dim = horizon, groups, n_steps, sum(groups)
