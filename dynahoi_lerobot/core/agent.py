@@ -28,7 +28,8 @@ class Observation:
         tasks: N instructions.
         touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
         environment_state: (N, 13) float32, the simulator's truth: pose and velocity of the target as in `WorldState`,
-            [m], quaternion, [m/s] and [rad/s]; None unless the batch was asked for it.
+            [m], quaternion, [m/s] and [rad/s]; None unless the recipe asks for it.
+        sighting: (N, 14) float32, where the eye sees the target, see `features.py`; None unless the recipe asks for it.
     """
 
     images: dict[str, np.ndarray]
@@ -37,6 +38,7 @@ class Observation:
     tasks: tuple[str, ...]
     touch: np.ndarray | None = None
     environment_state: np.ndarray | None = None
+    sighting: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +94,7 @@ class Actor(ABC):
         privileged: it sees the simulator's state; results say so.
         has_memory: what it does depends on earlier frames, so that all worlds must begin their episodes together.
         sees_images: turns rendering on.
-        sees_environment_state: it is an `Agent` that needs ``Observation.environment_state``.
+        environment_state: the recipe's ``environment_state`` that it needs; empty for none.
         trained_for: values of fields of the recipe that it was trained for, such as ``image_size``, as far as it tells.
         views: the views it needs besides ``ego``.
         weights: sha256 of its files of weights, by name; empty if it has none.
@@ -105,7 +107,7 @@ class Actor(ABC):
     privileged: bool
     has_memory: ClassVar[bool]
     sees_images: bool = False
-    sees_environment_state: bool = False
+    environment_state: str = ""
     trained_for: Mapping[str, Any] = MappingProxyType({})
     views: tuple[str, ...] = ()
     weights: Mapping[str, str] = MappingProxyType({})

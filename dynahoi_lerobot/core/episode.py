@@ -111,6 +111,8 @@ class Episode:
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
         touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
             None unless the capture rule ``uses_contact_sensors``.
+        sighting: (T, 14) float32 [m], where the eye saw the target; None unless the recipe's ``environment_state`` is
+            ``eye``.
     """
 
     meta: EpisodeMeta
@@ -149,6 +151,7 @@ class Episode:
     success: bool
     stage: str
     touch: np.ndarray | None = field(default=None, repr=False)
+    sighting: np.ndarray | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         """Return T, the number of frames."""

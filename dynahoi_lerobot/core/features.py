@@ -49,7 +49,7 @@ class Feature:
         low: least value in the Gymnasium space, in ``unit``; values beyond are clipped.
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
-        on_request: whether policies and datasets get it only if that is asked for: it is the simulator's truth.
+        on_request: whether policies and datasets get it only if the recipe's ``environment_state`` asks for it.
         constant: whether it has one value per episode; a frame table repeats that value in every row.
         per: what its rows are if it is not constant: ``frame``, or something whose number differs between episodes, as
             ``attempt``, ``primitive`` or ``path frame``; only the episode table can hold those.
@@ -111,8 +111,15 @@ CAMERA_KEY = IMAGE_PREFIX + EGO_VIEW
 PIXELS = "pixels"
 """Key of the dictionary of images in a Gymnasium observation, as LeRobot expects it."""
 ENVIRONMENT_STATE = "observation.environment_state"
-"""LeRobot's name for the truth about the environment, which policies without cameras may read."""
-
+"""LeRobot's name for what policies read of the environment besides images."""
+TRUTH, EYE = "truth", "eye"
+ENVIRONMENT_STATES = {"": None, TRUTH: "environment_state", EYE: "sighting"}
+"""What it may be, by value of the recipe's ``environment_state``: the name of a feature."""
+SIGHTING_AGES = (0, 2, 4, 8)
+"""Ages of the positions in a sighting [frames]."""
+SIGHTING_NAMES = (
+    *(f"{axis}_{age}" for age in SIGHTING_AGES for axis in ("x", "y", "z")), "log_error_across", "log_error_along"
+)  # fmt: skip
 
 _TABLE = (
     Feature(
@@ -137,6 +144,12 @@ _TABLE = (
         "true state of the target: position, home frame, and quaternion wxyz, as stats/target.pose; linear and angular "
         "velocity, world axes, as stats/target.velocity", gym_key="environment_state", low=-1000.0,
         high=1000.0, on_request=True, derived=True,
+    ),
+    Feature(
+        "sighting", ENVIRONMENT_STATE, (len(SIGHTING_NAMES),), SIGHTING_NAMES, "m, 1",
+        "where the eye, a pretrained image encoder, sees the target from the hand's camera, home frame, now and 2, 4 "
+        "and 8 frames ago; natural logarithms of its expected error now across and along the line of sight, as shares "
+        "of the distance", gym_key="environment_state", low=-1000.0, high=1000.0, on_request=True,
     ),
     Feature(
         "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
@@ -301,7 +314,7 @@ def frame_features(
     *,
     control_mode: str = JOINTS,
     contact_sensors: bool = False,
-    environment_state: bool = False,
+    environment_state: str = "",
 ) -> tuple[Feature, ...]:
     """Return the columns of the frame table, in the dataset's order.
 
@@ -310,11 +323,11 @@ def frame_features(
         views: the views besides ``ego``.
         control_mode: one of ``CONTROL_MODES``.
         contact_sensors: whether the capture rule ``uses_contact_sensors``.
-        environment_state: whether policies are given the simulator's truth.
+        environment_state: one of ``ENVIRONMENT_STATES``.
     """
     images = tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views) if image_size)
     sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
-    asked = (f for f in sensed if environment_state or not f.on_request)
+    asked = (f for f in sensed if not f.on_request or f.name == ENVIRONMENT_STATES[environment_state])
     stored = (feature for feature in asked if not feature.in_episode_table)
     return (*images, *(action_feature(control_mode) if feature.name == "action" else feature for feature in stored))
 

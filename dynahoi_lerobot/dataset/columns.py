@@ -40,7 +40,7 @@ def dataset_features(episode: Episode) -> tuple[Feature, ...]:
     """Return the columns that a dataset of such episodes has, in its order: of the frame table, or of the episode's."""
     images = (image_feature(view, frames.shape[1]) for view, frames in episode.images.items())
     told = FEATURES | {"action": action_feature(mode_of(episode.action.shape[1]))}
-    arrays = (feature for feature in told.values() if not feature.on_request)
+    arrays = (feature for feature in told.values() if not (feature.on_request and feature.derived))
     return (*images, *(feature for feature in arrays if getattr(episode, feature.name) is not None))
 
 
@@ -89,8 +89,15 @@ def content_values(table: pa.Table, known: Container[str]) -> dict[str, Any]:
         KeyError: if a column is missing that every dataset has.
     """
     stored = (f for f in FEATURES.values() if not (f.in_episode_table or f.derived or f.name in known))
-    held = (f for f in stored if f.key in table.column_names or not f.optional)
+    held = (f for f in stored if holds(table, f) or not f.optional)
     return {f.name: column_array(table, f.key)[:, ... if f.shape else 0] for f in held}
+
+
+def holds(table: pa.Table, feature: Feature) -> bool:
+    """Return whether a frame table has a feature; two of different widths share the key ``ENVIRONMENT_STATE``."""
+    if feature.key not in table.column_names:
+        return False
+    return not feature.on_request or table.schema.field(feature.key).type.list_size == feature.shape[0]
 
 
 def bookkeeping_arrays(frames: int, episode_index: int, first_index: int, task_index: int) -> dict[str, np.ndarray]:

@@ -57,8 +57,8 @@ class DynahoiVectorEnv(VectorEnv):
         A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
         view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], home frame, and joint angles
         [rad]; ``phase`` (2,); and, if the capture rule uses contact sensors, ``touch`` (5,) force of each finger on the
-        target [N]. Only on request ``environment_state`` (13,), the simulator's truth: pose of the target [m, 1], home
-        frame, and its linear and angular velocity [m/s, rad/s].
+        target [N]. Only on request ``environment_state``: the simulator's truth (13,), pose of the target [m, 1], home
+        frame, and its linear and angular velocity [m/s, rad/s]; or (14,) where the eye sees it (`core/features.py`).
     Action:
         (18,) float32 target for the next frame: palm centre [m], home frame, and joint angles [rad]. The palm's bounds
         are the length of the gantry's slides either way (4, 4 and 2.48 m), the same in every episode, so that they do

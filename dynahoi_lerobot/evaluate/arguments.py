@@ -9,6 +9,7 @@ from typing import Any
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor
 from dynahoi_lerobot.core.arguments import add_field_arguments, number, path, whole
+from dynahoi_lerobot.core.features import TRUTH
 from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
@@ -96,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --replay: seed of the draw, as printed by an earlier replay",
     )
     notes = dict.fromkeys(TRAINED_FOR, "by default the setting that the policy was trained with")
-    notes |= {"environment_state": "marks the results as privileged"}
+    notes |= {"environment_state": f"by default what the policy reads; {TRUTH} must be given, and marks results"}
     add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **notes)
     parser.add_argument(
         "--batch-size",

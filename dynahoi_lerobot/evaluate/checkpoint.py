@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
-from dynahoi_lerobot.core.features import IMAGE_PREFIX
+from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, FEATURES, IMAGE_PREFIX
 from dynahoi_lerobot.core.files import printable, sha256
 from dynahoi_lerobot.dataset.manifest import Manifest
 
@@ -131,7 +132,8 @@ def folder_weights(folder: Path) -> dict[str, str]:
 def trained_for(folder: Path) -> dict[str, Any]:
     """Return what a checkpoint tells of the rules it was trained for: the values of some fields of `Recipe`.
 
-    ``image_size`` [px] is that of the config's cameras, ``control_mode`` follows from the size of its actions.
+    ``image_size`` [px] is that of the config's cameras, ``control_mode`` follows from the size of its actions. A policy
+    of what the eye sees, told by the size of its input, needs the images that the eye learned from.
     ``control_class`` and ``protocol`` come from the recipe of the dataset that ``train_config.json`` names, if that is
     on this machine, or else from its ``env``.
     """
@@ -143,6 +145,8 @@ def trained_for(folder: Path) -> dict[str, Any]:
         inputs = config.get("input_features", {})
         if camera := next((feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None):
             told["image_size"] = camera["shape"][-1]
+        if inputs.get(ENVIRONMENT_STATE, {}).get("shape") == list(FEATURES["sighting"].shape):
+            told |= {"environment_state": EYE, "image_size": DETECTOR_IMAGE_SIZE_PX}
         if config.get("output_features", {}).get("action", {}).get("shape") == [len(CONTROL_MODES[GRASP])]:
             told["control_mode"] = GRASP
     except (AttributeError, LookupError, TypeError) as error:

@@ -16,7 +16,7 @@ from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
 from dynahoi_lerobot.core.arguments import given_fields
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, TRUTH
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -129,16 +129,14 @@ def _actor(args: argparse.Namespace) -> Actor:
         if args.policy == VLM and not args.set
         else make_actor(args.policy, args.capture or Recipe.capture, args.device, args.set, trust=args.trust)
     )
-    if actor.sees_environment_state and not args.environment_state:
+    if actor.environment_state == TRUTH and args.environment_state is None:
         raise ValueError(
-            f"{args.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add --environment-state to let it: "
-            "its results are then marked as privileged"
+            f"{args.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add --environment-state {TRUTH} to let "
+            "it: its results are then marked as privileged"
         )
-    if args.environment_state and not actor.sees_environment_state:
-        raise ValueError(
-            f"--environment-state is for policies that read {ENVIRONMENT_STATE}, and {args.policy} does not; leave it "
-            "out"
-        )
+    if args.environment_state is not None and args.environment_state != actor.environment_state:
+        needed = f"--environment-state {actor.environment_state}" if actor.environment_state else "none; leave it out"
+        raise ValueError(f"--environment-state is {args.environment_state!r}, but {args.policy} needs {needed}")
     return actor
 
 

@@ -6,7 +6,7 @@ Nothing here imports torch or LeRobot before a policy is loaded.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, IMAGE_PREFIX, as_gym
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, FEATURES, IMAGE_PREFIX, TRUTH, as_gym
 from dynahoi_lerobot.evaluate.checkpoint import (
     PolicyError,
     checked_folder,
@@ -71,7 +71,8 @@ class PolicyAgent(ChunkAgent):
         self._chunk: Any = None
         self._frame = 0
         inputs = self._policy.config.input_features
-        self.sees_environment_state = self.privileged = ENVIRONMENT_STATE in inputs
+        self.environment_state = needed_environment_state(inputs)
+        self.privileged = self.environment_state == TRUTH
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.package = type(self._policy).__module__.partition(".")[0]
         self.views = tuple(view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs)
@@ -145,10 +146,11 @@ class PolicyAgent(ChunkAgent):
         import torch
         from lerobot.envs.utils import preprocess_observation
 
-        if self.sees_environment_state and observation.environment_state is None:
+        shown = {"": True, TRUTH: observation.environment_state is not None, EYE: observation.sighting is not None}
+        if not shown[self.environment_state]:
             raise PolicyError(
-                f"{self.name} reads {ENVIRONMENT_STATE}, the simulator's truth, which only "
-                "`dynahoi evaluate --environment-state` and environments with environment_state=True show"
+                f"{self.name} reads {ENVIRONMENT_STATE}, which `dynahoi evaluate --environment-state "
+                f"{self.environment_state}` and environments with environment_state={self.environment_state!r} show"
             )
         batch: dict[str, Any] = preprocess_observation(as_gym(observation))
         batch["task"] = list(observation.tasks)
@@ -156,6 +158,14 @@ class PolicyAgent(ChunkAgent):
         batch["timestamp"] = torch.full((len(observation.tasks),), self._frame * CONTROL_DT)  # a policy's history
         self._frame += 1
         return batch
+
+
+def needed_environment_state(inputs: Mapping[str, Any]) -> str:
+    """Return the recipe's ``environment_state`` that a policy of these input features needs, told by their size."""
+    feature = inputs.get(ENVIRONMENT_STATE)
+    if feature is None:
+        return ""
+    return EYE if tuple(feature.shape) == FEATURES["sighting"].shape else TRUTH
 
 
 def _register_plugins() -> None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import Expert, WorldState
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
-from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
-from dynahoi_lerobot.experts.intercept import EXTRAPOLATED_FRAMES, approach
+from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, Teacher, WorldView
+from dynahoi_lerobot.experts.intercept import EXTRAPOLATED_FRAMES, approach, meeting_goal
 from dynahoi_lerobot.hands import HANDS
 
 Command = Callable[[WorldView], np.ndarray]
@@ -35,6 +35,22 @@ class Hold(Expert):
         return world.observation.state.astype(np.float64)
 
 
+@EXPERTS.register("pursuit")
+class Pursuit(Teacher):
+    """Chase the target's current true position at full speed; its score needs no prediction.
+
+    Its recordings suit policies that see too little of the past to predict.
+    """
+
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world."""
+        return approach(world, _standing(world), world.control.palm_speed_m_s)
+
+    def goal(self, world: WorldView) -> np.ndarray:
+        """Return (18,) where the target is, and fingers that close by time to go; after the catch, the held pose."""
+        return meeting_goal(world, _standing(world), world.control.palm_speed_m_s)
+
+
 def baseline(name: str, *, privileged: bool = True) -> Callable[[Command], Command]:
     """Return a decorator that registers a function of one world as the expert ``name``; its docstring describes it."""
 
@@ -44,12 +60,6 @@ def baseline(name: str, *, privileged: bool = True) -> Callable[[Command], Comma
         return command
 
     return decorate
-
-
-@baseline("pursuit")
-def pursuit(world: WorldView) -> np.ndarray:
-    """Chase the target's current true position at full speed; its score needs no prediction."""
-    return approach(world, np.tile(world.target_pos_w, (EXTRAPOLATED_FRAMES + 1, 1)), world.control.palm_speed_m_s)
 
 
 @baseline("constant_velocity")
@@ -84,6 +94,11 @@ def nearest_home(world: WorldView) -> np.ndarray:
     """
     homes_w, paths = home_table()
     return _along(paths[np.linalg.norm(homes_w - world.spec.home_pos_w, axis=1).argmin()], world)
+
+
+def _standing(world: WorldView) -> np.ndarray:
+    """Return (K, 3) the path [m], world, of a target that stays where it is."""
+    return np.tile(world.target_pos_w, (EXTRAPOLATED_FRAMES + 1, 1))
 
 
 def _ahead_s(world: WorldView) -> np.ndarray:

@@ -44,13 +44,7 @@ class Intercept(Teacher):
 
     def goal(self, world: WorldView) -> np.ndarray:
         """Return (18,) the meeting point, and fingers that close by time to go; after the catch, the held pose."""
-        spec, closed = world.spec, closed_joints(world.spec.hand)
-        if world.localized:
-            return np.concatenate([world.state[:PALM_DOF], closed])
-        path_w = _path_from(spec, world.due_frame)
-        arrival = earliest_arrival(world.state, closed, path_w, _speed(world.control), world.control)
-        closing = np.clip((CLOSED_FRAMES + CLOSING_FRAMES - arrival) / CLOSING_FRAMES, 0.0, 1.0)
-        return np.concatenate([path_w[arrival], spec.open_joints + closing * (closed - spec.open_joints)])
+        return meeting_goal(world, _path_from(world.spec, world.due_frame), _speed(world.control))
 
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
         """Return the meeting of its first plan, from the open hand at home."""
@@ -82,6 +76,20 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
     contact = _first_contact(palm + progress * towards, path_w[: arrival + 1], reach_m)
     turn = _closing(closed - joints, contact - SPARE_FRAMES, world.control.joint_speed_rad_s * CONTROL_DT)
     return np.concatenate([palm + step, joints + turn])
+
+
+def meeting_goal(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarray:
+    """Return (18,) a `Teacher`'s goal: the earliest point of a path in reach, and fingers closed well before it.
+
+    Args:
+        world, path_w, speed_m_s: see `approach`.
+    """
+    spec, closed = world.spec, closed_joints(world.spec.hand)
+    if world.localized:
+        return np.concatenate([world.state[:PALM_DOF], closed])
+    arrival = earliest_arrival(world.state, closed, path_w, speed_m_s, world.control)
+    closing = np.clip((CLOSED_FRAMES + CLOSING_FRAMES - arrival) / CLOSING_FRAMES, 0.0, 1.0)
+    return np.concatenate([path_w[arrival], spec.open_joints + closing * (closed - spec.open_joints)])
 
 
 def earliest_arrival(

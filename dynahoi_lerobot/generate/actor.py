@@ -68,15 +68,15 @@ def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
     """Load a policy on the CPU.
 
     Raises:
-        PolicyError: if there is no such policy, if it reads the simulator's truth, which recordings do not show it, if
+        PolicyError: if there is no such policy, if it reads ``observation.environment_state``, if
             a repository is to be trusted, whose content would not be named, or if loading it could run code of its
             own, unless ``trust`` allows that.
     """
     if trust and not Path(path).is_dir():
         raise PolicyError(f"--trust needs a folder as the actor, got {path!r}; download the repository first")
     policy = PolicyAgent(path, "cpu", trust=trust)
-    if policy.sees_environment_state:
-        raise PolicyError(f"{path} reads {ENVIRONMENT_STATE}, the simulator's truth; an actor sees images and the hand")
+    if policy.environment_state:
+        raise PolicyError(f"{path} reads {ENVIRONMENT_STATE}; an actor sees images and the hand alone")
     return policy
 
 

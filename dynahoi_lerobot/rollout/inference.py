@@ -120,7 +120,7 @@ class RealTimeAgent(Agent):
                 "use async"
             )
         for name in (
-            "name", "sees_images", "views", "sees_environment_state", "privileged", "weights",
+            "name", "sees_images", "views", "environment_state", "privileged", "weights",
             "trained_for",
         ):  # fmt: skip
             setattr(self, name, getattr(agent, name))

@@ -70,6 +70,8 @@ def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.n
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
     columns |= {name: measure(batch) for name, measure in MEASURED.items()}
+    if observation.sighting is not None:
+        columns["sighting"] = observation.sighting
     return columns | {name: getattr(batch.contacts, name).copy() for name in CONTACTS}
 
 

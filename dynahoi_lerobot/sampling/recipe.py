@@ -15,8 +15,8 @@ import draccus
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
-from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX
-from dynahoi_lerobot.core.features import Feature, frame_features
+from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, DETECTOR_IMAGE_SIZE_PX
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATES, EYE, Feature, frame_features
 from dynahoi_lerobot.core.files import read_yaml
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, DEFAULT_PROTOCOL, PROTOCOLS
@@ -68,7 +68,8 @@ class Recipe:
         perturbed_share: share of episodes in which the palm is pushed off course at times, if the expert can recover.
         render_noise: largest random change of each image value, in levels of 255; imitates another renderer.
         salt: secret text that selects hidden episodes of the same benchmark; only its hash is stored.
-        environment_state: add observation.environment_state, the target's true pose and velocity, to the observations.
+        environment_state: add observation.environment_state to the observations: truth, the target's pose and velocity;
+            or eye, where a pretrained image encoder sees the target.
         keep_failures: also store episodes in which the expert fails, instead of replacing them.
         actor: policy that moves the hand while the expert labels its states, TYPE@HASH of its checkpoint; empty if the
             expert demonstrates. Its failures are always kept.
@@ -92,7 +93,7 @@ class Recipe:
     perturbed_share: float = 0.5
     render_noise: int = 0
     salt: str = field(default="", repr=False)
-    environment_state: bool = False
+    environment_state: str = ""
     keep_failures: bool = False
     actor: str = ""
 
@@ -108,6 +109,7 @@ class Recipe:
             (self.control_class, CONTROL_CLASSES, "control class"),
             (self.control_mode, CONTROL_MODES, "control mode"),
             (self.instructions, dict.fromkeys(INSTRUCTION_STYLES), "instructions"),
+            (self.environment_state, ENVIRONMENT_STATES, "environment_state"),
             *((name, RANDOMIZATIONS, "appearance") for name in self.appearance),
         ):
             known(noun, value, allowed)
@@ -128,6 +130,10 @@ class Recipe:
         low, high = IMAGE_SIZES_PX
         if self.image_size and not low <= self.image_size <= high:
             raise ValueError(f"image_size must be {low} to {high} pixels, or 0 for no camera, got {self.image_size}")
+        if self.environment_state == EYE and self.image_size != DETECTOR_IMAGE_SIZE_PX:
+            raise ValueError(
+                f"environment_state {EYE} needs image_size {DETECTOR_IMAGE_SIZE_PX}, got {self.image_size}"
+            )
         if not 0 <= self.perturbed_share <= 1:
             raise ValueError(f"perturbed_share must be 0 to 1, got {self.perturbed_share}")
         if not 0 <= self.render_noise <= MAX_RENDER_NOISE:

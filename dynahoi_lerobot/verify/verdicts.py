@@ -19,7 +19,7 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix
 from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.dataset.columns import LANGUAGE, column_array, subtask_rows
+from dynahoi_lerobot.dataset.columns import LANGUAGE, column_array, holds, subtask_rows
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import not_finite
 from dynahoi_lerobot.hands import HANDS
@@ -85,7 +85,7 @@ def derived_problems(episode: Episode, row: EpisodeRow, table: pa.Table) -> Iter
         table: its frames.
     """
     for feature in FEATURES.values():
-        if feature.derived and feature.key in table.column_names:
+        if feature.derived and holds(table, feature):
             wanted = np.reshape(getattr(episode, feature.name), (len(episode), -1))
             if not np.array_equal(column_array(table, feature.key), wanted):
                 yield f"{feature.key} does not follow from the other columns"

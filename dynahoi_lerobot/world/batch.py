@@ -13,8 +13,11 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Observation, WorldState
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS, from_grasp, to_grasp
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.features import EYE, TRUTH
+from dynahoi_lerobot.core.numerics import tan
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS, one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers.views import MOTION_VIEW
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
@@ -25,6 +28,8 @@ from dynahoi_lerobot.world.physics import Physics, Targets
 from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, with_render_noise
 
 if TYPE_CHECKING:
+    from lerobot_policy_obact.detector import Detector
+
     from dynahoi_lerobot.sampling.recipe import Recipe
 
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
@@ -85,6 +90,7 @@ class WorldBatch:
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
         self.cameras = Cameras(self.scene, self._batch, recipe.image_size, recipe.renderer, self._update_kinematics)
         self._history = ImageHistory(size, recipe.image_size)
+        self._detector = self._make_detector() if recipe.environment_state == EYE else None
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self.commanded, self.executed = np.zeros((2, size, HAND_DOF))
@@ -103,6 +109,8 @@ class WorldBatch:
         chosen = np.asarray(ids, int)
         self.frame[chosen], self.attempt[chosen] = 0, attempt
         self._history.forget(chosen)
+        if self._detector is not None:
+            self._detector.forget(chosen)
         self._fields.reset(chosen)
         for i, spec in zip(chosen, specs, strict=True):
             self._write(int(i), spec)
@@ -271,18 +279,22 @@ class WorldBatch:
         """Return what a policy may see.
 
         Args:
-            images: whether to render the views of the recipe; without, they cost nothing.
+            images: whether to render the views of the recipe; without, they cost nothing, unless the eye needs them.
             ids: the worlds to render (default: all); the images of the others are black, as are those of worlds in the
                 control phase of a protocol with ``blind_control``.
         """
-        sensed = self.rule.uses_contact_sensors
+        sensed, seeing = self.rule.uses_contact_sensors, self._seeing(ids)
+        state, shown = self.state, {}
+        if self.recipe.image_size and (images or self._detector is not None):
+            shown = self._images(seeing)
         return Observation(
-            images=self._images(self._seeing(ids)) if images and self.recipe.image_size else {},
-            state=self.state.astype(np.float32),
+            images=shown,
+            state=state.astype(np.float32),
             phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
-            environment_state=self._truth() if self.recipe.environment_state else None,
+            environment_state=self._truth() if self.recipe.environment_state == TRUTH else None,
+            sighting=None if self._detector is None else self._sighting(shown[EGO_VIEW], state, ids),
         )
 
     def world_state(self, observation: Observation) -> WorldState:
@@ -361,6 +373,28 @@ class WorldBatch:
                 if (spec := self.specs[i]) is not None:
                     images[i] = with_render_noise(images[i], levels, spec.seed, int(self.frame[i]), view)
         return images
+
+    def _make_detector(self) -> Detector:
+        """Return the eye, which comes with the ObAct plugin.
+
+        Raises:
+            ValueError: if that is not installed.
+        """
+        try:
+            from lerobot_policy_obact.detector import Detector
+        except ImportError as error:
+            raise ValueError(
+                f"environment_state {EYE} needs ObAct ({error}): install ./policies/lerobot_policy_obact"
+            ) from error
+        camera = self.scene.model.camera(EGO_CAMERA)
+        half_view = tan(np.radians(float(camera.fovy[0])) / 2)
+        return Detector(self.size, np.concatenate([camera.pos, camera.quat]), half_view)
+
+    def _sighting(self, images: np.ndarray, state: np.ndarray, ids: np.ndarray | None) -> np.ndarray:
+        """(N, 14) float32 where the eye sees the targets of worlds ``ids`` (default: all) in (N, H, W, 3) images."""
+        assert self._detector is not None
+        looking = np.arange(self.size) if ids is None else ids
+        return self._detector.see(images, state[:, :PALM_DOF], looking, self.frame)
 
     def _truth(self) -> np.ndarray:
         """(N, 13) float32 pose [m, 1] and velocity [m/s, rad/s] of the targets."""

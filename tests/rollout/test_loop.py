@@ -23,7 +23,7 @@ from tests.world.playing import digest
 QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=0)
 SEEING = replace(QUICK, image_size=32)
 SEEDS = (0, 1, 2, 5, 4, 10)
-ALLOWED = {"images", "state", "phase", "tasks", "touch", "environment_state"}
+ALLOWED = {"images", "state", "phase", "tasks", "touch", "environment_state", "sighting"}
 
 
 class Clumsy(Expert):

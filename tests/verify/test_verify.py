@@ -53,7 +53,7 @@ def found(root: Path, **options) -> set[str]:
 @pytest.mark.parametrize(
     "words",
     [
-        ("--environment-state", "--subtasks"),
+        ("--environment-state", "truth", "--subtasks"),
         ("--capture", "contact", "--motions", "constant,struck"),
         pytest.param(("--codec", "images", "--views", "side,ego_depth"), marks=pytest.mark.slow),
         pytest.param(("--image-size", "0", "--keep-failures"), marks=pytest.mark.slow),
@@ -184,7 +184,7 @@ def test_verdicts_that_do_not_follow_are_found_though_they_are_signed(copy, name
 
 @pytest.mark.parametrize("key", ["next.reward", "observation.environment_state", "language_persistent"])
 def test_derived_columns_that_do_not_follow_are_found_though_they_are_signed(tmp_path, key):
-    root = generated(tmp_path / "d", "--environment-state", "--subtasks", "--image-size", "0")
+    root = generated(tmp_path / "d", "--environment-state", "truth", "--subtasks", "--image-size", "0")
     column(DATA, key, lambda values: values[::-1])(root)
     sign(root)
     assert found(root) == {"verdicts"}

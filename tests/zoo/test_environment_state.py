@@ -1,4 +1,4 @@
-"""State-only baselines: the simulator's truth on request, in datasets, environments and evaluations."""
+"""What policies read of the target besides images: the simulator's truth, or where the eye sees it, on request."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.env import register_envs
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.report.entries import unique_labels
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import FEATURES, saved
 
 KEY = "observation.environment_state"
@@ -26,17 +29,30 @@ KEY = "observation.environment_state"
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("data") / "d"
     words = ["--root", str(root), "--episodes", "2", "--image-size", "0", "--motions", "constant,lob"]
-    assert main(["generate", *words, "--environment-state"]) == 0
+    assert main(["generate", *words, "--environment-state", "truth"]) == 0
     return root
+
+
+def small_act(folder: Path, size: int) -> str:
+    small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_decoder_layers": 1}
+    ours, state = PolicyFeature(FeatureType.ENV, (size,)), PolicyFeature(FeatureType.STATE, (18,))
+    inputs = {KEY: ours, "observation.state": state}
+    config = ACTConfig(chunk_size=4, n_action_steps=4, use_vae=False, **small, **FEATURES | {"input_features": inputs})
+    config.normalization_mapping = dict.fromkeys(("ENV", "STATE", "ACTION"), NormalizationMode.IDENTITY)
+    return str(saved(config, folder))
 
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> str:
-    small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_decoder_layers": 1}
-    inputs = {KEY: PolicyFeature(FeatureType.ENV, (13,)), "observation.state": PolicyFeature(FeatureType.STATE, (18,))}
-    config = ACTConfig(chunk_size=4, n_action_steps=4, use_vae=False, **small, **FEATURES | {"input_features": inputs})
-    config.normalization_mapping = dict.fromkeys(("ENV", "STATE", "ACTION"), NormalizationMode.IDENTITY)
-    return str(saved(config, tmp_path_factory.mktemp("act")))
+    return small_act(tmp_path_factory.mktemp("act"), 13)
+
+
+@pytest.fixture(scope="module")
+def by_eye(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("by_eye") / "d"
+    words = ["--root", str(root), "--episodes", "2", "--image-size", "96", "--motions", "constant"]
+    assert main(["generate", *words, "--environment-state", "eye"]) == 0
+    return root
 
 
 def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
@@ -52,7 +68,7 @@ def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
 def test_an_environment_shows_it_on_request() -> None:
     register_envs()
     options = {"image_size": 0}
-    env = gym.make("dynahoi/constant-v0", environment_state=True, **options)
+    env = gym.make("dynahoi/constant-v0", environment_state="truth", **options)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     batch = env.unwrapped._vector._batch
@@ -66,8 +82,8 @@ def test_an_environment_shows_it_on_request() -> None:
 def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, tmp_path, capsys):
     words = ["evaluate", "--policy", checkpoint, "--motions", "constant", "--episodes", "1", "--out", f"{tmp_path}/r"]
     assert main(words) != 0
-    assert "add --environment-state to let it" in capsys.readouterr().err
-    assert main([*words, "--environment-state"]) == 0
+    assert "add --environment-state truth to let it" in capsys.readouterr().err
+    assert main([*words, "--environment-state", "truth"]) == 0
     assert f"{checkpoint} (privileged)" in capsys.readouterr().out
     results = read_results(tmp_path / "r")
     assert len(results.rows) == 1
@@ -77,15 +93,74 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, t
 
 def test_it_is_no_actor_of_recordings(checkpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["generate", "--actor", checkpoint, "--episodes", "1", "--root", str(tmp_path / "d")]) == 2
-    assert f"reads {KEY}, the simulator's truth; an actor sees images and the hand" in capsys.readouterr().err
+    assert f"reads {KEY}; an actor sees images and the hand alone" in capsys.readouterr().err
     assert not (tmp_path / "d").exists()
 
 
 def test_lerobot_evaluates_it(checkpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    env = ["--env.type=dynahoi", "--env.task=constant", "--env.environment_state=true", "--env.image_size=16"]
+    env = ["--env.type=dynahoi", "--env.task=constant", "--env.environment_state=truth", "--env.image_size=16"]
     run = [f"--output_dir={tmp_path / 'out'}", f"--env.results_dir={tmp_path / 'r'}"]
     episodes = ["--eval.n_episodes=1", "--eval.batch_size=1", "--policy.device=cpu"]
     monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--policy.path={checkpoint}", *env, *run, *episodes])
     lerobot_eval()
     results = read_results(tmp_path / "r")
     assert (len(results.rows), results.privileged) == (1, True)
+
+
+# -- what the eye sees ------------------------------------------------------------------------------------------------
+
+
+def test_a_dataset_holds_where_the_eye_saw_the_target(by_eye: Path) -> None:
+    assert main(["verify", str(by_eye)]) == 0
+    dataset = LeRobotDataset("local/d", root=by_eye)
+    episodes = list(read_episodes(by_eye))
+    np.testing.assert_array_equal(dataset[3][KEY], episodes[0].sighting[3])
+    for episode in episodes:
+        seen = episode.sighting
+        acting = slice(episode.meta.window_frames, episode.first_localized)
+        error_m = np.linalg.norm(seen[acting, :3] - episode.target_pose[acting, :3], axis=1)
+        assert np.median(error_m) < 0.1
+        for at, age in enumerate((2, 4, 8), start=1):
+            np.testing.assert_array_equal(seen[age:, 3 * at : 3 * at + 3], seen[:-age, :3])
+            np.testing.assert_array_equal(seen[:age, 3 * at : 3 * at + 3], np.tile(seen[0, :3], (age, 1)))
+
+
+def test_an_environment_shows_where_the_eye_sees_it() -> None:
+    register_envs()
+    env = gym.make("dynahoi/constant-v0", environment_state="eye", image_size=96)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    np.testing.assert_array_equal(observation["environment_state"], env.unwrapped._vector._batch.observe().sighting[0])
+    moved, *_ = env.step(env.action_space.sample())
+    np.testing.assert_array_equal(moved["environment_state"][3:6], observation["environment_state"][:3])
+    assert not np.array_equal(moved["environment_state"][:3], observation["environment_state"][:3])
+
+
+def test_what_is_seen_in_a_world_depends_on_no_other() -> None:
+    recipe = Recipe(split="val", image_size=96, environment_state="eye")
+    specs = sample_specs(recipe, range(3))
+    alone, together = WorldBatch(recipe, 1), WorldBatch(recipe, 2)
+    together.reset([0, 1], specs[:2])
+    together.observe()
+    together.step(together.commanded)
+    together.reset([1], specs[2:])
+    alone.reset([0], specs[2:])
+    first = together.observe(images=False).sighting
+    np.testing.assert_array_equal(first[1], alone.observe().sighting[0])
+    np.testing.assert_array_equal(together.observe().sighting, first, "a frame may be observed twice")
+
+
+def test_a_policy_that_reads_it_is_not_privileged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reader = small_act(tmp_path / "act", 14)
+    words = ["evaluate", "--policy", reader, "--motions", "constant", "--episodes", "1"]
+    assert main([*words, "--out", str(tmp_path / "r")]) == 0
+    assert "--environment-state eye" in capsys.readouterr().out
+    results = read_results(tmp_path / "r")
+    assert (results.recipe().environment_state, results.recipe().image_size, results.privileged) == ("eye", 96, False)
+    assert main([*words, "--environment-state", "truth"]) == 2
+    assert f"but {reader} needs --environment-state eye" in capsys.readouterr().err
+
+
+def test_the_eye_needs_images_of_its_size() -> None:
+    with pytest.raises(ValueError, match="environment_state eye needs image_size 96, got 64"):
+        Recipe(environment_state="eye", image_size=64)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import TRUTH
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.results import WEIGHTS, ResultsRecorder, RunInfo, command_line
 from dynahoi_lerobot.evaluate.table import results_table
@@ -47,7 +48,7 @@ class ResultsLog:
         extra = {
             "recipe": self._recipe.stored(),
             "inference": self._inference,
-            "privileged": self._recipe.environment_state,
+            "privileged": self._recipe.environment_state == TRUTH,
             "surroundings": surroundings(),
             WEIGHTS: policy_weights(sys.argv),
         }
