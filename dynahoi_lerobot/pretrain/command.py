@@ -1,4 +1,4 @@
-"""``dynahoi pretrain``: train an eye or a backbone on images of random configurations, as a recipe says."""
+"""``dynahoi pretrain``: train an eye on images of random configurations, as a recipe says."""
 
 from __future__ import annotations
 
@@ -44,13 +44,11 @@ def setting(text: str) -> tuple[str, Any]:
 
 def run(args: argparse.Namespace) -> int:
     """Train, print a line at each save, and return the exit code: 0 done, 1 the loss was not finite."""
-    from lerobot_policy_obact.act_backbone import BackboneLearner
-    from lerobot_policy_obact.eye_training import EyeLearner
-    from lerobot_policy_obact.pretraining import Training
+    from lerobot_policy_obact.eye_training import Training
 
     changes = dict(args.set) | ({} if args.out is None else {"out": str(args.out)})
     recipe = read_recipe(args.recipe, **changes)
-    training = Training(recipe, ImageStream(recipe), EyeLearner if recipe.policy is None else BackboneLearner)
+    training = Training(recipe, ImageStream(recipe))
     if training.finished:
         print(f"{recipe.out}: already trained on all {recipe.images} images")
     try:

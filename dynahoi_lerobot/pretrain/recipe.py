@@ -16,13 +16,12 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 
 @dataclass(frozen=True)
 class PretrainRecipe:
-    """How an eye or a backbone is trained on random configurations.
+    """How an eye is trained on random configurations.
 
     Attributes:
         out: folder that receives the weights, ``log.jsonl`` and what a killed run resumes from.
         camera: whose images it sees, ``ego`` or ``side``.
         eye: options of ObAct's ``Eye``, such as ``weights`` to start from.
-        policy: training recipe of an ACT, whose backbone is trained instead of an eye.
         device: of the training.
         episodes: what the images show.
         n_episodes: how many different episodes they show.
@@ -38,7 +37,6 @@ class PretrainRecipe:
     out: Path
     camera: str = EGO_VIEW
     eye: dict[str, Any] = field(default_factory=dict)
-    policy: Path | None = None
     device: str = "cpu"
     episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
     n_episodes: int = 1024

@@ -62,7 +62,7 @@ class Recipe:
         instructions: whether language instructions name the motion: reveal, neutral or mixed.
         appearance: comma-separated visual randomizations beyond the training distribution: materials, lights, specular,
             transparency, distractors.
-        image_size: side of the square images [px]; 0 disables the cameras.
+        image_size: side of the square images [px]; 0 shows none.
         views: comma-separated views in addition to ego, the hand's camera, such as side or ego_depth.
         renderer: image renderer.
         perturbed_share: share of episodes in which the palm is pushed off course at times, if the expert can recover.
@@ -130,10 +130,9 @@ class Recipe:
         low, high = IMAGE_SIZES_PX
         if self.image_size and not low <= self.image_size <= high:
             raise ValueError(f"image_size must be {low} to {high} pixels, or 0 for no camera, got {self.image_size}")
-        if self.environment_state == EYE and self.image_size != DETECTOR_IMAGE_SIZE_PX:
-            raise ValueError(
-                f"environment_state {EYE} needs image_size {DETECTOR_IMAGE_SIZE_PX}, got {self.image_size}"
-            )
+        if self.environment_state == EYE and self.image_size not in (0, DETECTOR_IMAGE_SIZE_PX):
+            allowed = f"{DETECTOR_IMAGE_SIZE_PX}, or 0 to show no images"
+            raise ValueError(f"with environment_state {EYE}, image_size must be {allowed}, got {self.image_size}")
         if not 0 <= self.perturbed_share <= 1:
             raise ValueError(f"perturbed_share must be 0 to 1, got {self.perturbed_share}")
         if not 0 <= self.render_noise <= MAX_RENDER_NOISE:

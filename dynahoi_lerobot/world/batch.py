@@ -12,7 +12,7 @@ from mujoco.batch import Batch
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Observation, WorldState
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS, from_grasp, to_grasp
-from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX, EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.features import EYE, TRUTH
 from dynahoi_lerobot.core.numerics import tan
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS, one_hot_phase
@@ -88,7 +88,8 @@ class WorldBatch:
         self._targets = Targets(self.scene, self._fields, size)
         self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
-        self.cameras = Cameras(self.scene, self._batch, recipe.image_size, recipe.renderer, self._update_kinematics)
+        image_size = recipe.image_size or (DETECTOR_IMAGE_SIZE_PX if recipe.environment_state == EYE else 0)
+        self.cameras = Cameras(self.scene, self._batch, image_size, recipe.renderer, self._update_kinematics)
         self._history = ImageHistory(size, recipe.image_size)
         self._detector = self._make_detector() if recipe.environment_state == EYE else None
         self.specs: list[EpisodeSpec | None] = [None] * size
@@ -279,14 +280,12 @@ class WorldBatch:
         """Return what a policy may see.
 
         Args:
-            images: whether to render the views of the recipe; without, they cost nothing, unless the eye needs them.
+            images: whether to render the views of the recipe; without, they cost nothing.
             ids: the worlds to render (default: all); the images of the others are black, as are those of worlds in the
                 control phase of a protocol with ``blind_control``.
         """
         sensed, seeing = self.rule.uses_contact_sensors, self._seeing(ids)
-        state, shown = self.state, {}
-        if self.recipe.image_size and (images or self._detector is not None):
-            shown = self._images(seeing)
+        state, shown = self.state, self._images(seeing) if images and self.recipe.image_size else {}
         return Observation(
             images=shown,
             state=state.astype(np.float32),
@@ -294,7 +293,7 @@ class WorldBatch:
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
             environment_state=self._truth() if self.recipe.environment_state == TRUTH else None,
-            sighting=None if self._detector is None else self._sighting(shown[EGO_VIEW], state, ids),
+            sighting=self._sighting(self._detector, shown, state, ids) if self._detector else None,
         )
 
     def world_state(self, observation: Observation) -> WorldState:
@@ -390,11 +389,12 @@ class WorldBatch:
         half_view = tan(np.radians(float(camera.fovy[0])) / 2)
         return Detector(self.size, np.concatenate([camera.pos, camera.quat]), half_view)
 
-    def _sighting(self, images: np.ndarray, state: np.ndarray, ids: np.ndarray | None) -> np.ndarray:
-        """(N, 14) float32 where the eye sees the targets of worlds ``ids`` (default: all) in (N, H, W, 3) images."""
-        assert self._detector is not None
-        looking = np.arange(self.size) if ids is None else ids
-        return self._detector.see(images, state[:, :PALM_DOF], looking, self.frame)
+    def _sighting(
+        self, detector: Detector, shown: dict[str, np.ndarray], state: np.ndarray, ids: np.ndarray | None
+    ) -> np.ndarray:
+        """(N, 14) float32 where the eye sees the targets of worlds ``ids`` (default: all), in what is shown or not."""
+        images = shown[EGO_VIEW] if shown else self._render(EGO_VIEW, self._seeing(ids))
+        return detector.see(images, state[:, :PALM_DOF], np.arange(self.size) if ids is None else ids, self.frame)
 
     def _truth(self) -> np.ndarray:
         """(N, 13) float32 pose [m, 1] and velocity [m/s, rad/s] of the targets."""

@@ -14,7 +14,6 @@ from safetensors.torch import load_file
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.pretrain.run_folder import LOG, RunFolder
-from tests.docs.documents import ROOT
 
 TINY_EYE = {"channels": 8, "fovea": 12}
 BATCH, UPDATES, SAVE_EVERY = 4, 7, 3
@@ -79,22 +78,6 @@ def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(
         torch.testing.assert_close(weights[name], tensor, rtol=0, atol=0, msg=name)
 
 
-def test_act_starts_from_a_pretrained_backbone(tmp_path: Path):
-    from lerobot.configs import PreTrainedConfig
-    from lerobot.policies.act.modeling_act import ACTPolicy
-
-    act = yaml.safe_load((ROOT / "recipes" / "train" / "act.yaml").read_text())
-    act["policy"]["input_features"]["observation.images.ego"]["shape"] = [3, 32, 32]
-    (tmp_path / "act.yaml").write_text(yaml.safe_dump(act))
-    assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path, policy=str(tmp_path / "act.yaml")))]) == 0
-    policy = ACTPolicy.from_pretrained(tmp_path / "eye")
-    fresh = ACTPolicy(PreTrainedConfig.from_pretrained(tmp_path / "eye"))
-    name = "backbone.layer4.1.bn2.running_mean"
-    learned, untouched = (dict(net.model.named_buffers())[name] for net in (policy, fresh))
-    assert not untouched.any()
-    assert learned.any(), "the statistics of the images are kept"
-
-
 def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     words = ["pretrain", "--recipe", str(tiny_recipe(tmp_path)), "--set"]
     assert main([*words, f"images={BATCH}"]) == 0
@@ -102,15 +85,6 @@ def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFi
     for wrong in ("images", "images={"):
         assert main([*words, wrong]) == 2
         assert f"must be KEY=VALUE, the value as YAML, got {wrong!r}" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("policy", ["a: 1", "policy: {type: diffusion}", "policy: {type: act}", "policy: 3"])
-def test_a_recipe_that_trains_no_act_is_refused_in_a_sentence(
-    policy: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    (tmp_path / "act.yaml").write_text(policy)
-    assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path, policy=str(tmp_path / "act.yaml")))]) == 2
-    assert str(tmp_path / "act.yaml") in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_finished_run_is_not_trained_again(

@@ -146,6 +146,7 @@ def test_what_is_seen_in_a_world_depends_on_no_other() -> None:
     together.reset([1], specs[2:])
     alone.reset([0], specs[2:])
     first = together.observe(images=False).sighting
+    assert not together.observe(images=False).images
     np.testing.assert_array_equal(first[1], alone.observe().sighting[0])
     np.testing.assert_array_equal(together.observe().sighting, first, "a frame may be observed twice")
 
@@ -161,6 +162,19 @@ def test_a_policy_that_reads_it_is_not_privileged(tmp_path: Path, capsys: pytest
     assert f"but {reader} needs --environment-state eye" in capsys.readouterr().err
 
 
+def test_the_eye_sees_the_same_if_no_images_are_shown() -> None:
+    spec, seen = sample_specs(Recipe(split="val"), range(1)), []
+    for size in (0, 96):
+        batch = WorldBatch(Recipe(split="val", image_size=size, environment_state="eye"), 1)
+        batch.reset([0], spec)
+        observation = batch.observe()
+        assert bool(observation.images) == bool(size)
+        seen.append(observation.sighting)
+    np.testing.assert_array_equal(*seen)
+
+
 def test_the_eye_needs_images_of_its_size() -> None:
-    with pytest.raises(ValueError, match="environment_state eye needs image_size 96, got 64"):
+    with pytest.raises(
+        ValueError, match="with environment_state eye, image_size must be 96, or 0 to show no images, got 64"
+    ):
         Recipe(environment_state="eye", image_size=64)
