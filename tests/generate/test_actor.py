@@ -134,7 +134,7 @@ def test_a_recipe_that_names_another_actor_is_refused(actor: Path, tmp_path: Pat
         assert told in capsys.readouterr().err
     recipe.write_text(f"actor: {actor_name(str(actor))}\ncapture: contact\n")
     assert main(words(actor, tmp_path / "d", "--recipe", recipe)) == 2
-    assert "need an expert that labels any state (intercept), got 'match'" in capsys.readouterr().err
+    assert "need an expert that labels any state (intercept, pursuit), got 'match'" in capsys.readouterr().err
     recipe.write_text("actor: me\n")
     assert main(words(None, tmp_path / "d", "--recipe", recipe)) == 2
     assert "TYPE@HASH, got 'me'" in capsys.readouterr().err

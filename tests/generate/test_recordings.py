@@ -62,7 +62,7 @@ def test_further_views_are_stored_read_and_replayed(tmp_path, codec):
 
 
 MOTIONS = ("constant", "lob", "depth", "planar")
-RECIPE = Recipe(expert="pursuit", motions=MOTIONS, image_size=16, keep_failures=True)
+RECIPE = Recipe(expert="pursuit", motions=MOTIONS, image_size=16, keep_failures=True, perturbed_share=0.0)
 EPISODES = 12
 
 
