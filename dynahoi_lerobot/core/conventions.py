@@ -48,9 +48,9 @@ EGO_VIEW = "ego"
 """The view of the camera that is fixed to the hand; the camera in the model has the same name."""
 
 DEFAULT_IMAGE_SIZE_PX = 128
-DETECTOR_IMAGE_SIZE_PX = 96
-"""Side of the images that the eye learned from, which ``environment_state=eye`` needs."""
 """Side of the square images where nothing is said [px]."""
+DETECTOR_IMAGE_SIZE_PX = 96
+"""Side of the images that the eye learned from, which ``environment_state=eye`` needs [px]."""
 
 PALM_AXES = ("palm_x", "palm_y", "palm_z")
 JOINT_NAMES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("base", "middle", "tip"))

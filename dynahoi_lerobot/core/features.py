@@ -88,6 +88,11 @@ class Feature:
         return self.needs_contact_sensors or self.on_request
 
     @property
+    def recipe_decides(self) -> bool:
+        """Whether only the recipe tells if a dataset has it, since every episode does."""
+        return self.on_request and self.derived
+
+    @property
     def is_image(self) -> bool:
         """Whether it is the images of a view."""
         return self.key.startswith(IMAGE_PREFIX)
@@ -113,7 +118,7 @@ PIXELS = "pixels"
 ENVIRONMENT_STATE = "observation.environment_state"
 """LeRobot's name for what policies read of the environment besides images."""
 TRUTH, EYE = "truth", "eye"
-ENVIRONMENT_STATES = {"": None, TRUTH: "environment_state", EYE: "sighting"}
+ENVIRONMENT_STATES = {"": "", TRUTH: "environment_state", EYE: "sighting"}
 """What it may be, by value of the recipe's ``environment_state``: the name of a feature."""
 SIGHTING_AGES = (0, 2, 4, 8)
 """Ages of the positions in a sighting [frames]."""
@@ -330,6 +335,11 @@ def frame_features(
     asked = (f for f in sensed if not f.on_request or f.name == ENVIRONMENT_STATES[environment_state])
     stored = (feature for feature in asked if not feature.in_episode_table)
     return (*images, *(action_feature(control_mode) if feature.name == "action" else feature for feature in stored))
+
+
+def environment_state_of(shape: Sequence[int]) -> str:
+    """Return the recipe's ``environment_state`` under which policies read an ``ENVIRONMENT_STATE`` of a shape."""
+    return EYE if tuple(shape) == FEATURES[ENVIRONMENT_STATES[EYE]].shape else TRUTH
 
 
 def episode_features() -> tuple[Feature, ...]:

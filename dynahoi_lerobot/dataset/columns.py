@@ -40,7 +40,7 @@ def dataset_features(episode: Episode) -> tuple[Feature, ...]:
     """Return the columns that a dataset of such episodes has, in its order: of the frame table, or of the episode's."""
     images = (image_feature(view, frames.shape[1]) for view, frames in episode.images.items())
     told = FEATURES | {"action": action_feature(mode_of(episode.action.shape[1]))}
-    arrays = (feature for feature in told.values() if not (feature.on_request and feature.derived))
+    arrays = (feature for feature in told.values() if not feature.recipe_decides)
     return (*images, *(feature for feature in arrays if getattr(episode, feature.name) is not None))
 
 

@@ -327,7 +327,7 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
     Raises:
         ValueError: naming the column, what a frame of the episode has and what the dataset needs.
     """
-    wanted = {feature.key: feature.shape for feature in features if not (feature.on_request and feature.derived)}
+    wanted = {feature.key: feature.shape for feature in features if not feature.recipe_decides}
     found = {feature.key: feature.shape for feature in dataset_features(episode)}
     for key in (*wanted, *found):
         if wanted.get(key) != found.get(key):

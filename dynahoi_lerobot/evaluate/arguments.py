@@ -97,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --replay: seed of the draw, as printed by an earlier replay",
     )
     notes = dict.fromkeys(TRAINED_FOR, "by default the setting that the policy was trained with")
-    notes |= {"environment_state": f"by default what the policy reads; {TRUTH} must be given, and marks results"}
+    notes |= {"environment_state": f"by default what the policy reads; {TRUTH} must be given, and makes it privileged"}
     add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **notes)
     parser.add_argument(
         "--batch-size",

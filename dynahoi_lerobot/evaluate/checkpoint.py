@@ -17,7 +17,7 @@ from typing import Any
 
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
-from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, FEATURES, IMAGE_PREFIX
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, environment_state_of
 from dynahoi_lerobot.core.files import printable, sha256
 from dynahoi_lerobot.dataset.manifest import Manifest
 
@@ -145,7 +145,7 @@ def trained_for(folder: Path) -> dict[str, Any]:
         inputs = config.get("input_features", {})
         if camera := next((feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None):
             told["image_size"] = camera["shape"][-1]
-        if inputs.get(ENVIRONMENT_STATE, {}).get("shape") == list(FEATURES["sighting"].shape):
+        if (state := inputs.get(ENVIRONMENT_STATE)) and environment_state_of(state["shape"]) == EYE:
             told |= {"environment_state": EYE, "image_size": DETECTOR_IMAGE_SIZE_PX}
         if config.get("output_features", {}).get("action", {}).get("shape") == [len(CONTROL_MODES[GRASP])]:
             told["control_mode"] = GRASP

@@ -6,7 +6,7 @@ Nothing here imports torch or LeRobot before a policy is loaded.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, FEATURES, IMAGE_PREFIX, TRUTH, as_gym
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, TRUTH, as_gym, environment_state_of
 from dynahoi_lerobot.evaluate.checkpoint import (
     PolicyError,
     checked_folder,
@@ -71,7 +71,8 @@ class PolicyAgent(ChunkAgent):
         self._chunk: Any = None
         self._frame = 0
         inputs = self._policy.config.input_features
-        self.environment_state = needed_environment_state(inputs)
+        state = inputs.get(ENVIRONMENT_STATE)
+        self.environment_state = environment_state_of(state.shape) if state else ""
         self.privileged = self.environment_state == TRUTH
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.package = type(self._policy).__module__.partition(".")[0]
@@ -158,14 +159,6 @@ class PolicyAgent(ChunkAgent):
         batch["timestamp"] = torch.full((len(observation.tasks),), self._frame * CONTROL_DT)  # a policy's history
         self._frame += 1
         return batch
-
-
-def needed_environment_state(inputs: Mapping[str, Any]) -> str:
-    """Return the recipe's ``environment_state`` that a policy of these input features needs, told by their size."""
-    feature = inputs.get(ENVIRONMENT_STATE)
-    if feature is None:
-        return ""
-    return EYE if tuple(feature.shape) == FEATURES["sighting"].shape else TRUTH
 
 
 def _register_plugins() -> None:

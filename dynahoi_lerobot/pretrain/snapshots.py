@@ -12,10 +12,10 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, HAND_DOF, PAL
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
-from dynahoi_lerobot.rollout.recorder import camera_pose, intrinsics
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
+from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 POSES = 8
 """Configurations of a world before it shows another episode: to begin one costs as much as several images."""

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from dynahoi_lerobot.captures import CaptureRule, Track
@@ -14,7 +13,7 @@ from dynahoi_lerobot.core.agent import Meeting, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.features import FEATURES, Feature, frame_features
-from dynahoi_lerobot.core.numerics import norm, tan
+from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import Motion
@@ -24,6 +23,7 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.world.batch import WorldBatch
+from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 
 @dataclass(frozen=True)
@@ -239,26 +239,6 @@ def object_constants(motion: Motion, target: TargetObject) -> dict[str, Any]:
         "object_friction": [target.friction, max(own, *(box.friction for box in launch.boxes), 0.0)],
         "object_restitution": max(launch.restitution, *(body.restitution for body in (*launch.boxes, *struck)), 0.0),
     }
-
-
-def camera_pose(model: mujoco.MjModel, camera: str) -> np.ndarray:
-    """Return (7,) position [m] and quaternion wxyz of a camera in the frame of the body it is fixed to.
-
-    The hand's camera is fixed to the palm, which does not turn and has its origin at the palm centre; the side camera
-    to a body that is put where the palm centre waits.
-    """
-    found = model.camera(camera)
-    return np.concatenate([found.pos, found.quat])
-
-
-def intrinsics(model: mujoco.MjModel, camera: str, image_size: int) -> np.ndarray:
-    """Return (4,) focal lengths fx and fy and principal point cx and cy [px] in square images of that side [px].
-
-    The centre of the first pixel is at (0.5, 0.5).
-    """
-    half = image_size / 2
-    focal = half / tan(np.radians(float(model.camera(camera).fovy[0])) / 2)
-    return np.array([focal, focal, half, half])
 
 
 def planned_speed_and_lead_time(spec: EpisodeSpec, meeting: Meeting | None) -> tuple[float, float]:

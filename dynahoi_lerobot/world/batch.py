@@ -14,7 +14,6 @@ from dynahoi_lerobot.core.agent import Observation, WorldState
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS, from_grasp, to_grasp
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX, EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.features import EYE, TRUTH
-from dynahoi_lerobot.core.numerics import tan
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS, one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import EGO_CAMERA
@@ -25,7 +24,7 @@ from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, check_command
 from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
 from dynahoi_lerobot.world.physics import Physics, Targets
-from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, with_render_noise
+from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, camera_pose, intrinsics, with_render_noise
 
 if TYPE_CHECKING:
     from lerobot_policy_obact.detector import Detector
@@ -284,8 +283,8 @@ class WorldBatch:
             ids: the worlds to render (default: all); the images of the others are black, as are those of worlds in the
                 control phase of a protocol with ``blind_control``.
         """
-        sensed, seeing = self.rule.uses_contact_sensors, self._seeing(ids)
-        state, shown = self.state, self._images(seeing) if images and self.recipe.image_size else {}
+        sensed, state = self.rule.uses_contact_sensors, self.state
+        shown = self._images(self._seeing(ids)) if images and self.recipe.image_size else {}
         return Observation(
             images=shown,
             state=state.astype(np.float32),
@@ -360,7 +359,7 @@ class WorldBatch:
         views = [EGO_VIEW, *self.recipe.views]
         images = {view: self._render(view, ids) for view in views if view != MOTION_VIEW}
         if MOTION_VIEW in views:
-            images[MOTION_VIEW] = self._history.add(images[EGO_VIEW], ids, self.frame)
+            images[MOTION_VIEW] = self._history.shown(images[EGO_VIEW], ids, self.frame)
         return {view: images[view] for view in views}
 
     def _render(self, view: str, ids: np.ndarray) -> np.ndarray:
@@ -385,9 +384,10 @@ class WorldBatch:
             raise ValueError(
                 f"environment_state {EYE} needs ObAct ({error}): install ./policies/lerobot_policy_obact"
             ) from error
-        camera = self.scene.model.camera(EGO_CAMERA)
-        half_view = tan(np.radians(float(camera.fovy[0])) / 2)
-        return Detector(self.size, np.concatenate([camera.pos, camera.quat]), half_view)
+        model = self.scene.model
+        return Detector(
+            self.size, camera_pose(model, EGO_CAMERA), intrinsics(model, EGO_CAMERA, self.cameras.image_size)
+        )
 
     def _sighting(
         self, detector: Detector, shown: dict[str, np.ndarray], state: np.ndarray, ids: np.ndarray | None

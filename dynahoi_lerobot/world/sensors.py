@@ -5,11 +5,12 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, FINGERS
-from dynahoi_lerobot.core.numerics import matrix_to_rotvec
+from dynahoi_lerobot.core.numerics import matrix_to_rotvec, tan
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.views import VIEWS
@@ -36,19 +37,40 @@ def with_render_noise(image: np.ndarray, levels: int, seed: int, frame: int, vie
     return np.clip(image + change, 0, 255).astype(np.uint8)
 
 
-class ImageHistory:
-    """The last grey images of N worlds, for ``ego_motion``; before an episode's start its first image stands."""
+class FrameHistory:
+    """What was last measured in N worlds; before an episode's start stands what was measured first.
+
+    Attributes:
+        values: (depth, N, ...), newest first.
+        frame: (N,) int, of each world's newest, -1 where there is none yet.
+    """
+
+    def __init__(self, size: int, depth: int, shape: tuple[int, ...], dtype: type = float) -> None:
+        self.values, self.frame = np.zeros((depth, size, *shape), dtype), np.full(size, -1)
+
+    def forget(self, ids: np.ndarray) -> None:
+        """Forget worlds ``ids`` (n,), whose episodes begin."""
+        self.frame[ids] = -1
+
+    def add(self, i: int, value: np.ndarray, frame: int) -> None:
+        """Add what is measured in world ``i`` at a frame; frames since the last that were left out show the same."""
+        passed = frame - int(self.frame[i])
+        if self.frame[i] < 0:
+            self.values[:, i] = value
+        elif passed:
+            self.values[passed:, i] = self.values[:-passed, i].copy()
+        self.values[: max(passed, 1), i] = value
+        self.frame[i] = frame
+
+
+class ImageHistory(FrameHistory):
+    """The last grey images of N worlds, for ``ego_motion``."""
 
     def __init__(self, size: int, image_size: int) -> None:
         """Remember square images of ``image_size`` [px] of ``size`` worlds."""
-        self._grey = np.zeros((MOTION_FRAMES[-1] + 1, size, image_size, image_size), np.uint8)  # newest first
-        self._frame = np.full(size, -1)  # of each world's newest image
+        super().__init__(size, MOTION_FRAMES[-1] + 1, (image_size, image_size), np.uint8)
 
-    def forget(self, ids: np.ndarray) -> None:
-        """Forget the images of worlds ``ids`` (n,), whose episodes begin."""
-        self._frame[ids] = -1
-
-    def add(self, images: np.ndarray, ids: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    def shown(self, images: np.ndarray, ids: np.ndarray, frames: np.ndarray) -> np.ndarray:
         """Add what worlds ``ids`` see, and return (N, H, W, 3) uint8 now, two and four frames ago; others are black.
 
         Args:
@@ -58,14 +80,8 @@ class ImageHistory:
         """
         motion = np.zeros_like(images)
         for i in ids:
-            passed, grey = int(frames[i] - self._frame[i]), _grey(images[i])
-            if self._frame[i] < 0:
-                self._grey[:, i] = grey
-            elif passed:
-                self._grey[passed:, i] = self._grey[:-passed, i].copy()
-            self._grey[: max(passed, 1), i] = grey
-            self._frame[i] = frames[i]
-            motion[i] = np.moveaxis(self._grey[MOTION_FRAMES, i], 0, -1)
+            self.add(i, _grey(images[i]), int(frames[i]))
+            motion[i] = np.moveaxis(self.values[MOTION_FRAMES, i], 0, -1)
         return motion
 
 
@@ -168,3 +184,23 @@ class Fingertips:
             hidden = (alpha[:, geoms] == 0.0)[:, None]
             nearest = np.minimum(nearest, np.where(hidden, np.inf, distance).min(axis=2))
         return nearest
+
+
+def camera_pose(model: mujoco.MjModel, camera: str) -> np.ndarray:
+    """Return (7,) position [m] and quaternion wxyz of a camera in the frame of the body it is fixed to.
+
+    The hand's camera is fixed to the palm, which does not turn and has its origin at the palm centre; the side camera
+    to a body that is put where the palm centre waits.
+    """
+    found = model.camera(camera)
+    return np.concatenate([found.pos, found.quat])
+
+
+def intrinsics(model: mujoco.MjModel, camera: str, image_size: int) -> np.ndarray:
+    """Return (4,) focal lengths fx and fy and principal point cx and cy [px] in square images of that side [px].
+
+    The centre of the first pixel is at (0.5, 0.5).
+    """
+    half = image_size / 2
+    focal = half / tan(np.radians(float(model.camera(camera).fovy[0])) / 2)
+    return np.array([focal, focal, half, half])

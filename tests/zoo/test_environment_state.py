@@ -25,12 +25,16 @@ from tests.checkpoints import FEATURES, saved
 KEY = "observation.environment_state"
 
 
+def generated(folder: Path, *words: str) -> Path:
+    root = folder / "d"
+    assert main(["generate", "--root", str(root), "--episodes", "2", *words]) == 0
+    return root
+
+
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data") / "d"
-    words = ["--root", str(root), "--episodes", "2", "--image-size", "0", "--motions", "constant,lob"]
-    assert main(["generate", *words, "--environment-state", "truth"]) == 0
-    return root
+    words = ["--environment-state", "truth", "--image-size", "0", "--motions", "constant,lob"]
+    return generated(tmp_path_factory.mktemp("data"), *words)
 
 
 def small_act(folder: Path, size: int) -> str:
@@ -49,10 +53,8 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="module")
 def by_eye(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("by_eye") / "d"
-    words = ["--root", str(root), "--episodes", "2", "--image-size", "96", "--motions", "constant"]
-    assert main(["generate", *words, "--environment-state", "eye"]) == 0
-    return root
+    words = ["--environment-state", "eye", "--image-size", "96", "--motions", "constant"]
+    return generated(tmp_path_factory.mktemp("by_eye"), *words)
 
 
 def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:

@@ -7,6 +7,7 @@ import torch
 from einops import rearrange
 
 from dynahoi_lerobot.core.features import SIGHTING_AGES
+from dynahoi_lerobot.world.sensors import FrameHistory
 
 from .camera import Pinhole
 from .encoders import Eye
@@ -23,22 +24,22 @@ class Detector:
 
     Args:
         size: N.
-        pose: of the camera from the palm, position [m] and quaternion wxyz, (7,).
-        half_view: tangent of half its field of view.
+        pose: of the camera, (7,), see `camera_pose`.
+        intrinsics: of the camera, (4,) [px].
     """
 
-    def __init__(self, size: int, pose: np.ndarray, half_view: float) -> None:
+    def __init__(self, size: int, pose: np.ndarray, intrinsics: np.ndarray) -> None:
         self._eye = Eye(weights="ego_96").eval()
         self._eye.load_pretrained()
-        self._camera = Pinhole.from_pose(pose.tolist(), half_view, carried=True)
-        self._images: list[torch.Tensor | None] = [None] * size
-        self._places = np.zeros((size, SIGHTING_AGES[-1] + 1, 3))  # newest first
+        focal_px, _, centre_px, _ = intrinsics
+        self._camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=True)
+        self._images: dict[int, torch.Tensor] = {}
+        self._places = FrameHistory(size, SIGHTING_AGES[-1] + 1, (3,))
         self._scales = np.zeros((size, 2))
-        self._frame = np.full(size, -1)  # of each world's newest image
 
     def forget(self, ids: np.ndarray) -> None:
         """Forget what was seen in worlds ``ids`` (n,), whose episodes begin."""
-        self._frame[ids] = -1
+        self._places.forget(ids)
 
     def see(self, images: np.ndarray, palm: np.ndarray, ids: np.ndarray, frames: np.ndarray) -> np.ndarray:
         """Return the sightings of all worlds, (N, 14) float32; worlds that are not among ``ids`` keep their last.
@@ -49,20 +50,12 @@ class Detector:
             ids: (n,) worlds that see.
             frames: (N,) of their episodes.
         """
-        for i in ids:
-            passed = int(frames[i] - self._frame[i])
-            if self._frame[i] >= 0 and not passed:  # a frame may be observed twice
-                continue
+        for i in ids[frames[ids] != self._places.frame[ids]]:  # a frame may be observed twice
             image = rearrange(torch.from_numpy(images[i]), "h w c -> 1 c h w") / 255
-            before = image if self._frame[i] < 0 else self._images[i]
-            place, scales = self._sighted(image, image if before is None else before)
-            if self._frame[i] < 0:
-                self._places[i] = palm[i] + place
-            else:
-                self._places[i, passed:] = self._places[i, :-passed].copy()
-                self._places[i, :passed] = palm[i] + place
-            self._images[i], self._scales[i], self._frame[i] = image, scales, frames[i]
-        seen = rearrange(self._places[:, SIGHTING_AGES, :], "n a i -> n (a i)")
+            place, self._scales[i] = self._sighted(image, image if self._places.frame[i] < 0 else self._images[i])
+            self._places.add(i, palm[i] + place, int(frames[i]))
+            self._images[i] = image
+        seen = rearrange(self._places.values[SIGHTING_AGES, :], "a n i -> n (a i)")
         return np.concatenate([seen, self._scales], axis=1).round(DECIMALS).astype(np.float32)
 
     @torch.inference_mode()
