@@ -1,194 +1,109 @@
-"""Catching by contact: meet the target at its own velocity, close on contact, hold the grip, brake, lift, shake."""
+"""Catching by contact: move along with the target, come up from behind it, close, and brake with it in the hand."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Meeting
-from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, GANTRY_SPEED_M_S, PALM_DOF
-from dynahoi_lerobot.core.numerics import norm, product, sin
+from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_SPEED_M_S, PALM_DOF
+from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, WorldView
+from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView
+from dynahoi_lerobot.experts.intercept import closed_joints
 
-PALM_FACE_M = -0.036
-"""The palm's surface along x, from the palm centre."""
-SEAT_Y_M, SEAT_Z_M = 0.0, 0.004
-"""Where the centre of a held target is along y and z, from the palm centre."""
-CLOSING_SPEED_M_S = 0.3
-"""At contact the palm moves this much faster than the target, along the palm's normal."""
-FOLLOW_FRAMES = 2
-"""After contact the palm stays this long on the path of the untouched target, while the fingers close."""
-LEAD_FRAMES = 1
-"""The fingers begin to close this long before contact."""
-FAST_RAD, GRIP_RAD = 0.5, 0.2
-"""How far a joint is commanded beyond its angle: while closing, and while holding (0.2 rad give 0.6 N m)."""
-BRAKE_FRAMES = 10
-LIFT_M = 0.06
-"""Rise of the palm while it brakes."""
-SHAKE_M, SHAKE_FRAMES, LONGEST_SHAKE_FRAMES = 0.015, 12, 120
-"""Amplitude along y and z, period, and length of the shake."""
-MAX_PALM_ACCELERATION_M_S2 = 60.0
-"""Half of what the servos' 120 N give."""
-SHORTEST_APPROACH_FRAMES, LONGEST_SEARCH_FRAMES = 4, 60
-NEAR_M, BEHIND_MARGIN_M = 0.2, 0.004
-"""A target nearer to its seat than the first may be behind the palm's surface by the second at most."""
-RETRY_SPACING = 3
-"""Each further attempt moves this many places down the ranking of moments."""
-
-
-@dataclass(frozen=True, eq=False)
-class Catch:
-    """A planned catch.
-
-    Attributes:
-        palm_w: (K, 3) palm centre at every frame from control start [m], world.
-        start_frame: of ``palm_w[0]``.
-        contact_frame: when the target reaches the palm.
-    """
-
-    palm_w: np.ndarray
-    start_frame: int
-    contact_frame: int
-
-    @property
-    def meeting(self) -> Meeting:
-        """Where the palm is when the target reaches it."""
-        return Meeting(self.palm_w[self.contact_frame - self.start_frame], self.contact_frame)
-
-    def command(self, frame: int, state: np.ndarray) -> np.ndarray:
-        """Return (18,) the command that takes effect at ``frame``: where the hand should be one frame later.
-
-        A hand that was disturbed before contact returns to the path evenly until contact.
-
-        Args:
-            frame: of the episode.
-            state: (18,) where the hand is then: palm centre [m], world, and joint angles [rad].
-        """
-        now, ahead = np.clip([frame - self.start_frame, frame + 1 - self.start_frame], 0, len(self.palm_w) - 1)
-        left = self.contact_frame - max(frame, self.start_frame)
-        strayed = (state[:PALM_DOF] - self.palm_w[now]) * max(left - 1, 0) / max(left, 1)
-        since = frame + 1 - self.contact_frame
-        if since < -LEAD_FRAMES:
-            closing = np.zeros(FINGER_DOF)
-        else:
-            closing = state[PALM_DOF:] + (FAST_RAD if since <= FOLLOW_FRAMES else GRIP_RAD)
-        return np.concatenate([self.palm_w[ahead] + strayed, closing])
+SEAT_M = np.array([-0.006, 0.0, 0.004])
+"""(3,) where the centre of a held target is, from the palm centre; the palm faces along x."""
+BEHIND_M = 0.06
+"""So far behind the target, along the palm's normal, the hand waits until it is in line."""
+IN_LINE_M, OUT_OF_LINE_M = 0.005, 0.025
+"""Distance from the line through the seat, across the palm's normal, from which and up to which it falls back."""
+PRESS_M = 0.02
+"""In line, the palm presses this far beyond the seat."""
+DETOUR_M, AHEAD_M = 0.13, 0.01
+"""A palm further ahead of the target than the second first gets out of its way, to the first from the line."""
+STEP_M, CLOSING_STEP_M = 0.05, 0.015
+"""Greatest way relative to the target in a frame, and behind it along the palm's normal."""
+LATERAL_SHARE = 0.7
+"""Share of a small distance from the line that a frame makes up for."""
+CLOSES_M, CLOSES_AT_M, CLOSES_AHEAD_M = 0.0225, -0.017, 0.03
+"""Fingers close within the first of the line, and between the others along the palm's normal."""
+SQUEEZE_RAD = 0.3
+"""Beyond the closed pose: joints are commanded this far, which gives a force of grip."""
+HELD_M, HELD_SHARE = 0.05, 0.5
+"""A target is taken to be held within this distance of the seat of fingers closed by more than this share."""
+BRAKE_SHARE, LIFT_M_S = 0.15, np.array([0.0, 0.0, 0.15])
+"""A held target's velocity approaches the second by the first in a frame."""
+LONGEST_WAY_M = GANTRY_SPEED_M_S * CONTROL_DT
+"""Of the palm in a frame, along each axis."""
+ON_PATH_M = 0.01
+"""A target further than this from its path was touched."""
 
 
 @EXPERTS.register("match")
-class Match(SingleWorldExpert):
-    """Velocity-matched interception with a power grasp, for the capture rule ``contact``.
-
-    A plan follows from the episode and the attempt alone, and is kept while the episode is played.
-    """
-
-    retries = 3
-
-    def __init__(self) -> None:
-        self._catches: WeakKeyDictionary[EpisodeSpec, dict[int, Catch]] = WeakKeyDictionary()
+class Match(Teacher):
+    """Velocity-matched approach with a power grasp, for the capture rule ``contact``; a function of the state."""
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        return self._catch(world.spec, world.attempt).command(world.due_frame, world.state)
+        return self.goal(world)
+
+    def goal(self, world: WorldView) -> np.ndarray:
+        """Return (18,) where the hand should be one frame later, which labels any state."""
+        spec, palm = world.spec, world.state[:PALM_DOF]
+        opened, closed = spec.open_joints, closed_joints(spec.hand)
+        squeezed = closed + SQUEEZE_RAD
+        now, ahead = _target(world)
+        offset = palm - (now - SEAT_M)
+        share = norm(world.state[PALM_DOF:] - opened) / norm(closed - opened)
+        if share > HELD_SHARE and norm(offset) < HELD_M:
+            return np.concatenate([palm + braked(world.target_velocity_w) * CONTROL_DT, squeezed])
+        offset, closes = approach(offset)
+        return np.concatenate([ahead - SEAT_M + offset, squeezed if closes else opened])
 
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
-        """Return the meeting of the attempt's plan."""
-        return self._catch(spec, attempt).meeting
+        """Return where the fingers begin to close, for a hand that starts at home."""
+        path, frame, palm = spec.oracle_path - SEAT_M, spec.window_frames, spec.home_pos_w
+        closes = np.array(False)
+        while not closes and frame + 1 < len(path):
+            offset, closes = approach(palm - path[frame])
+            frame += 1
+            palm = palm + np.clip(path[frame] + offset - palm, -LONGEST_WAY_M, LONGEST_WAY_M)
+        return Meeting(palm, frame)
 
-    def _catch(self, spec: EpisodeSpec, attempt: int) -> Catch:
-        catches = self._catches.setdefault(spec, {})
-        if attempt not in catches:
-            catches[attempt] = plan_catch(spec, attempt)
-        return catches[attempt]
 
+def approach(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where an open hand should be relative to the target one frame later, and whether to close the fingers.
 
-def plan_catch(spec: EpisodeSpec, attempt: int = 1) -> Catch:
-    """Return the catch for an attempt (from 1): the first is planned for the easiest moment, others for harder ones.
+    Args:
+        offset: (..., 3) of the palm centre from where it is when the target is in its seat [m], world.
 
-    The first command takes effect when control starts.
+    Returns:
+        (..., 3) [m], world, and (...) bool.
     """
-    seat = np.array([PALM_FACE_M + spec.target.grasp_radius_m, SEAT_Y_M, SEAT_Z_M])
-    goal = spec.oracle_path - seat  # (F, 3) where the palm must be for the target to sit in it
-    moments = _ranked_moments(spec, goal)
-    moment = moments[min((attempt - 1) * RETRY_SPACING, len(moments) - 1)]
-    approach = _approach(spec, goal, moment)
-    path = _carry_away(np.concatenate([approach, goal[moment + 1 : moment + 1 + FOLLOW_FRAMES]]))
-    return Catch(path, spec.window_frames, moment)
+    along, across = offset[..., 0], offset[..., 1:]
+    distance = np.sqrt(across[..., 0] ** 2 + across[..., 1] ** 2)
+    out = np.clip((distance - IN_LINE_M) / (OUT_OF_LINE_M - IN_LINE_M), 0.0, 1.0)
+    fastest = CLOSING_STEP_M + np.clip(-BEHIND_M - along, 0.0, STEP_M - CLOSING_STEP_M)
+    forward = np.clip(PRESS_M * (1 - out) - BEHIND_M * out - along, -STEP_M, fastest)
+    unit = across / np.maximum(distance, 1e-9)[..., None]
+    inwards = -np.minimum(LATERAL_SHARE * distance, STEP_M)
+    outwards = np.minimum(DETOUR_M - distance, STEP_M)
+    sideways = np.where((along > AHEAD_M) & (distance < DETOUR_M), outwards, inwards)
+    ahead = along + forward
+    closes = (distance <= CLOSES_M) & (ahead >= CLOSES_AT_M) & (along < CLOSES_AHEAD_M)
+    return np.concatenate([ahead[..., None], across + sideways[..., None] * unit], axis=-1), closes
 
 
-def _ranked_moments(spec: EpisodeSpec, goal: np.ndarray) -> list[int]:
-    """Return frames at which the target can be caught, easiest first."""
-    first = spec.window_frames + SHORTEST_APPROACH_FRAMES
-    last = min(len(goal) - 2 - FOLLOW_FRAMES - BRAKE_FRAMES - SHAKE_FRAMES, spec.window_frames + LONGEST_SEARCH_FRAMES)
-    moments = range(first, max(last, first) + 1)
-    return sorted(moments, key=lambda moment: _difficulty(spec, goal, moment))
+def braked(velocity: np.ndarray) -> np.ndarray:
+    """Return the velocity (..., 3) [m/s] of a hand one frame later that brakes and lifts the target it holds."""
+    return velocity + (LIFT_M_S - velocity) * BRAKE_SHARE
 
 
-def _difficulty(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> float:
-    """Return a cost: over the hand's limits, target behind the palm, fast, jerky, far from the intercept."""
-    palm = _approach(spec, goal, moment)
-    velocity = np.diff(palm, axis=0) / CONTROL_DT
-    peak_m_s2 = np.linalg.norm(np.diff(velocity, axis=0), axis=1).max() / CONTROL_DT
-    excess = max(np.abs(velocity).max() / GANTRY_SPEED_M_S - 1, 0) + max(peak_m_s2 / MAX_PALM_ACCELERATION_M_S2 - 1, 0)
-    offset = goal[spec.window_frames : moment + 1] - palm  # (K, 3) of the target from its seat
-    near = np.linalg.norm(offset, axis=1) < NEAR_M
-    behind = np.maximum(-offset[near, 0] - BEHIND_MARGIN_M, 0.0).sum()
-    speed = norm(_velocity(goal, moment))
-    carried = goal[moment : moment + FOLLOW_FRAMES + 1]
-    carried_m_s2 = np.linalg.norm(np.diff(carried, n=2, axis=0), axis=1).max() / CONTROL_DT**2
-    frames_off = abs(moment - spec.intercept_frame)
-    return float(100 * (excess + behind) + speed + 0.02 * carried_m_s2 + 0.05 * frames_off)
-
-
-def _approach(spec: EpisodeSpec, goal: np.ndarray, moment: int) -> np.ndarray:
-    """Return the palm's (K, 3) path [m], world, from rest at home to the target's motion at ``moment``."""
-    before, at, after = goal[moment - 1 : moment + 2]
-    velocity = _velocity(goal, moment) + [CLOSING_SPEED_M_S, 0.0, 0.0]
-    velocity = np.clip(velocity, -GANTRY_SPEED_M_S, GANTRY_SPEED_M_S)  # a limit of each axis of the gantry
-    acceleration = (after - 2 * at + before) / CONTROL_DT**2
-    still = np.zeros(3)
-    return _quintic((spec.home_pos_w, still, still), (at, velocity, acceleration), moment - spec.window_frames)
-
-
-def _velocity(path: np.ndarray, frame: int) -> np.ndarray:
-    """Return (3,) the velocity [m/s] of a path (F, 3) at a frame."""
-    return (path[frame + 1] - path[frame - 1]) / (2 * CONTROL_DT)
-
-
-def _carry_away(path: np.ndarray) -> np.ndarray:
-    """Return the (K, 3) path of a palm that holds a target, followed by braking with a lift and a gentle shake [m]."""
-    velocity, still = (path[-1] - path[-2]) / CONTROL_DT, np.zeros(3)
-    rest = path[-1] + velocity * BRAKE_FRAMES * CONTROL_DT / 2 + [0.0, 0.0, LIFT_M]
-    braking = _quintic((path[-1], velocity, still), (rest, still, still), BRAKE_FRAMES)
-    phase = 2 * np.pi * np.arange(1, LONGEST_SHAKE_FRAMES)[:, None] / SHAKE_FRAMES
-    shaking = rest + SHAKE_M * sin(phase) * [0.0, 1.0, 1.0]
-    return np.concatenate([path, braking[1:], shaking])
-
-
-State = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Position [m], velocity [m/s] and acceleration [m/s^2], (3,) each."""
-
-
-def _quintic(start: State, end: State, frames: int) -> np.ndarray:
-    """Return (frames + 1, 3) positions [m] on the fifth-order polynomial that joins two states."""
-    scale = np.array([1.0, frames * CONTROL_DT, (frames * CONTROL_DT) ** 2])[:, None]
-    boundary = np.concatenate([np.stack(start) * scale, np.stack(end) * scale])
-    progress = np.linspace(0.0, 1.0, frames + 1)
-    return product(np.vander(progress, 6, increasing=True), product(QUINTIC, boundary))
-
-
-QUINTIC = np.array(
-    [
-        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.5, 0.0, 0.0, 0.0],
-        [-10.0, -6.0, -1.5, 10.0, -4.0, 0.5],
-        [15.0, 8.0, 1.5, -15.0, 7.0, -1.0],
-        [-6.0, -3.0, -0.5, 6.0, -3.0, 0.5],
-    ]
-)
-"""(6, 6) from position, velocity and acceleration at both ends of [0, 1] to the coefficients of the polynomial."""
+def _target(world: WorldView) -> tuple[np.ndarray, np.ndarray]:
+    """Return (3,) where the target is when the command takes effect, and a frame later [m], world."""
+    path = world.spec.oracle_path
+    if norm(world.target_pos_w - path[min(world.frame, len(path) - 1)]) > ON_PATH_M:
+        return world.target_pos_w, world.target_pos_w + world.target_velocity_w * CONTROL_DT
+    due = min(world.due_frame, len(path) - 2)
+    return path[due], path[due + 1]

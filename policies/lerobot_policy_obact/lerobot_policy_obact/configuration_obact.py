@@ -64,6 +64,7 @@ class ObActConfig(PreTrainedConfig):
         delay_frames: control steps from a command to its effect.
         palm_speed_m_s: the palm's speed limit; only the labels of virtual palms need it.
         forecasts: whether it learned to forecast the target; the head then reads the forecast instead of the state.
+        grips: whether targets must be gripped; the head then also reads how far each joint is closed.
         rtc_config: real-time chunking, set by LeRobot's rollout.
     """
 
@@ -97,6 +98,7 @@ class ObActConfig(PreTrainedConfig):
     delay_frames: int = 0
     palm_speed_m_s: float = 0.0
     forecasts: bool = False
+    grips: bool = False
     rtc_config: RTCConfig | None = None
 
     # images in [0, 1], metres and radians: encoders and heads standardise by themselves

@@ -70,6 +70,8 @@ class ObActModel(nn.Module):
         self.features = nn.Linear(config.dim, N_FEATURES)
         n_state, n_actions = config.n_state, config.n_actions
         n_inputs = 4 * len(FORECAST_FRAMES) if config.forecasts else n_state
+        if config.grips:
+            n_inputs += n_state - config.relative_dims
         self.trunk = nn.Sequential(perceptron(n_inputs + N_FEATURES, config.width, config.width), nn.SiLU())
         if config.forecasts:
             self.when = nn.Linear(config.width, config.horizon * len(FORECAST_FRAMES))
@@ -137,13 +139,15 @@ class ObActModel(nn.Module):
             state: of the robot, ``(R, S)``; the head reads it only if nothing is forecast.
         """
         told = nn.functional.silu(self.features(features))
+        state = (state - self.state_mean) / self.state_std
         if not self.config.forecasts:
-            context = self.trunk(torch.cat([(state - self.state_mean) / self.state_std, told], dim=-1))
+            context = self.trunk(torch.cat([state, told], dim=-1))
             return context, repeat(palm, "r i -> r h i", h=self.config.horizon)
         unit = 0.1 + 0.3 * self.belief.ahead_s
         offset = (forecast - palm[:, None]) / unit[:, None]  # (R, K, 3)
         distance = offset.norm(dim=-1).clamp_max(FAR)
-        context = self.trunk(torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, told], dim=-1))
+        joints = state[:, self.config.relative_dims :] if self.config.grips else state[:, :0]
+        context = self.trunk(torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, told, joints], dim=-1))
         when = rearrange(self.when(context), "r (h k) -> r h k", h=self.config.horizon).softmax(-1)
         return context, when @ forecast
 
@@ -246,7 +250,9 @@ class ObActPolicy(PreTrainedPolicy):
             if self.recordings.targets is not None:
                 cameras = [camera_of(self.config, key) for key in self.config.cameras]
                 step_m = self.config.palm_speed_m_s / self.config.fps
-                self.virtual = VirtualEpisodes(self.recordings, self.recordings.targets, cameras, step_m)
+                self.virtual = VirtualEpisodes(
+                    self.recordings, self.recordings.targets, cameras, step_m, grips=self.config.grips
+                )
         named = batch["episode_index"].flatten().cpu()
         others = torch.randint(len(self.recordings.frames), (len(named), self.config.episodes_per_sample - 1))
         chosen = torch.cat([named[:, None], others], dim=1).flatten()

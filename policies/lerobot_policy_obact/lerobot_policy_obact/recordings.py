@@ -29,7 +29,10 @@ from torch import Tensor
 from torchvision.io import ImageReadMode, decode_image
 from tqdm import tqdm
 
+from dynahoi_lerobot.experts.match import SQUEEZE_RAD
+
 from .belief import FORECAST_FRAMES
+from .grips import grip_answers, grip_palms
 from .lessons import Frames, Future, Lesson
 from .teacher import answers, virtual_palms
 
@@ -38,9 +41,11 @@ if TYPE_CHECKING:
     from .modeling_obact import ObActModel
 
 CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = "stats/{}_camera", "stats/{}_intrinsics", "stats/hand_limits"
-TARGET_PATH, LOCALIZED = "stats/target_path", "stats/localized"
+TARGET_PATH, TARGET_POSE, LOCALIZED = "stats/target_path", "stats/target.pose", "stats/localized"
 OPEN_JOINTS, CLOSED_JOINTS = "stats/open_joints", "stats/reference_joints"
 """Columns of the episode table of a DynaHOI dataset, see its feature table."""
+TOUCH = "observation.touch"
+"""What datasets of the contact track have alone."""
 EARLY_SHARE, EARLIEST_FRAME = 0.15, 3
 """Share of the decisions that are taken anywhere in the observation window, and the first frame at which."""
 CARRIED_VIEW = "ego"
@@ -60,6 +65,7 @@ class Targets:
         length: known frames of that, ``(E,)``.
         free: frames until the hand touched the target, ``(E,)``.
         open_joints, closed_joints: of the hand [rad], ``(J,)``.
+        carried: paths of targets that are held from frame ``contact`` ``(E,)`` on [m], ``(E, F, 3)``; None if none is.
     """
 
     path: Tensor
@@ -67,10 +73,35 @@ class Targets:
     free: Tensor
     open_joints: Tensor
     closed_joints: Tensor
+    carried: Tensor | None = None
+    contact: Tensor | None = None
+
+    def held(self, frame: Tensor) -> Tensor:
+        """Return whether targets are in the hand in frames ``(E, Q)``."""
+        return torch.zeros_like(frame, dtype=torch.bool) if self.contact is None else frame >= self.contact[:, None]
+
+    def places(self, frame: Tensor, seen_from: Tensor) -> Tensor:
+        """Return where targets are in frames ``(E, Q, K)`` [m], ``(E, Q, K, 3)``.
+
+        Seen from frames ``(E, Q)`` before the catch, that is the untouched path.
+        """
+        q = frame.shape[1]
+        held = repeat(torch.minimum(frame, self.length[:, None, None] - 1), "b q k -> b (q k) i", i=3)
+        place = rearrange(self.path.gather(1, held), "b (q k) i -> b q k i", q=q)
+        if self.carried is None:
+            return place
+        carried = rearrange(self.carried.gather(1, held), "b (q k) i -> b q k i", q=q)
+        return torch.where(self.held(seen_from)[..., None, None], carried, place)
+
+    def closed_share(self, state: Tensor) -> Tensor:
+        """Return how far the fingers of hands ``(..., S)`` are closed, 0 open, 1 closed, ``(...)``."""
+        joints = state[..., 3:]
+        return (joints - self.open_joints).sum(-1) / (self.closed_joints - SQUEEZE_RAD - self.open_joints).sum()
 
     def of(self, chosen: Tensor) -> Targets:
         """Return those of episodes ``(B,)``."""
-        return replace(self, path=self.path[chosen], length=self.length[chosen], free=self.free[chosen])
+        named = {name: getattr(self, name) for name in ("path", "length", "free", "carried", "contact")}
+        return replace(self, **{name: x[chosen] for name, x in named.items() if x is not None})
 
 
 @dataclass
@@ -84,6 +115,7 @@ class Recordings:
         first, frames: first frame and number of frames of each episode, ``(E,)``.
         window: frames of its observation window, ``(E,)``; 0 if there is none.
         targets: what is known of the targets; None if the dataset does not say.
+        places: where the targets were in all frames [m], ``(N, 3)``, where they are gripped; None elsewhere.
     """
 
     sightings: Tensor
@@ -93,6 +125,7 @@ class Recordings:
     frames: Tensor
     window: Tensor
     targets: Targets | None = None
+    places: Tensor | None = None
 
     def lesson(self, chosen: Tensor, config: ObActConfig) -> Lesson:
         """Draw ``n_decisions`` decisions in each of episodes ``(B,)``."""
@@ -110,38 +143,41 @@ class Recordings:
         targets = self.targets.of(chosen)
         path, length = targets.path, targets.length
         due, step_m = torch.minimum(rows + late, length[:, None] - 2), config.palm_speed_m_s / config.fps
-        palms = virtual_palms(path, length, self.window[chosen], due, palm=palm, step_m=step_m)
-        told = answers(path, length, due, palms, step_m)
-        joints = torch.lerp(targets.open_joints, targets.closed_joints, told.closing(config.horizon)[..., None])
-        goal = repeat(told.meeting, "b q m i -> b q m h i", h=config.horizon)
-        ahead = torch.tensor(FORECAST_FRAMES)
-        index = rows[..., None] + ahead
-        held = repeat(torch.minimum(index, length[:, None, None] - 1), "b q k -> b (q k) i", i=3)
+        if config.grips:
+            palms = grip_palms(targets, due, palm)
+            goal, closing, left = grip_answers(targets, due, palms, config.horizon)
+            reachable, weight = torch.ones_like(left, dtype=torch.bool), torch.ones(left.shape)
+        else:
+            palms = virtual_palms(path, length, self.window[chosen], due, palm=palm, step_m=step_m)
+            told = answers(path, length, due, palms, step_m)
+            goal = repeat(told.meeting, "b q m i -> b q m h i", h=config.horizon)
+            closing, left, reachable, weight = told.closing(config.horizon), told.frames, told.reachable, told.weight
+        joints = torch.lerp(targets.open_joints, targets.closed_joints, closing[..., None])
+        index = rows[..., None] + torch.tensor(FORECAST_FRAMES)
         return Lesson(
             frames=seen,
             rows=rows,
             palm=palms,
             state=state.expand(-1, -1, palms.shape[2], -1),
             actions=torch.cat([goal, joints], dim=-1),
-            weight=repeat(told.weight, "b q m -> b q m h", h=config.horizon),
+            weight=repeat(weight, "b q m -> b q m h", h=config.horizon),
             future=Future(
-                place=rearrange(path.gather(1, held), "b (q k) i -> b q k i", q=rows.shape[1]),
+                place=targets.places(index, rows),
                 known=index < length[:, None, None],
-                near=_nearness(told.frames + late, told.reachable),
+                near=_nearness(left + late, reachable),
             ),
         )
 
-    def seen_otherwise(self, chosen: Tensor, targets: Targets, palm: Tensor, sightings: Tensor) -> Recordings:
+    def seen_otherwise(self, chosen: Tensor, targets: Targets, state: Tensor, sightings: Tensor) -> Recordings:
         """Return episodes ``(B,)`` as other hands would have recorded them.
 
         Args:
             chosen: the episodes.
             targets: of those.
-            palm: where the hands were [m], ``(B, T, 3)``.
+            state: of the hands, ``(B, T, S)``.
             sightings: what they saw, ``(B, T, C, 5)``.
         """
-        n, t = palm.shape[:2]
-        state = torch.nn.functional.pad(palm, (0, self.state.shape[-1] - palm.shape[-1]))
+        n, t = state.shape[:2]
         return replace(
             self,
             sightings=rearrange(sightings, "b t c i -> (b t) c i"),
@@ -149,7 +185,7 @@ class Recordings:
             first=torch.arange(n) * t,
             frames=torch.full((n,), t),
             window=self.window[chosen],
-            targets=replace(targets, free=targets.length.clamp_max(t)),
+            targets=replace(targets, free=torch.minimum(targets.free, targets.length.clamp_max(t))),
         )
 
     @classmethod
@@ -162,7 +198,8 @@ class Recordings:
             config: of the policy.
             model: whose encoders are used.
         """
-        table = episode_columns(meta, {"length", "window_frames", TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS})
+        wanted = {"length", "window_frames", TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS}
+        table = episode_columns(meta, wanted | ({TARGET_POSE} if config.grips else set()))
         columns = _frame_columns(meta, [*config.state_keys, ACTION])
         count = torch.tensor(table["length"])
         recordings = cls(
@@ -176,12 +213,17 @@ class Recordings:
         if config.forecasts:
             paths = [torch.tensor(np.array(path, np.float32)).reshape(-1, 3) for path in table[TARGET_PATH]]
             joints = (torch.tensor(np.stack(table[name]), dtype=torch.float32) for name in (OPEN_JOINTS, CLOSED_JOINTS))
+            opened, closed = (angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints)
             recordings.targets = Targets(
                 torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
                 torch.tensor([len(path) for path in paths]),
                 torch.tensor([_free_frames(flags) for flags in table[LOCALIZED]]),
-                *(angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints),
+                opened,
+                closed + SQUEEZE_RAD if config.grips else closed,
             )
+            if config.grips:
+                poses = [np.array(poses, np.float32).reshape(-1, 7)[:, :3] for poses in table[TARGET_POSE]]
+                recordings.places = torch.from_numpy(np.concatenate(poses))
         return recordings
 
     def _episodes(self, chosen: Tensor, n_frames: int, fps: float) -> Frames:
@@ -239,6 +281,7 @@ def describe(meta: Any, config: ObActConfig) -> None:
         and config.forecast_weight > 0
         and TARGET_PATH in pq.read_schema(_episode_files(meta)[0]).names
     )
+    config.grips = config.forecasts and TOUCH in meta.features
 
 
 def _free_frames(localized: list[bool]) -> int:

@@ -8,14 +8,17 @@ takes the error of a recorded frame in which the target stood at nearly the same
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from dynahoi_lerobot.experts.match import SQUEEZE_RAD
+
 from .belief import N_SIGHTING
 from .camera import Pinhole
+from .grips import GrippingHands
 from .lessons import Lesson
 from .recordings import Recordings, Targets
 from .teacher import answers
@@ -25,8 +28,8 @@ if TYPE_CHECKING:
 
 POOL, LONGEST_FRAMES = 768, 110
 """Episodes that are made at a time, and how long they are."""
-UNITS = (0.25, 0.25, 0.3)
-"""Differences in (u, v, log depth) that count as one when recorded frames are compared."""
+UNITS = (0.25, 0.25, 0.3, 0.5)
+"""Differences in (u, v, log depth, how far the fingers are closed) that count as one when frames are compared."""
 OWN_CANDIDATES, CANDIDATES = 16, 64
 """Frames of the same and of any recorded episode that are compared."""
 FOLLOWING_SHARE, FULL_SPEED_SHARE = 0.6, 0.6
@@ -35,6 +38,8 @@ CHANGE_SHARE = 0.12
 """Share of the frames in which a hand's offset from its goal is redrawn."""
 SPREAD_M = 0.15
 """Greatest standard deviation of that offset, along each axis."""
+JOINT_SPREAD = 0.1
+"""Standard deviation of how far fingers get that close on a target, relative to the closed pose."""
 LAG_FRAMES = (-3, 20)
 """Range of how far ahead of the target those go that follow it."""
 
@@ -45,7 +50,7 @@ class ErrorTable:
 
     Attributes:
         seen: sightings ``(N, 5)``.
-        true: ``(u, v, log depth)``, ``(N, 3)``.
+        true: ``(u, v, log depth)`` and how far the fingers that may hide it are closed, ``(N, 4)``.
         follower: the frame after each, -1 where there is none, ``(N,)``.
         usable: frames before the hand touched the target, ``(M,)``.
     """
@@ -56,11 +61,11 @@ class ErrorTable:
     usable: Tensor
 
     def distance(self, frames: Tensor, wanted: Tensor) -> Tensor:
-        """Return how far frames ``(..., n)`` are from showing the target at ``wanted`` ``(..., 3)``."""
+        """Return how far frames ``(..., n)`` are from showing the target at ``wanted`` ``(..., 4)``."""
         return ((_in_view(self.true[frames]) - _in_view(wanted)[..., None, :]) / wanted.new_tensor(UNITS)).norm(dim=-1)
 
     def nearest(self, frames: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the best of frames ``(B, n)`` for ``wanted`` ``(B, 3)``, and how far it is, ``(B,)`` each."""
+        """Return the best of frames ``(B, n)`` for ``wanted`` ``(B, 4)``, and how far it is, ``(B,)`` each."""
         distance, best = self.distance(frames, wanted).min(-1)
         return frames.gather(1, best[:, None])[:, 0], distance
 
@@ -78,20 +83,38 @@ class VirtualEpisodes:
         targets: of those.
         cameras: of those.
         step_m: how far a palm gets in a frame [m].
+        grips: whether targets are gripped, by hands that follow `GrippingHands`.
     """
 
-    def __init__(self, recordings: Recordings, targets: Targets, cameras: list[Pinhole], step_m: float) -> None:
-        self.recordings, self.targets, self.cameras, self.step_m = recordings, targets, cameras, step_m
+    def __init__(
+        self, recordings: Recordings, targets: Targets, cameras: list[Pinhole], step_m: float, *, grips: bool
+    ) -> None:
+        self.grips, self.recordings, self.targets, self.cameras, self.step_m = (
+            grips,
+            recordings,
+            targets,
+            cameras,
+            step_m,
+        )
         episode = torch.repeat_interleave(torch.arange(len(recordings.frames)), recordings.frames)
         frame = torch.arange(len(episode)) - recordings.first[episode]
         place = targets.path[episode, torch.minimum(frame, targets.length[episode] - 1)]
         usable = frame < targets.free[episode]
+        closed = torch.zeros(len(episode), 1)
+        if recordings.places is not None:
+            place, usable = recordings.places, torch.ones_like(usable)
+            closed = targets.closed_share(recordings.state)[:, None]
         follows = (episode == episode.roll(-1)) & usable.roll(-1)
         follower = torch.where(follows, torch.arange(len(episode)) + 1, -1)
         palm = recordings.state[:, :3]
         self.episode = episode
         self.errors = [
-            ErrorTable(recordings.sightings[:, i], cam.seen(place - cam.origin(palm)), follower, usable.nonzero()[:, 0])
+            ErrorTable(
+                recordings.sightings[:, i],
+                torch.cat([cam.seen(place - cam.origin(palm)), closed], -1),
+                follower,
+                usable.nonzero()[:, 0],
+            )
             for i, cam in enumerate(cameras)
         ]
         self._waiting: list[Tensor] = []
@@ -100,30 +123,38 @@ class VirtualEpisodes:
         """Return decisions in ``n`` virtual episodes, see `Recordings.lesson`."""
         if not self._waiting:
             self._chosen = torch.randperm(len(self.recordings.frames))[:POOL]
-            self._palm, self._sightings = self._played(self._chosen)
+            self._played_targets, self._state, self._sightings = self._played(self._chosen)
             self._waiting = list(torch.randperm(len(self._chosen)).split(n))
         rows = self._waiting.pop()
-        chosen, targets = self._chosen[rows], self.targets.of(self._chosen[rows])
-        episodes = self.recordings.seen_otherwise(chosen, targets, self._palm[rows], self._sightings[rows])
+        chosen, targets = self._chosen[rows], self._played_targets.of(rows)
+        episodes = self.recordings.seen_otherwise(chosen, targets, self._state[rows], self._sightings[rows])
         return episodes.lesson(torch.arange(len(rows)), config)
 
-    def _played(self, chosen: Tensor) -> tuple[Tensor, Tensor]:
-        """Return palms ``(B, T, 3)`` [m] and sightings ``(B, T, C, 5)`` of hands in episodes ``(B,)``."""
-        targets = self.targets.of(chosen)
-        path, length = targets.path, targets.length
-        hands = _Hands(path, length, self.recordings.window[chosen], self.step_m)
+    def _played(self, chosen: Tensor) -> tuple[Targets, Tensor, Tensor]:
+        """Return targets, states ``(B, T, S)`` and sightings ``(B, T, C, 5)`` of hands in episodes ``(B,)``."""
+        targets, window = self.targets.of(chosen), self.recordings.window[chosen]
+        hands = GrippingHands(targets, window, self.step_m) if self.grips else _Hands(targets, window, self.step_m)
         donors = [_Donors(self, table, len(chosen)) for table in self.errors]
-        palms, sightings = [], []
+        states, sightings = [], []
         for t in range(LONGEST_FRAMES):
-            place = path[torch.arange(len(path)), (length - 1).clamp_max(t)]
+            place = hands.place(t)
             looks = [
-                donor.sighting(cam.seen(place - cam.origin(hands.palm)))
+                donor.sighting(torch.cat([cam.seen(place - cam.origin(hands.palm)), hands.closed[:, None]], dim=-1))
                 for donor, cam in zip(donors, self.cameras, strict=True)
             ]
-            palms.append(hands.palm)
+            states.append(self._state_of(hands.palm, hands.closed))
             sightings.append(torch.stack(looks, dim=1))
             hands.move(t)
-        return torch.stack(palms, dim=1), torch.stack(sightings, dim=1)
+        return hands.targets, torch.stack(states, dim=1), torch.stack(sightings, dim=1)
+
+    def _state_of(self, palm: Tensor, closed: Tensor) -> Tensor:
+        """Return states ``(B, S)`` of palms ``(B, 3)`` [m] and hands closed by ``(B,)``."""
+        n_rest = self.recordings.state.shape[-1] - palm.shape[-1]
+        if not self.grips:
+            return torch.nn.functional.pad(palm, (0, n_rest))
+        opened, gripping = self.targets.open_joints, self.targets.closed_joints - SQUEEZE_RAD
+        joints = torch.lerp(opened, gripping, closed[:, None] * (1 + JOINT_SPREAD * torch.randn(len(palm), 1)))
+        return torch.cat([palm, joints[:, :n_rest]], dim=-1)
 
 
 class _Donors:
@@ -136,7 +167,7 @@ class _Donors:
         self.frame = torch.full((n,), -1)
 
     def sighting(self, true: Tensor) -> Tensor:
-        """Return what is seen where the target stands at ``(u, v, log depth)`` ``(B, 3)``, ``(B, 5)``."""
+        """Return what is seen, ``(B, 5)``; ``true`` is what should be, as in `ErrorTable`, ``(B, 4)``."""
         table = self.table
         following = torch.where(self.frame >= 0, table.follower[self.frame], -1)
         keep = (following >= 0) & (table.distance(following.clamp_min(0)[:, None], true)[:, 0] < 1)
@@ -148,21 +179,25 @@ class _Donors:
         fresh = torch.where(own_distance < 1, own, other)
         self.frame = torch.where(keep, following, fresh)
         self.source = self.episode[self.frame]
-        error = table.seen[self.frame, :3] - table.true[self.frame]
-        return torch.cat([true + error, table.seen[self.frame, 3:N_SIGHTING]], dim=-1)
+        error = table.seen[self.frame, :3] - table.true[self.frame, :3]
+        return torch.cat([true[:, :3] + error, table.seen[self.frame, 3:N_SIGHTING]], dim=-1)
 
 
 class _Hands:
     """Hands that wait at home and then go to the teacher's goal, or after the target, with an offset of their own."""
 
-    def __init__(self, path: Tensor, length: Tensor, window: Tensor, step_m: float) -> None:
-        n = len(path)
-        self.path, self.length, self.window, self.full_step_m = path, length, window, step_m
-        self.palm = torch.zeros(n, 3)
+    def __init__(self, targets: Targets, window: Tensor, step_m: float) -> None:
+        n, self.targets = len(targets.path), replace(targets, free=targets.length)
+        self.path, self.length, self.window, self.full_step_m = targets.path, targets.length, window, step_m
+        self.palm, self.closed = torch.zeros(n, 3), torch.zeros(n)
         self.step_m = torch.where(torch.rand(n) < FULL_SPEED_SHARE, step_m, step_m * (0.3 + 0.7 * torch.rand(n)))
         self.spread_m = SPREAD_M * torch.rand(n, 1) ** 1.5
         self.follows_teacher = torch.rand(n, 1) < FOLLOWING_SHARE
         self.offset, self.lag, self.meeting = torch.zeros(n, 3), torch.zeros(n, dtype=torch.long), torch.zeros(n, 3)
+
+    def place(self, t: int) -> Tensor:
+        """Return where the targets are in frame ``t`` [m], ``(B, 3)``."""
+        return self.path[torch.arange(len(self.path)), (self.length - 1).clamp_max(t)]
 
     def move(self, t: int) -> None:
         """Move the palms by a frame, from frame ``t``."""
