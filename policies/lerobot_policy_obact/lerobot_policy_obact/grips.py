@@ -98,15 +98,11 @@ class GrippingHands:
         moved, closes = (torch.from_numpy(x) for x in approach((offset + self.error).numpy()))
         wanted = path[:, t + 1] - SEAT + offset + self.haste * (moved.float() - self.error - offset)
         way = (wanted - self.palm).clamp(-self.step_m, self.step_m)
-        self.velocity = torch.where(held[:, None], braked_(self.velocity), way / CONTROL_DT)
+        slower = torch.from_numpy(braked(self.velocity.numpy())).float()
+        self.velocity = torch.where(held[:, None], slower, way / CONTROL_DT)
         way = torch.where(held[:, None], self.velocity * CONTROL_DT, way) * acting
         caught = ~held & closes & acting[:, 0] & (offset.norm(dim=-1) < HELD_M)
         self.contact = torch.where(caught, t + 1, self.contact)
         self.palm = self.palm + way
         self.closed = (held | (closes & acting[:, 0])).float()
         path[:, t + 1] = torch.where(held[:, None], path[:, t] + way, path[:, t + 1])
-
-
-def braked_(velocity: Tensor) -> Tensor:
-    """Return `braked` of a tensor."""
-    return torch.from_numpy(braked(velocity.numpy())).float()

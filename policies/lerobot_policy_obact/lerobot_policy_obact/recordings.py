@@ -96,7 +96,7 @@ class Targets:
     def closed_share(self, state: Tensor) -> Tensor:
         """Return how far the fingers of hands ``(..., S)`` are closed, 0 open, 1 closed, ``(...)``."""
         joints = state[..., 3:]
-        return (joints - self.open_joints).sum(-1) / (self.closed_joints - SQUEEZE_RAD - self.open_joints).sum()
+        return (joints - self.open_joints).sum(-1) / (self.closed_joints - self.open_joints).sum()
 
     def of(self, chosen: Tensor) -> Targets:
         """Return those of episodes ``(B,)``."""
@@ -152,7 +152,8 @@ class Recordings:
             told = answers(path, length, due, palms, step_m)
             goal = repeat(told.meeting, "b q m i -> b q m h i", h=config.horizon)
             closing, left, reachable, weight = told.closing(config.horizon), told.frames, told.reachable, told.weight
-        joints = torch.lerp(targets.open_joints, targets.closed_joints, closing[..., None])
+        closed_joints = targets.closed_joints + (SQUEEZE_RAD if config.grips else 0.0)
+        joints = torch.lerp(targets.open_joints, closed_joints, closing[..., None])
         index = rows[..., None] + torch.tensor(FORECAST_FRAMES)
         return Lesson(
             frames=seen,
@@ -213,13 +214,11 @@ class Recordings:
         if config.forecasts:
             paths = [torch.tensor(np.array(path, np.float32)).reshape(-1, 3) for path in table[TARGET_PATH]]
             joints = (torch.tensor(np.stack(table[name]), dtype=torch.float32) for name in (OPEN_JOINTS, CLOSED_JOINTS))
-            opened, closed = (angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints)
             recordings.targets = Targets(
                 torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
                 torch.tensor([len(path) for path in paths]),
                 torch.tensor([_free_frames(flags) for flags in table[LOCALIZED]]),
-                opened,
-                closed + SQUEEZE_RAD if config.grips else closed,
+                *(angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints),
             )
             if config.grips:
                 poses = [np.array(poses, np.float32).reshape(-1, 7)[:, :3] for poses in table[TARGET_POSE]]

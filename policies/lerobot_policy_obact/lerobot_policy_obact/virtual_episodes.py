@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from dynahoi_lerobot.experts.match import SQUEEZE_RAD
-
 from .belief import N_SIGHTING
 from .camera import Pinhole
 from .grips import GrippingHands
@@ -152,8 +150,8 @@ class VirtualEpisodes:
         n_rest = self.recordings.state.shape[-1] - palm.shape[-1]
         if not self.grips:
             return torch.nn.functional.pad(palm, (0, n_rest))
-        opened, gripping = self.targets.open_joints, self.targets.closed_joints - SQUEEZE_RAD
-        joints = torch.lerp(opened, gripping, closed[:, None] * (1 + JOINT_SPREAD * torch.randn(len(palm), 1)))
+        share = closed[:, None] * (1 + JOINT_SPREAD * torch.randn(len(palm), 1))
+        joints = torch.lerp(self.targets.open_joints, self.targets.closed_joints, share)
         return torch.cat([palm, joints[:, :n_rest]], dim=-1)
 
 
