@@ -162,6 +162,11 @@ class ObActConfig(PreTrainedConfig):
         return sum(features[key].shape[0] for key in self.state_keys)
 
     @property
+    def n_joints(self) -> int:
+        """Joints of the robot's state that the head reads."""
+        return self.robot_state_feature.shape[0] - self.relative_dims if self.grips and self.robot_state_feature else 0
+
+    @property
     def n_actions(self) -> int:
         """Numbers of an action."""
         return self.action_feature.shape[0] if self.action_feature else 0

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import torch
-from einops import rearrange, repeat
+from einops import einsum, rearrange, repeat
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.policies.rtc import RTCProcessor
 from lerobot.utils.constants import ACTION
@@ -71,10 +71,11 @@ class ObActModel(nn.Module):
         n_state, n_actions = config.n_state, config.n_actions
         n_inputs = 4 * len(FORECAST_FRAMES) if config.forecasts else n_state
         if config.grips:
-            n_inputs += n_state - config.relative_dims
+            n_inputs += config.n_joints
         self.trunk = nn.Sequential(perceptron(n_inputs + N_FEATURES, config.width, config.width), nn.SiLU())
         if config.forecasts:
-            self.when = nn.Linear(config.width, config.horizon * len(FORECAST_FRAMES))
+            n_places, n_axes = (2, 3) if config.grips else (1, 1)
+            self.when = nn.Linear(config.width, config.horizon * n_axes * n_places * len(FORECAST_FRAMES))
         groups = [size for size in (config.relative_dims, n_actions - config.relative_dims) if size]
         self.head = HEADS[config.head](config.width, config.horizon, groups, **config.head_options)
         self.register_buffer("action_mean", torch.zeros(n_actions))
@@ -130,7 +131,8 @@ class ObActModel(nn.Module):
         """Return what the head reads, ``(R, C)``, and the places from which its actions count [m], ``(R, H, 3)``.
 
         Those are places of the forecast: attention over its times, whose values are positions, picks the one at which
-        to meet the target. Without a forecast they are where the palm is.
+        to meet the target. To grip it, attention picks along each axis between the forecast and the places of a palm
+        that moves along with the target. Without a forecast they are where the palm is.
 
         Args:
             features: of the belief, ``(R, D)``.
@@ -146,10 +148,14 @@ class ObActModel(nn.Module):
         unit = 0.1 + 0.3 * self.belief.ahead_s
         offset = (forecast - palm[:, None]) / unit[:, None]  # (R, K, 3)
         distance = offset.norm(dim=-1).clamp_max(FAR)
-        joints = state[:, self.config.relative_dims :] if self.config.grips else state[:, :0]
+        joints = state[:, self.config.relative_dims :][:, : self.config.n_joints]
         context = self.trunk(torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, told, joints], dim=-1))
-        when = rearrange(self.when(context), "r (h k) -> r h k", h=self.config.horizon).softmax(-1)
-        return context, when @ forecast
+        if not self.config.grips:
+            when = rearrange(self.when(context), "r (h k) -> r h k", h=self.config.horizon).softmax(-1)
+            return context, when @ forecast
+        along = palm[:, None] + forecast - forecast[:, :1]
+        when = rearrange(self.when(context), "r (h i k) -> r h i k", h=self.config.horizon, i=3).softmax(-1)
+        return context, einsum(when, torch.cat([forecast, along], dim=1), "r h i k, r k i -> r h i")
 
     def normalise(self, actions: Tensor, origin: Tensor) -> Tensor:
         """Map actions ``(R, H, A)`` to what the head predicts; they count from ``origin`` ``(R, H, 3)``."""

@@ -95,7 +95,7 @@ class Targets:
 
     def closed_share(self, state: Tensor) -> Tensor:
         """Return how far the fingers of hands ``(..., S)`` are closed, 0 open, 1 closed, ``(...)``."""
-        joints = state[..., 3:]
+        joints = state[..., 3 : 3 + len(self.open_joints)]
         return (joints - self.open_joints).sum(-1) / (self.closed_joints - self.open_joints).sum()
 
     def of(self, chosen: Tensor) -> Targets:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from .belief import N_SIGHTING
 from .camera import Pinhole
@@ -149,10 +150,10 @@ class VirtualEpisodes:
         """Return states ``(B, S)`` of palms ``(B, 3)`` [m] and hands closed by ``(B,)``."""
         n_rest = self.recordings.state.shape[-1] - palm.shape[-1]
         if not self.grips:
-            return torch.nn.functional.pad(palm, (0, n_rest))
+            return pad(palm, (0, n_rest))
         share = closed[:, None] * (1 + JOINT_SPREAD * torch.randn(len(palm), 1))
         joints = torch.lerp(self.targets.open_joints, self.targets.closed_joints, share)
-        return torch.cat([palm, joints[:, :n_rest]], dim=-1)
+        return pad(torch.cat([palm, joints], dim=-1), (0, n_rest - joints.shape[-1]))
 
 
 class _Donors:

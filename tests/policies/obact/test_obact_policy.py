@@ -73,6 +73,16 @@ def hand_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.fixture(scope="module")
+def contact_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four recorded episodes of the contact track."""
+    root = tmp_path_factory.mktemp("contact") / "data"
+    assert (
+        dynahoi(["generate", "--root", str(root), "--episodes", "4", "--capture", "contact", "--image-size", "32"]) == 0
+    )
+    return root
+
+
 RECORDED = {
     "encoder": "eye", "encoder_options": {"channels": 8, "fovea": 12}, "freeze_encoder": True, "encode_once": True,
     "relative_dims": 3, "n_obs_frames": 200, "obs_stride": 1, "n_decisions": 3, "episodes_per_sample": 2,
@@ -118,6 +128,23 @@ def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_
     pose = config.calibration["observation.images.ego"]
     assert pose[:3] == pytest.approx([-0.15, 0.03, 0.21]), "where the hand's camera is"
     assert policy.select_action(step(policy)).shape == (2, 18)
+
+
+def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_path, monkeypatch):
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
+    options = RECORDED | {"virtual_share": 1.0}
+    policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, contact_root, tmp_path / "out", **options))
+    assert policy.config.grips
+    assert policy.config.palm_speed_m_s == 2.0
+    observation = step(policy)
+    first = policy.select_action(observation)
+    assert first.shape == (2, 18)
+    policy.reset()
+    torch.manual_seed(0)
+    opened = policy.select_action(observation, noise := torch.zeros(2, policy.config.horizon, 18))
+    policy.reset()
+    observation["observation.state"][:, 3:] += 1.0
+    assert not policy.select_action(observation, noise).allclose(opened), "the head reads the fingers"
 
 
 @pytest.mark.parametrize(
@@ -265,6 +292,7 @@ def test_acting_never_imports_what_labels_virtual_palms():
         policy.select_action(step(policy))
         modules = [name for name in sys.modules if name.startswith("lerobot_policy_obact")]
         assert "lerobot_policy_obact.belief" in modules
-        assert not {"teacher", "recordings", "virtual_episodes"} & {name.split(".")[-1] for name in modules}, modules
+        training = {"teacher", "grips", "recordings", "virtual_episodes"}
+        assert not training & {name.split(".")[-1] for name in modules}, modules
     """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[3])
