@@ -59,6 +59,7 @@ CASES = [
     (f"{GENERATE} --seed -1", "seed is -1"),
     (f"{GENERATE} --seed {2**40}", f"seed is {2**40}; it must be 0 to 5354228879 for 1 episodes"),
     (f"{GENERATE} --image-size 31", "image size is 31"),
+    (f"{GENERATE} --image-size large", "invalid int value: 'large'"),
     (f"{GENERATE} --shard-episodes 0", "episodes per shard is 0"),
     (f"{GENERATE} --codec mpeg2", "unknown codec 'mpeg2'"),
     (f"{GENERATE} --preset warp9", "preset is 'warp9'; h264 has ultrafast"),

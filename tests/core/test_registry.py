@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.tools import install, python
+
 MOTION = '''
 """A motion of somebody else."""
 
@@ -35,17 +37,6 @@ def marble(rng):
 '''
 
 
-def install(site: Path, distribution: str, modules: dict[str, str]) -> None:
-    """Lay out an installed distribution with one entry point for each module."""
-    info = site / f"{distribution}-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
-    lines = [f"{name} = {name}" for name in modules]
-    (info / "entry_points.txt").write_text("\n".join(["[dynahoi_lerobot.plugins]", *lines, ""]))
-    for name, source in modules.items():
-        (site / f"{name}.py").write_text(source)
-
-
 def dynahoi(site: Path, *words: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(site)}
     command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *words]
@@ -70,10 +61,9 @@ def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
 
 
 def test_an_edit_in_any_module_of_a_plugins_package_changes_the_code_fingerprint(tmp_path: Path) -> None:
-    def fingerprint() -> bytes:
+    def fingerprint() -> str:
         script = "from dynahoi_lerobot.sampling.fingerprint import code_fingerprint; print(code_fingerprint())"
-        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-        return subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, check=True).stdout
+        return python("-c", script, PYTHONPATH=str(tmp_path))
 
     without = fingerprint()
     (tmp_path / "borrowed").mkdir()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -210,13 +208,3 @@ def test_a_missing_or_cut_file_is_named(folder: Path, name: str) -> None:
     (folder / name).unlink()
     with pytest.raises(ResultsError, match=rf"{name} is missing"):
         read_results(folder)
-
-
-def test_importing_pulls_in_nothing_heavy():
-    code = (
-        "import sys, dynahoi_lerobot.metrics, dynahoi_lerobot.evaluate.results, dynahoi_lerobot.evaluate.gif, "
-        "dynahoi_lerobot.report as r; print({'torch', 'lerobot', 'pandas', 'pyarrow', 'matplotlib', 'PIL', 'jinja2'}"
-        " & set(sys.modules))"
-    )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "set()"

@@ -103,6 +103,7 @@ def test_a_finished_run_is_not_trained_again(
         ({"save_every": 0}, "save_every must be 1 or more, got 0"),
         ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
         ({"images": 3}, "images must be at least batch_size, 4, got 3"),
+        ({"randomized_share": 1.5}, "randomized_share must be 0 to 1, got 1.5"),
         ({"camera": "front"}, "camera must be ego or side, got front"),
     ],
 )

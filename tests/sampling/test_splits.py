@@ -206,20 +206,6 @@ def test_both_can_be_watched_and_met_alike(pairs: list[tuple[EpisodeSpec, Episod
     assert {episode.meta.split for episode in episodes} == {"twins"}
 
 
-@pytest.mark.parametrize(
-    ("changes", "problem"),
-    [
-        ({"split": "test", "path_speed": 1.6}, "path_speed must be 1 in split 'test', got 1.6"),
-        ({"split": "twins", "path_speed": 2.0}, "path_speed must be 1, 1.6 in split 'twins', got 2"),
-        ({"split": "twins", "protocol": "occluded"}, "screens depend on the speed"),
-        ({"split": "twins", "motions": ("lob",)}, "'lob'"),
-    ],
-)
-def test_what_has_no_twins_is_refused(changes: dict, problem: str):
-    with pytest.raises(ValueError, match=problem):
-        Recipe(**changes)
-
-
 def test_twins_are_not_recorded():
     with pytest.raises(ValueError, match="is for evaluations"):
         next(record(SLOW, [0]))

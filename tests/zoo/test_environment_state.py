@@ -173,10 +173,3 @@ def test_the_eye_sees_the_same_if_no_images_are_shown() -> None:
         assert bool(observation.images) == bool(size)
         seen.append(observation.sighting)
     np.testing.assert_array_equal(*seen)
-
-
-def test_the_eye_needs_images_of_its_size() -> None:
-    with pytest.raises(
-        ValueError, match="with environment_state eye, image_size must be 96, or 0 to show no images, got 64"
-    ):
-        Recipe(environment_state="eye", image_size=64)
