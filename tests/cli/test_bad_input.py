@@ -48,6 +48,7 @@ CASES = [
     ("filter DATASET --out x --margin -1", "the margin is -1.0; it must be a finite number, 0 or more"),
     ("filter DATASET --out x --column velocity", "there is no column 'velocity'; known: observation.state"),
     ("filter DATASET --out x --drop 6", "6"),
+    ("filter DATASET --out x --drop=-1", "-1"),
     ("filter DATASET --out x --drop first", "first"),
     ("filter DATASET", "say where the new dataset goes with --out DIR"),
     ("filter DATASET --out .", ". exists; choose a new folder"),

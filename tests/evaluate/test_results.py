@@ -24,6 +24,7 @@ from dynahoi_lerobot.evaluate.results import (
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from tests.evaluate.test_replay_results import set_head
 from tests.synthetic import synthetic_episode
 
 RUN = {"policy": "reach", "split": "test", "capture": "attach", "command": "dynahoi evaluate", "fingerprint": "f1"}
@@ -140,16 +141,6 @@ def test_a_command_line_is_kept_printable():
 
 
 # -- damage -----------------------------------------------------------------------------------------------------------
-
-
-def set_head(**changes: object) -> Callable[[Path], None]:
-    """Return a function that changes ``metrics.json``."""
-
-    def change(folder: Path) -> None:
-        head = json.loads((folder / "metrics.json").read_text())
-        (folder / "metrics.json").write_text(json.dumps(head | changes))
-
-    return change
 
 
 def set_column(name: str, values: list) -> Callable[[Path], None]:

@@ -16,20 +16,11 @@ import pytest
 
 from dynahoi_lerobot.dataset.manifest import hash_files
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace
-from dynahoi_lerobot.generate.plan import GenerationPlan
-from tests.generate.recorder import FakeRecipe, record, record_slowly
+from tests.generate.recorder import PLAN, record, record_slowly
 from tests.generate.test_command import run
 
 REPOSITORY = Path(__file__).parents[2]
-PLAN = GenerationPlan(FakeRecipe(), 5, shard_episodes=2)
 WORDS = ("--episodes", 5, "--shard-episodes", 2)
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory) -> dict[str, str]:
-    root = tmp_path_factory.mktemp("undisturbed") / "d"
-    generate(PLAN, root, record=record)
-    return hash_files(root)
 
 
 def start(root: Path) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -22,6 +21,7 @@ from lerobot.datasets.dataset_tools import (
 
 from dynahoi_lerobot.verify.command import verify
 from tests.dataset.episodes import write
+from tests.tools import edit_json
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
 
@@ -69,8 +69,7 @@ def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(source: 
 
 
 def add_episode(root: Path) -> None:
-    info = json.loads((root / "meta/info.json").read_text())
-    (root / "meta/info.json").write_text(json.dumps(info | {"total_episodes": 9}))
+    edit_json(root / "meta/info.json", lambda info: info.update(total_episodes=9))
 
 
 def shift_times(root: Path) -> None:

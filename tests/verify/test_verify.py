@@ -23,6 +23,7 @@ from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import Finding, drawn_evenly, verify
 from tests.dataset.episodes import write
+from tests.tools import edit_json, flip_byte
 from tests.verify.rewriting import changed, rewrite, sign
 
 DATA, ROWS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
@@ -74,12 +75,6 @@ def test_every_metric_follows_from_what_is_stored(sound):
         assert measure(episode).keys() == set(METRICS.names())
 
 
-def flip_byte(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-
-
 FILES: dict[str, Callable[[Path], object]] = {
     "a flipped byte in a table": lambda root: flip_byte(root / DATA),
     "a truncated table": lambda root: (root / ROWS).write_bytes((root / ROWS).read_bytes()[:-40]),
@@ -88,17 +83,11 @@ FILES: dict[str, Callable[[Path], object]] = {
     "a link": lambda root: (root / "data/link").symlink_to("/etc/passwd"),
     "info without features": lambda root: (root / "meta/info.json").write_text("{}"),
     "an unreadable manifest": lambda root: (root / "meta/manifest.json").write_text("{}"),
-    "a path that leads outside": lambda root: edit(
+    "a path that leads outside": lambda root: edit_json(
         root / "meta/manifest.json", lambda m: m["files"].update({"../x": "0"})
     ),
-    "other seeds": lambda root: edit(root / "meta/manifest.json", lambda m: m["seeds"].reverse()),
+    "other seeds": lambda root: edit_json(root / "meta/manifest.json", lambda m: m["seeds"].reverse()),
 }  # fmt: skip
-
-
-def edit(path: Path, change: Callable[[dict], object]) -> None:
-    content = json.loads(path.read_text())
-    change(content)
-    path.write_text(json.dumps(content))
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -142,8 +131,8 @@ FORMAT: dict[str, Callable[[Path], object]] = {
     "a file that is not there": column(ROWS, "data/file_index", lambda files: [7] * len(files)),
     "a frame fewer": one_fewer_frame,
     "an image fewer": without_a_packet,
-    "more episodes": lambda root: edit(root / "meta/info.json", lambda info: info.update(total_episodes=9)),
-    "another shape": lambda root: edit(
+    "more episodes": lambda root: edit_json(root / "meta/info.json", lambda info: info.update(total_episodes=9)),
+    "another shape": lambda root: edit_json(
         root / "meta/info.json", lambda info: info["features"]["action"].update(dtype="int64")
     ),
 }
@@ -243,7 +232,7 @@ def test_a_white_square_in_every_image_is_found_also_where_no_image_is_equal(cop
 
 
 def test_only_the_code_that_made_a_dataset_replays_it(copy):
-    edit(copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123"))
+    edit_json(copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123"))
     sign(copy)
     (finding,) = verify(copy, replayed=1)
     assert "made by other code (0123" in finding.message
