@@ -1,4 +1,4 @@
-"""What tests of several parts need: Python in a process of its own, installed plugins, files that are changed."""
+"""What tests of several parts need: Python in a process of its own, plugins, small datasets, changed files."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from dynahoi_lerobot.cli.main import main
 
 
 def python(*words: object, cwd: Path | None = None, **environment: str) -> str:
@@ -28,6 +30,12 @@ def install(site: Path, distribution: str, modules: dict[str, str]) -> None:
     (info / "entry_points.txt").write_text("\n".join(["[dynahoi_lerobot.plugins]", *lines, ""]))
     for name, source in modules.items():
         (site / f"{name}.py").write_text(source)
+
+
+def generated(root: Path, *words: str) -> Path:
+    """Generate a dataset of two episodes by command, with further words."""
+    assert main(["generate", "--root", str(root), "--episodes", "2", *words]) == 0
+    return root
 
 
 def edit_json(path: Path, change: Callable[[Any], object]) -> None:

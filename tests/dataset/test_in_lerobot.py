@@ -11,7 +11,6 @@ import pytest
 import torch
 from lerobot.rl.buffer import ReplayBuffer
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
 from dynahoi_lerobot.dataset.columns import LANGUAGE, SUBTASKS, subtask_rows
@@ -19,6 +18,7 @@ from dynahoi_lerobot.dataset.video import Encoding
 from tests.dataset.episodes import varied_episode, write
 from tests.dataset.lerobot_api import REPO, open_dataset, write_with_lerobot
 from tests.synthetic import synthetic_episode
+from tests.tools import generated
 
 SEEDS = range(4)
 
@@ -146,23 +146,6 @@ def test_merge(dataset, tmp_path, concatenate):
     assert episode.meta == varied_episode(7).meta
 
 
-@pytest.mark.parametrize("codec", ["h264", "images"])
-def test_columns_have_types_and_shapes(codec: str, tmp_path: Path):
-    datasets = pytest.importorskip("datasets")
-    write(tmp_path / "d", range(2), encoding=Encoding(codec=codec))
-    table = datasets.load_dataset(str(tmp_path / "d"), split="train", cache_dir=str(tmp_path / "cache"))
-    episodes = list(read_episodes(tmp_path / "d"))
-    assert len(table) == sum(map(len, episodes))
-    kinds = table.features
-    assert (kinds["action"].feature.dtype, kinds["action"].length) == ("float32", 18)
-    assert (kinds["timestamp"].dtype, kinds["episode_index"].dtype) == ("float32", "int64")
-    assert kinds["next.success"].dtype == "bool"
-    np.testing.assert_array_equal(table[0]["observation.state"], episodes[0].state[0])
-    if codec == "images":
-        assert isinstance(kinds["observation.images.ego"], datasets.Image)
-        np.testing.assert_array_equal(np.asarray(table[0]["observation.images.ego"]), episodes[0].images["ego"][0])
-
-
 STATE = "observation.state"
 
 
@@ -202,10 +185,8 @@ WATCH, REACH, HOLD = SUBTASKS
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data") / "d"
-    words = ["--root", str(root), "--episodes", "2", "--image-size", "0", "--motions", "constant,lob", "--subtasks"]
-    assert main(["generate", *words]) == 0
-    return root
+    words = ["--image-size", "0", "--motions", "constant,lob", "--subtasks"]
+    return generated(tmp_path_factory.mktemp("data") / "d", *words)
 
 
 def test_a_target_that_is_never_localised_is_never_to_be_held() -> None:

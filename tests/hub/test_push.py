@@ -19,6 +19,7 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.hub.server import TOKEN, Hub, serving
 from tests.synthetic import synthetic_episode
+from tests.tools import generated
 
 Push = Callable[..., tuple[int, str, str]]
 """Run ``dynahoi push`` and return its exit code and what it printed on both streams."""
@@ -51,9 +52,7 @@ def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pyte
 
 @pytest.fixture(scope="session")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("hub") / "dataset"
-    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32"]) == 0
-    return root
+    return generated(tmp_path_factory.mktemp("hub") / "dataset", "--image-size", "32")
 
 
 @pytest.fixture
@@ -114,8 +113,7 @@ def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(
 def test_another_dataset_of_the_same_files_is_not_overwritten(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
     push(simulated, "me/catching")
     before = dict(hub.repos[DATASET].commits)
-    root = tmp_path / "other"
-    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32", "--seed", "9"]) == 0
+    root = generated(tmp_path / "other", "--image-size", "32", "--seed", "9")
     refused(push(root, "me/catching"), "me/catching holds another dataset")
     assert hub.repos[DATASET].commits == before
 

@@ -17,6 +17,7 @@ from tests.synthetic import synthetic_episode
 
 LINE = [(0.1 * i, 0.0, 1.0) for i in range(5)]
 STILL = [(0.0, 0.0, 1.0)] * 5
+FLICKER = (np.nextafter(np.float32(1), np.float32(2)), 0, 0)
 
 
 def with_distance(values: list[float], **changes: object):
@@ -127,16 +128,14 @@ def test_the_first_opportunity_ends_a_tenth_of_a_second_after_the_intercept(loca
     assert METRICS["S_intercept"](episode) == expected
 
 
-@pytest.mark.parametrize(("angle", "expected"), [(0.89, 0.0), (0.91, 1.0), (1.19, 1.0), (1.21, 0.0), (-1.0, 0.0)])
-def test_a_two_sided_grasp_is_neither_too_open_nor_too_closed(angle: float, expected: float):
+@pytest.mark.parametrize(
+    ("angle", "papers", "two_sided"),
+    [(0.89, 0, 0), (0.91, 1, 1), (1.19, 1, 1), (1.21, 1, 0), (2.0, 1, 0), (-1.0, 0, 0)],
+)
+def test_a_two_sided_grasp_is_neither_too_open_nor_a_fist(angle: float, papers: int, two_sided: int):
     episode = hand_made(LINE, joints=[0.0, 0.0, angle, angle, angle], localized_from=2)
-    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == expected
-
-
-def test_a_fist_passes_the_papers_grasp_and_not_the_joint_success():
-    episode = hand_made(LINE, joints=[2.0] * 5, localized_from=2)
-    assert METRICS["S_gra"](episode) == METRICS["S_joint_paper"](episode) == 1.0
-    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == 0.0
+    assert METRICS["S_gra"](episode) == METRICS["S_joint_paper"](episode) == papers
+    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == two_sided
 
 
 def test_a_joint_that_the_reference_leaves_open_does_not_count_in_a_two_sided_grasp():
@@ -175,19 +174,12 @@ def test_the_trajectory_ends_with_the_first_localised_frame(localized_from: int)
     assert METRICS["Q_line"](episode) == pytest.approx(linearity(path[: localized_from + 1]), abs=1e-9)
 
 
-@pytest.mark.parametrize("points", [1, 2, 9])
-def test_no_motion_is_smooth_and_without_direction(points: int):
-    episode = hand_made([(0.2, 0.1, 1.0)] * points)
+@pytest.mark.parametrize("path", [*([(0.2, 0.1, 1.0)] * points for points in (1, 2, 9)), [(1.0, 0, 0), FLICKER] * 2])
+def test_no_motion_and_flicker_of_the_last_bit_are_smooth_and_without_direction(path: list):
+    episode = hand_made(path)
     for suffix in ("", "_18d"):
         assert METRICS[f"Q_smooth{suffix}"](episode) == 1.0
         assert METRICS[f"Q_line{suffix}"](episode) == 0.0
-
-
-def test_flicker_of_the_last_bit_is_no_motion():
-    flicker = np.nextafter(np.float32(1), np.float32(2))
-    episode = hand_made([(1.0, 0, 0), (flicker, 0, 0), (1.0, 0, 0), (flicker, 0, 0)])
-    assert METRICS["Q_smooth"](episode) == 1.0
-    assert METRICS["Q_line"](episode) == 0.0
 
 
 @pytest.mark.parametrize(("reach_m", "still"), [(0.0009, True), (0.0011, False)])

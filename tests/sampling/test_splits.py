@@ -27,6 +27,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.sampling.splits import seal, split_seeds, without_salt
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.tools import generated
 
 QUICK = ("constant", "lateral", "horizontal_circle", "line_then_arc")
 IN_DISTRIBUTION = ("train", "val", "test")
@@ -114,9 +115,7 @@ def test_no_file_of_a_result_holds_the_salt(runs: dict[str, Path]):
 
 
 def test_no_file_of_a_dataset_holds_the_salt(tmp_path: Path):
-    root = tmp_path / "dataset"
-    words = ["--root", str(root), "--episodes", "2", "--image-size", "0", "--salt", SALT]
-    assert main(["generate", *words]) == 0
+    root = generated(tmp_path / "dataset", "--image-size", "0", "--salt", SALT)
     assert main(["verify", str(root)]) == 0
     for path in (path for path in root.rglob("*") if path.is_file()):
         assert SALT.encode() not in path.read_bytes()

@@ -23,23 +23,18 @@ from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import Finding, drawn_evenly, verify
 from tests.dataset.episodes import write
-from tests.tools import edit_json, flip_byte
+from tests.tools import edit_json, flip_byte, generated
 from tests.verify.rewriting import changed, rewrite, sign
 
 DATA, ROWS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = "videos/observation.images.ego/chunk-000/file-000.mp4"
 RECIPE = Recipe(motions=("constant", "lob"), image_size=32)
-
-
-def generated(root: Path, *words: str) -> Path:
-    small = ["--episodes", "2", "--image-size", "32", "--motions", "constant,lob"]
-    assert main(["generate", "--root", str(root), *small, *words]) == 0
-    return root
+SMALL = ("--image-size", "32", "--motions", "constant,lob")
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory) -> Path:
-    return generated(tmp_path_factory.mktemp("sound") / "d")
+    return generated(tmp_path_factory.mktemp("sound") / "d", *SMALL)
 
 
 @pytest.fixture
@@ -61,7 +56,7 @@ def found(root: Path, **options) -> set[str]:
     ],
 )
 def test_what_was_generated_is_sound_and_replays_to_the_same_bytes(tmp_path, capsys, words):
-    root = generated(tmp_path / "d", *words)
+    root = generated(tmp_path / "d", *SMALL, *words)
     assert main(["verify", str(root), "--replay", "2"]) == 0
     told = capsys.readouterr().out
     views = len(Store(root).image_keys)
@@ -173,7 +168,7 @@ def test_verdicts_that_do_not_follow_are_found_though_they_are_signed(copy, name
 
 @pytest.mark.parametrize("key", ["next.reward", "observation.environment_state", "language_persistent"])
 def test_derived_columns_that_do_not_follow_are_found_though_they_are_signed(tmp_path, key):
-    root = generated(tmp_path / "d", "--environment-state", "truth", "--subtasks", "--image-size", "0")
+    root = generated(tmp_path / "d", *SMALL, "--environment-state", "truth", "--subtasks", "--image-size", "0")
     column(DATA, key, lambda values: values[::-1])(root)
     sign(root)
     assert found(root) == {"verdicts"}

@@ -49,15 +49,13 @@ def images(short: list[EpisodeSpec]) -> dict[int, str]:
     return digests(short, 1, images=True)
 
 
-@pytest.mark.parametrize(("size", "threads"), [(1, 1), (3, 2)])
-def test_states_depend_on_no_batch_size_and_no_thread_count(every_kind, reference, size: int, threads: int):
-    assert digests(every_kind, size, threads) == reference
-
-
-def test_states_depend_on_no_neighbour_and_no_row(every_kind: list[EpisodeSpec], reference: dict[int, str]):
-    assert digests(every_kind[::-1], 5) == reference
-    companions = digests([every_kind[i] for i in (3, 21, 8, 0)], 4)
-    assert companions == {seed: reference[seed] for seed in companions}
+@pytest.mark.parametrize(
+    ("order", "size", "threads"),
+    [(range(22), 1, 1), (range(22), 3, 2), (range(21, -1, -1), 5, 1), ((3, 21, 8, 0), 4, 1)],
+)
+def test_states_depend_on_no_batch_size_thread_count_neighbour_or_row(every_kind, reference, order, size, threads):
+    chosen = [every_kind[i] for i in order]
+    assert digests(chosen, size, threads) == {spec.seed: reference[spec.seed] for spec in chosen}
 
 
 def test_pixels_depend_on_no_batch_size_and_no_neighbour(short: list[EpisodeSpec], images: dict[int, str]):
