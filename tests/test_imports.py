@@ -38,7 +38,6 @@ HEAVY = {
 
 
 def room_of(module: str) -> str:
-    """Return the room of a dotted module of ``dynahoi_lerobot``."""
     return module.split(".")[1]
 
 

@@ -39,14 +39,12 @@ def generated(root: Path, *words: str) -> Path:
 
 
 def edit_json(path: Path, change: Callable[[Any], object]) -> None:
-    """Change the content of a JSON file in place."""
     content = json.loads(path.read_text())
     change(content)
     path.write_text(json.dumps(content))
 
 
 def flip_byte(path: Path) -> None:
-    """Change one bit in the middle of a file."""
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)

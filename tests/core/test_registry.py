@@ -26,16 +26,6 @@ class Borrowed(MOTIONS["constant"]):
     """x = a: a straight line under another name."""
 '''
 
-OBJECT = '''
-from dynahoi_lerobot.objects import ObjectGeometry, Primitive, object_type
-
-
-@object_type("marble", rolls=True)
-def marble(rng):
-    """A ball of 2 cm."""
-    return ObjectGeometry((Primitive("sphere", (0.02,)),), 0.02, 0.02, 0.02)
-'''
-
 
 def dynahoi(site: Path, *words: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(site)}
@@ -49,7 +39,8 @@ def names(listed: subprocess.CompletedProcess[str]) -> list[str]:
 
 
 def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
-    install(tmp_path, "sound", {"sound_motion": MOTION.format(name="glide"), "sound_object": OBJECT})
+    sound = {"sound_motion": MOTION.format(name="glide"), "sound_object": "import tests.third_party.things"}
+    install(tmp_path, "sound", sound)
     install(tmp_path, "broken", {"broken_motion": "1 / 0", "greedy_motion": MOTION.format(name="lob")})
     motions = dynahoi(tmp_path, "list", "motions", "--json")
     assert "glide" in names(motions)
@@ -57,7 +48,7 @@ def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
     assert "plugin 'broken_motion' of broken (broken_motion) could not be imported: ZeroDivision" in motions.stderr
     assert "the plugin 'greedy_motion' of broken" in motions.stderr
     assert "the motion name 'lob' is taken" in motions.stderr
-    assert "marble" in names(dynahoi(tmp_path, "list", "objects", "--json"))
+    assert "caltrop" in names(dynahoi(tmp_path, "list", "objects", "--json"))
 
 
 def test_an_edit_in_any_module_of_a_plugins_package_changes_the_code_fingerprint(tmp_path: Path) -> None:

@@ -9,7 +9,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from lerobot.configs.recipe import MessageTurn, TrainingRecipe
+from lerobot.datasets.dataset_tools import merge_datasets
+from lerobot.datasets.language_render import active_at, render_sample
 from lerobot.rl.buffer import ReplayBuffer
+from lerobot.scripts.lerobot_eval import _env_features_to_dataset_features
+from lerobot.utils.collate import lerobot_collate_fn
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
@@ -131,8 +136,6 @@ def test_episode_columns_can_be_filtered_and_read(dataset):
 
 @pytest.mark.parametrize("concatenate", [True, False])
 def test_merge(dataset, tmp_path, concatenate):
-    from lerobot.datasets.dataset_tools import merge_datasets
-
     other = write(tmp_path / "other", range(6, 9))
     merged = merge_datasets(
         [open_dataset(dataset), open_dataset(other)], REPO, tmp_path / "merged", concatenate, concatenate
@@ -173,8 +176,6 @@ def test_the_replay_buffer_gets_a_reward_per_success_and_an_end_per_episode(stor
 
 
 def test_the_columns_are_those_of_lerobots_own_recordings(stored) -> None:
-    from lerobot.scripts.lerobot_eval import _env_features_to_dataset_features
-
     features = open_dataset(stored[0]).meta.features
     for key, theirs in _env_features_to_dataset_features({}).items():
         assert (features[key]["dtype"], tuple(features[key]["shape"])) == (theirs["dtype"], theirs["shape"]), key
@@ -196,10 +197,6 @@ def test_a_target_that_is_never_localised_is_never_to_be_held() -> None:
 
 
 def test_lerobot_finds_the_subtask_of_every_frame(root: Path) -> None:
-    from lerobot.configs.recipe import MessageTurn, TrainingRecipe
-    from lerobot.datasets.language_render import active_at, render_sample
-    from lerobot.utils.collate import lerobot_collate_fn
-
     dataset = open_dataset(root, delta_timestamps={"action": [0.0, 0.05]})
     assert dataset.meta.has_language_columns
     (first, _) = read_episodes(root)

@@ -50,8 +50,6 @@ class Block:
 
 @dataclass(frozen=True)
 class Page:
-    """One Markdown file."""
-
     path: Path
     text: str
 
@@ -66,7 +64,6 @@ class Page:
 
     @property
     def all_blocks(self) -> list[Block]:
-        """The blocks of code."""
         return [self._block(match) for match in FENCE.finditer(self.text)]
 
     def _block(self, match: re.Match[str]) -> Block:
@@ -109,7 +106,6 @@ class Page:
 
 
 def pages() -> list[Page]:
-    """Return every page."""
     return [Page.read(path) for path in PAGES]
 
 

@@ -7,6 +7,7 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.checkpoints import FEATURES, SHIPPED, tiny_act, tiny_obact
+from tests.checkpoints import FEATURES, SHIPPED, tiny_act
 
 SMALL = {"image_size": 32, "split": "test_small"}
 
@@ -133,11 +134,6 @@ def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tiny_act(tmp_path_factory.mktemp("act"), FEATURES["input_features"])
 
 
-@pytest.fixture(scope="module")
-def obact(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tiny_obact(tmp_path_factory.mktemp("obact"))
-
-
 def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> Results:
     given = {"--policy.path": policy, "--env.type": "dynahoi", "--env.task": "constant", "--env.image_size": 32}
     given |= {"--env.results_dir": out, "--output_dir": out / "lerobot", "--seed": 0, "--eval.batch_size": 2}
@@ -184,9 +180,9 @@ def test_what_lerobots_loop_cannot_do_is_a_sentence(act, tmp_path, monkeypatch, 
         through_lerobot(act, tmp_path, monkeypatch, *options)
 
 
-def test_a_policy_with_a_memory_is_a_sentence(obact: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_policy_with_a_memory_is_a_sentence(actor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(ValueError, match=r"'obact' looks back 10 frames and would see some twice"):
-        through_lerobot(obact, tmp_path, monkeypatch, *LATE)
+        through_lerobot(actor, tmp_path, monkeypatch, *LATE)
 
 
 def test_without_a_command_line_the_length_of_the_queue_must_be_told():
@@ -201,14 +197,11 @@ def test_without_a_command_line_the_length_of_the_queue_must_be_told():
 FILE = Path(__file__).parents[2] / "envs" / "hub" / "env.py"
 
 
-class Other:
-    task = "lob,pendulum"
-
-
 def test_lerobot_loads_the_file_and_plays(tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = _import_hub_module(str(FILE), "you/dynahoi")
-    suites = _normalize_hub_result(_call_make_env(module, n_envs=2, use_async_envs=False, cfg=Other()))
+    config = SimpleNamespace(task="lob,pendulum")
+    suites = _normalize_hub_result(_call_make_env(module, n_envs=2, use_async_envs=False, cfg=config))
     assert {name: len(tasks) for name, tasks in suites.items()} == {"projectile": 1, "pendulum": 3}
     env = suites["projectile"][0]
     observation, _ = env.reset(seed=[0, 1])

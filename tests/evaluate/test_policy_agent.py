@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
+from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
@@ -68,9 +70,6 @@ def test_what_cannot_be_set_is_said(setting: str, sentence: str) -> None:
 
 @pytest.fixture(scope="module")
 def diffusion():
-    from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
-    from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
-
     small = {"down_dims": (16, 32), "n_groups": 4, "pretrained_backbone_weights": None, "crop_ratio": 1.0}
     small |= {"n_obs_steps": 2, "horizon": 8, "n_action_steps": 4}
     small |= {"noise_scheduler_type": "DDIM", "num_inference_steps": 2}

@@ -1,21 +1,12 @@
-"""A policy that has learned nothing, for recordings in which it moves the hand; a dataset made undisturbed."""
+"""A dataset that is made undisturbed."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import pytest
 
 from dynahoi_lerobot.dataset.manifest import hash_files
 from dynahoi_lerobot.generate.pipeline import generate
-from tests.checkpoints import tiny_obact
 from tests.generate.recorder import PLAN, record
-
-
-@pytest.fixture(scope="session")
-def actor(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The checkpoint of a tiny ObAct for images of 32 pixels."""
-    return tiny_obact(tmp_path_factory.mktemp("actor") / "checkpoint")
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from lerobot.datasets import LeRobotDataset
 
 from dynahoi_lerobot.cli.main import main
@@ -91,8 +92,6 @@ def test_a_worker_with_another_checkpoint_or_other_libraries_refuses(actor: Path
 
 
 def test_its_random_numbers_and_threads_are_its_own(actor: Path):
-    import torch
-
     policy = PolicyAgent(str(actor), "cpu")
     drawn: list[float] = []
     policy.act = lambda observation: drawn.append(torch.rand(()).item())  # type: ignore[method-assign,assignment]

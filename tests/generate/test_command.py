@@ -31,11 +31,6 @@ def test_generates_and_summarises(tmp_path, capsys):
     assert told["megabytes"] == pytest.approx(sum(f.stat().st_size for f in root.rglob("*.*")) / 1e6, abs=0.1)
 
 
-def test_no_camera(tmp_path):
-    assert run("--root", tmp_path / "d", "--episodes", 2, "--image-size", 0) == 0
-    assert not (tmp_path / "d/videos").exists()
-
-
 @pytest.mark.parametrize(("seconds", "files"), [(1e9, 1), (3, 2)])
 def test_a_view_has_one_video_file_unless_that_would_be_too_long(tmp_path, seconds: float, files: int):
     assert run("--root", tmp_path / "d", "--image-size", 16, "--video-seconds", seconds) == 0

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from huggingface_hub import constants
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
@@ -33,8 +34,6 @@ def hub() -> Iterator[Hub]:
 
 @pytest.fixture
 def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Push:
-    from huggingface_hub import constants
-
     template = constants.HUGGINGFACE_CO_URL_TEMPLATE.replace(constants.ENDPOINT, hub.url)
     monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
     monkeypatch.setattr(constants, "ENDPOINT", hub.url)
@@ -168,8 +167,6 @@ def test_tokens_that_will_not_do(repo, token, said, *, checkpoint, hub, push, mo
 
 
 def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatch):
-    from huggingface_hub import constants
-
     monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
     refused(push(checkpoint, "me/policy"), "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost")
 

@@ -31,11 +31,9 @@ class Drift(PrescribedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw where and how fast."""
         return cls(draw.meeting_point(), draw.intercept_s, draw.uniform(0.05, 0.2) * draw.sign())
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) position [m], world."""
         return np.asarray(self.center) + np.outer(time_s - self.center_s, [0.0, self.speed_m_s, 0.0])
 
 

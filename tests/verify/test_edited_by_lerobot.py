@@ -20,7 +20,6 @@ from lerobot.datasets.dataset_tools import (
 )
 
 from dynahoi_lerobot.verify.command import verify
-from tests.dataset.episodes import write
 from tests.tools import edit_json
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
@@ -31,7 +30,7 @@ def opened(root: Path) -> LeRobotDataset:
 
 
 def split(source: Path, out: Path) -> None:
-    split_dataset(opened(source), {"a": [0, 1], "b": [2, 3]}, out.parent)
+    split_dataset(opened(source), {"a": [0, 1, 2], "b": [3, 4, 5]}, out.parent)
     (out.parent / "a").rename(out)
 
 
@@ -43,22 +42,16 @@ EDITS = {
 }
 
 
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four episodes with video."""
-    return write(tmp_path_factory.mktemp("ours") / "source", range(4))
-
-
 @pytest.mark.parametrize("name", EDITS)
-def test_one_sentence_says_what_is_gone(source: Path, tmp_path: Path, name: str):
-    EDITS[name](source, tmp_path / "edited")
+def test_one_sentence_says_what_is_gone(dataset: Path, tmp_path: Path, name: str):
+    EDITS[name](dataset, tmp_path / "edited")
     (finding,) = verify(tmp_path / "edited", replayed=1)
     assert "meta/manifest.json is gone" in finding.message
     assert ("our columns" in finding.message) == (name in ("delete", "split")), "the others copy them"
 
 
-def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(source: Path, tmp_path: Path):
-    copy = shutil.copytree(source, tmp_path / "copy")
+def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(dataset: Path, tmp_path: Path):
+    copy = shutil.copytree(dataset, tmp_path / "copy")
     recompute_stats(opened(copy))
     changed = [finding.message for finding in verify(copy) if finding.check == "files"]
     assert len(changed) == 1
@@ -85,7 +78,7 @@ def cut_video(root: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [add_episode, shift_times, cut_video])
-def test_damage_that_lerobots_format_shows_is_found(source: Path, tmp_path: Path, damage):
-    EDITS["delete"](source, tmp_path / "edited")
+def test_damage_that_lerobots_format_shows_is_found(dataset: Path, tmp_path: Path, damage):
+    EDITS["delete"](dataset, tmp_path / "edited")
     damage(tmp_path / "edited")
     assert {finding.check for finding in verify(tmp_path / "edited")} == {"files", "format"}

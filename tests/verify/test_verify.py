@@ -140,6 +140,10 @@ def test_what_lerobot_would_read_wrongly_is_found_though_it_is_signed(copy, name
     assert "format" in found(copy)
 
 
+def meta(**values: object) -> Callable[[Episode], Episode]:
+    return lambda episode: dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **values))
+
+
 VERDICTS: dict[str, Callable[[Episode], Episode]] = {
     "a state that fingertips do not have": changed("state", (-3, 8), lambda angle: angle + 0.1),
     "other fingertips": changed("fingertips", (-3, 0), lambda x: x + 0.001),
@@ -153,9 +157,7 @@ VERDICTS: dict[str, Callable[[Episode], Episode]] = {
     "a success before": changed("succeeded", slice(5, None), True),
     "another stage": lambda episode: dataclasses.replace(episode, stage="missed"),
     "no number": changed("action", (4, 2), np.nan),
-    "an unknown rule": lambda episode: dataclasses.replace(
-        episode, meta=dataclasses.replace(episode.meta, capture="magic")
-    ),
+    "an unknown rule": meta(capture="magic"),
 }
 
 
@@ -192,10 +194,6 @@ def with_images(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Episode
 
 def swapped(images: np.ndarray) -> np.ndarray:
     return images[[*range(8), 12, *range(9, 12), 8, *range(13, len(images))]]
-
-
-def meta(**values: object) -> Callable[[Episode], Episode]:
-    return lambda episode: dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **values))
 
 
 REPLAYS: dict[str, Callable[[Episode], Episode]] = {
