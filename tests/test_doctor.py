@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections import namedtuple
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +14,6 @@ import pytest
 from dynahoi_lerobot import doctor
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.doctor import EPISODES, TOLERANCE, Fact, Reference, compare, play
-
-Usage = namedtuple("Usage", "free")
 
 
 def by_name(facts) -> dict[str, Fact]:
@@ -47,13 +45,12 @@ def test_a_part_that_breaks_is_a_problem_and_the_others_are_looked_at(monkeypatc
 
     monkeypatch.setattr(doctor, "gpu", broken)
     facts = doctor.examine(Path())
-    assert [fact for fact in facts if fact.problem] == [
-        Fact("gpu", "check failed: OSError: no such device", problem=True)
-    ]
+    found = Fact("gpu", "check failed: OSError: no such device", problem=True)
+    assert [fact for fact in facts if fact.problem] == [found]
 
 
 def test_a_full_disk_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(shutil, "disk_usage", lambda place: Usage(10**8))
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: SimpleNamespace(free=10**8))
     (fact,) = doctor.disk(tmp_path / "not" / "there")
     assert fact.problem
     assert str(tmp_path) in fact.found

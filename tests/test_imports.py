@@ -37,10 +37,6 @@ HEAVY = {
 """What no module of a package may import."""
 
 
-def room_of(module: str) -> str:
-    return module.split(".")[1]
-
-
 def imports() -> Iterator[tuple[str, str]]:
     """Yield (importing, imported) module of every import within the core.
 
@@ -81,7 +77,7 @@ def test_rooms_import_only_rooms_before_them():
         for module, imported in imports()
         if module != "dynahoi_lerobot"
         and imported.startswith("dynahoi_lerobot.")
-        and ROOMS.index(room_of(imported)) > ROOMS.index(room_of(module))
+        and ROOMS.index(imported.split(".")[1]) > ROOMS.index(module.split(".")[1])
     ]
     assert not wrong, "\n".join(wrong)
 

@@ -149,10 +149,7 @@ def _mujoco_inertia(target: TargetObject) -> np.ndarray:
 def _points_inside(target: TargetObject) -> np.ndarray:
     """Points (K, 3) [m] of a sequence of low discrepancy in the box around the object that lie in any of its solids."""
     low, high = _extent(target)
-    return _inside(target, low + (high - low) * ((np.arange(POINTS)[:, None] * ADDITIVE + 0.5) % 1.0))
-
-
-def _inside(target: TargetObject, points: np.ndarray) -> np.ndarray:
+    points = low + (high - low) * ((np.arange(POINTS)[:, None] * ADDITIVE + 0.5) % 1.0)
     inside = np.zeros(len(points), bool)
     for primitive in target.primitives:
         local = (points - primitive.pos) @ quat_to_matrix(np.asarray(primitive.quat))

@@ -106,12 +106,8 @@ def test_decoded_frames_are_the_same(pair):
 LENGTHS = [20 + seed % 7 for seed in range(6)]
 
 
-def hwc(tensor) -> np.ndarray:
-    return np.moveaxis(tensor.numpy() * 255, -3, -1)
-
-
 def check_images(dataset, index: int, seed: int, frame: int) -> None:
-    image = hwc(dataset[index]["observation.images.ego"])
+    image = np.moveaxis(dataset[index]["observation.images.ego"].numpy() * 255, -3, -1)
     assert np.abs(image - varied_episode(seed).images["ego"][frame]).mean() < 6
 
 

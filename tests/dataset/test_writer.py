@@ -206,15 +206,11 @@ def test_an_episode_column_has_an_item_per_episode(dataset):
         episode_column(dataset, "target.colour")
 
 
-def numbers(root: Path, key: str) -> np.ndarray:
-    return frame_column(root, key).astype(np.float64)
-
-
 def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
     stats, store = json.loads((dataset / "meta/stats.json").read_text()), Store(dataset)
     shares = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
     for key in ("action", "observation.state", "timestamp", "episode_index", "index", "task_index", "next.done"):
-        values = numbers(dataset, key)
+        values = frame_column(dataset, key).astype(np.float64)
         pieces = np.split(values, np.cumsum([row["length"] for row in store.rows])[:-1])
         told = [(stats[key], values)]
         told += [

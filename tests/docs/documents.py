@@ -71,10 +71,6 @@ class Page:
         need, file = (found.group(1) if (found := rule.search(before)) else "" for rule in (NEED, SAVED))
         return Block(match.group(1), match.group(2), need, file)
 
-    def blocks(self, *languages: str) -> list[str]:
-        """Return the code blocks in the given languages; "" is a block without one."""
-        return [block.body for block in self.all_blocks if block.language in languages]
-
     @property
     def spans(self) -> list[str]:
         """The code spans of the prose, each on one line."""

@@ -143,27 +143,20 @@ def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *o
     return read_results(out)
 
 
-def assert_same_as_with_whole_chunks(policy: Path, found: Results) -> None:
-    """Play the same episodes as ``dynahoi evaluate --inference async --inference-ms 150`` does, and compare actions."""
-    agent = RealTimeAgent(PolicyAgent(str(policy)), Inference("async", 150.0))
-    recipe = found.recipe()
-    played = evaluate(
-        WorldBatch(recipe, 2, threads=1), agent, sample_specs(recipe, sorted(row["seed"] for row in found.rows))
-    )
-    expected = {episode.meta.seed: episode.action for episode in played}
+LATE = ("--env.latency_ms=150", "--env.inference=async")
+
+
+def test_a_policy_with_a_queue_plays_as_with_whole_chunks(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The same actions as by ``dynahoi evaluate --inference async --inference-ms 150``."""
+    found = through_lerobot(act, tmp_path, monkeypatch, *LATE)
+    assert found.info.extra["inference"] == "async 150 ms"
+    agent, recipe = RealTimeAgent(PolicyAgent(str(act)), Inference("async", 150.0)), found.recipe()
+    specs = sample_specs(recipe, sorted(row["seed"] for row in found.rows))
+    expected = {episode.meta.seed: episode.action for episode in evaluate(WorldBatch(recipe, 2), agent, specs)}
     assert len(expected) == 2
     for row, actions in zip(found.rows, found.actions, strict=True):
         np.testing.assert_allclose(actions, expected[row["seed"]], atol=1e-6)
         assert np.ptp(actions, axis=0).max() > 0.01, "the hand moves"
-
-
-LATE = ("--env.latency_ms=150", "--env.inference=async")
-
-
-def test_a_policy_with_a_queue_plays_the_same_episodes(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    found = through_lerobot(act, tmp_path, monkeypatch, *LATE)
-    assert_same_as_with_whole_chunks(act, found)
-    assert found.info.extra["inference"] == "async 150 ms"
 
 
 @pytest.mark.parametrize(

@@ -77,14 +77,9 @@ def diffusion():
 
 
 def test_diffusion_policy_plans_from_the_noted_frames(diffusion):
-    frames = [
-        {
-            "observation.images.ego": torch.rand(2, 3, 32, 32),
-            "observation.state": torch.rand(2, 18),
-            "action": None,  # LeRobot's preprocessor leaves this key in every batch
-        }
-        for _ in range(3)
-    ]
+    shapes = {"observation.images.ego": (2, 3, 32, 32), "observation.state": (2, 18)}
+    no_action = {"action": None}  # LeRobot's preprocessor leaves this key in every batch
+    frames = [{key: torch.rand(shape) for key, shape in shapes.items()} | no_action for _ in range(3)]
     noise = torch.randn(2, 8, 18)
     asked_always, asked_once = copy.deepcopy(diffusion), copy.deepcopy(diffusion)
     for frame in frames:

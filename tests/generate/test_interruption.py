@@ -34,14 +34,6 @@ def start(root: Path) -> int:
     return child
 
 
-def killed_after(seconds: float, root: Path) -> bool:
-    """Generate in a child that is killed after so long; tell whether it was."""
-    child = start(root)
-    time.sleep(seconds)
-    os.kill(child, signal.SIGKILL)
-    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
-
-
 def test_killed_at_random_instants(undisturbed, tmp_path):
     begin, rng, killed, root = time.monotonic(), random.Random(7), 0, tmp_path / "d"
     os.waitpid(start(tmp_path / "first"), 0)
@@ -49,7 +41,10 @@ def test_killed_at_random_instants(undisturbed, tmp_path):
     shutil.rmtree(tmp_path / "first")
     while killed < 4:
         whole = {path: path.stat().st_ino for path in root.with_name("d.partial").glob("shard-*")}
-        killed += killed_after(rng.uniform(0, longest_s), root)
+        child = start(root)
+        time.sleep(rng.uniform(0, longest_s))
+        os.kill(child, signal.SIGKILL)
+        killed += os.WIFSIGNALED(os.waitpid(child, 0)[1])
         if root.exists():
             assert hash_files(root) == undisturbed
             os.waitpid(start(root), 0)  # removes the workspace, where the kill came before that

@@ -70,11 +70,6 @@ def _after_the_window(points: Sequence[Sequence[float]]) -> np.ndarray:
     return np.array([points[0]] * WINDOW + list(points), np.float32)
 
 
-def with_distance(values: list[float], **changes: object):
-    distance = np.array([0.001] * WINDOW + values, np.float32)  # the window's 1 mm must not count
-    return replace(hand_made(LINE, **changes), palm_distance=distance, fingertip_distance=distance)
-
-
 def test_localisation_is_any_localised_control_frame():
     assert METRICS["S_loc"](hand_made(LINE, localized_from=4)) == 1.0
     assert METRICS["S_loc"](hand_made(LINE)) == 0.0
@@ -97,7 +92,8 @@ def test_planar_localisation_in_the_window_does_not_count():
 
 
 def test_errors_are_least_control_distances_in_units_of_a_decimetre():
-    episode = with_distance([0.5, 0.25, 0.06, 0.3, 0.2])
+    distance = np.array([0.001] * WINDOW + [0.5, 0.25, 0.06, 0.3, 0.2], np.float32)  # the window's 1 mm must not count
+    episode = replace(hand_made(LINE), palm_distance=distance, fingertip_distance=distance)
     assert METRICS["E_loc"](episode) == pytest.approx(0.6)
     assert METRICS["E_gra"](episode) == pytest.approx(0.6)
 
@@ -203,9 +199,8 @@ def test_relative_speed_is_that_of_the_step_in_which_they_meet():
 
 
 def random_path(seed: int, points: int = 7) -> np.ndarray:
-    return (
-        np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).astype(float)
-    )  # as exact as the episode, in double precision
+    # as exact as the episode, in double precision
+    return np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).astype(float)
 
 
 @pytest.mark.parametrize("seed", range(5))

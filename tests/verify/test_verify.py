@@ -192,13 +192,11 @@ def with_images(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Episode
     return lambda episode: dataclasses.replace(episode, images={"ego": change(episode.images["ego"])})
 
 
-def swapped(images: np.ndarray) -> np.ndarray:
-    return images[[*range(8), 12, *range(9, 12), 8, *range(13, len(images))]]
-
-
 REPLAYS: dict[str, Callable[[Episode], Episode]] = {
     "a white square of 2 x 2 px in every image": with_images(white_square),
-    "two images exchanged": with_images(swapped),
+    "two images exchanged": with_images(
+        lambda images: images[[*range(8), 12, *range(9, 12), 8, *range(13, len(images))]]
+    ),
     "another command": changed("action", (12, 0), lambda x: x + 0.01),
     "another mass": lambda episode: dataclasses.replace(episode, object_mass=episode.object_mass * 1.01),
     "another seed": meta(seed=5),
