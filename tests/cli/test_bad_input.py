@@ -11,7 +11,6 @@ import pytest
 
 from dynahoi_lerobot.cli import main as cli
 
-GARBAGE = b"{\xff"
 GENERATE = "generate --root made --episodes 1 --motions constant"
 CASES = [
     ("dance", "dynahoi: command: invalid choice: 'dance'"),
@@ -89,7 +88,7 @@ def test_one_sentence_names_what_was_received_and_what_is_allowed(case, dataset,
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.yaml"]
 
 
-def overwrite(pattern: str, content: bytes = GARBAGE) -> Callable[[Path], object]:
+def overwrite(pattern: str, content: bytes = b"{\xff") -> Callable[[Path], object]:
     return lambda root: [path.write_bytes(content) for path in root.glob(pattern)]
 
 

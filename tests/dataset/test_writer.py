@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from lerobot.datasets.utils import create_lerobot_dataset_card
 
 from dynahoi_lerobot.core.conventions import HAND_NAMES
 from dynahoi_lerobot.core.episode import Episode
@@ -234,23 +235,16 @@ def test_statistics_of_images_are_those_of_all_pixels(dataset):
     assert stats["count"] == [sum(row["length"] for row in Store(dataset).rows)]
 
 
-@pytest.fixture(scope="module")
-def card(dataset: Path) -> str:
-    return (dataset / "README.md").read_text()
-
-
-def test_its_metadata_are_lerobots_and_more(card: str):
-    from lerobot.datasets.utils import create_lerobot_dataset_card
-
+def test_the_metadata_of_its_card_are_lerobots_and_more(dataset: Path):
     theirs = create_lerobot_dataset_card(license="apache-2.0").data.to_dict()
-    ours = yaml.safe_load(card.split("---")[1])
+    ours = yaml.safe_load((dataset / "README.md").read_text().split("---")[1])
     assert set(theirs["tags"]) <= set(ours["tags"])
     assert {name: ours[name] for name in theirs if name != "tags"} == {n: v for n, v in theirs.items() if n != "tags"}
     assert ours["size_categories"] == ["n<1K"]
 
 
-def test_it_counts_and_describes_what_is_there(dataset: Path, card: str):
-    manifest = Manifest.read(dataset)
+def test_its_card_counts_and_describes_what_is_there(dataset: Path):
+    manifest, card = Manifest.read(dataset), (dataset / "README.md").read_text()
     assert f"{manifest.episodes} episodes ({manifest.frames} frames" in card
     assert "| constant | 6 | 6 |" in card
     assert "| control mode | `joints`, an action of 18 numbers |" in card

@@ -40,14 +40,9 @@ def test_folders_are_named_after_what_reads_their_files():
     assert {path.name for path in RECIPES.iterdir()} == FOLDERS
 
 
-@pytest.mark.parametrize("path", recipes("generate"))
-def test_a_generation_recipe_is_read(path: Path):
-    assert load_recipe(path).split == "train"
-
-
-@pytest.mark.parametrize("path", recipes("eye"))
-def test_an_eye_recipe_is_read(path: Path):
-    assert read_recipe(path).episodes.split == "train"
+@pytest.mark.parametrize("path", recipes("generate", "eye"))
+def test_a_recipe_of_training_data_is_read(path: Path):
+    assert (read_recipe(path).episodes if path.parent.name == "eye" else load_recipe(path)).split == "train"
 
 
 @pytest.mark.parametrize("path", recipes("train", "zoo"))

@@ -37,14 +37,9 @@ from tests.checkpoints import FEATURES, SHIPPED, tiny_act
 SMALL = {"image_size": 32, "split": "test_small"}
 
 
-@pytest.fixture(scope="module")
-def config_class() -> type[EnvConfig]:
+def test_one_suite_per_category_one_task_per_kind() -> None:
     register_third_party_plugins()
-    return EnvConfig.get_choice_class("dynahoi")
-
-
-def test_one_suite_per_category_one_task_per_kind(config_class: type[EnvConfig]) -> None:
-    suites = config_class(**SMALL).create_envs(1)
+    suites = EnvConfig.get_choice_class("dynahoi")(**SMALL).create_envs(1)
     assert set(suites) == set(CATEGORIES)
     tasks = [env.task for suite in suites.values() for env in suite.values()]
     assert sorted(tasks) == list(BENCHMARK.splits["test"].motions)
@@ -68,15 +63,13 @@ def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path, monkey
         ({"hand": "claw"}, "unknown hand 'claw'; known: "),
     ],
 )
-def test_unknown_names_are_refused_by_the_config(config_class, option, sentence):
+def test_unknown_names_are_refused_by_the_config(option, sentence):
     with pytest.raises(ValueError, match=sentence):
-        config_class(**SMALL, **option)
+        DynahoiEnvConfig(**SMALL, **option)
 
 
-def test_features_are_the_datasets_and_further_views_reach_the_policy(
-    config_class: type[EnvConfig], tmp_path: Path
-) -> None:
-    config = config_class(**SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path))
+def test_features_are_the_datasets_and_further_views_reach_the_policy(tmp_path: Path) -> None:
+    config = DynahoiEnvConfig(**SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path))
     wanted = {f"observation.images.{view}": (3, 32, 32) for view in ("ego", "side", "ego_depth")}
     others = {"observation.state": (18,), "observation.phase": (2,), "action": (18,)}
     features = env_to_policy_features(config)

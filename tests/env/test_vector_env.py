@@ -156,9 +156,9 @@ def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarr
     while not ended.all():
         phases.append(is_acting(observation["phase"]))
         distances.append(np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1))
-        command = (
-            Intercept().act(batch.world_state(batch.observe(images=False))) if expert else observation["agent_pos"]
-        )
+        command = observation["agent_pos"]
+        if expert:
+            command = Intercept().act(batch.world_state(batch.observe(images=False)))
         observation, reward, terminated, truncated, info = env.step(command.astype(np.float32))
         rewards.append(np.where(ended, 0.0, reward))
         success |= info["is_success"]

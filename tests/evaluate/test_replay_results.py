@@ -40,18 +40,15 @@ def better_row(folder: Path) -> None:
     rewritten(folder, rows=(rows[0] | {"E_loc": rows[0]["E_loc"] / 2}, *rows[1:]))
 
 
-def another_log(folder: Path) -> None:
-    actions = read_results(folder).actions
-    moved = actions[1].copy()
-    moved[-20:, :3] += 0.01
-    rewritten(folder, actions=(actions[0], moved, *actions[2:]))
+def moved(row: int, last: int, offset_m: float) -> Callable[[Path], None]:
+    """Return a function that moves the last commands of a row."""
 
+    def change(folder: Path) -> None:
+        actions = [commands.copy() for commands in read_results(folder).actions]
+        actions[row][-last:, :3] += offset_m
+        rewritten(folder, actions=tuple(actions))
 
-def faster_hand(folder: Path) -> None:
-    actions = read_results(folder).actions
-    leap = actions[2].copy()
-    leap[-1, :3] += 1.0
-    rewritten(folder, actions=(*actions[:2], leap, *actions[3:]))
+    return change
 
 
 def easy_seed_twice(folder: Path) -> None:
@@ -82,8 +79,8 @@ def longer_logs(folder: Path) -> None:
 FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (better_sum, " over the episodes"),
     (better_row, "seed {0}: E_loc is "),
-    (another_log, "seed {1}: "),
-    (faster_hand, "seed {2}: the command of frame "),
+    (moved(row=1, last=20, offset_m=0.01), "seed {1}: "),
+    (moved(row=2, last=1, offset_m=1.0), "seed {2}: the command of frame "),
     (easy_seed_twice, "seed {0} is there 2 times"),
     (more_attempts, "seed {0} took 3 attempts; a policy has one"),
     (longer_logs, "an evaluation with them"),

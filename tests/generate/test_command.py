@@ -14,10 +14,8 @@ from tests.generate.recorder import FakeRecipe
 
 def run(*words, record=recorder.record) -> int:
     parser = argparse.ArgumentParser()
-    if "--episodes" not in words:
-        words = (*words, "--episodes", 4)
     command.add_arguments(parser)
-    args = parser.parse_args([str(word) for word in words])
+    args = parser.parse_args(["--episodes", "4", *map(str, words)])
     return exit_code("dynahoi generate", lambda: command.run(args, record=record, recipe=FakeRecipe()))
 
 

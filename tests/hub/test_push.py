@@ -284,9 +284,7 @@ def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(checkpo
 
 
 @pytest.mark.parametrize("policy", ["you/other", "intercept", "outputs/gone/pretrained_model"])
-def test_results_of_another_policy_are_refused_unless_they_are_said_to_be_of_this_one(
-    policy: str, *, checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(policy, checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
     refused(push(results, "me/policy"), f"{results} is of {policy}, and nothing shows that this repository holds it")

@@ -40,9 +40,8 @@ def test_images_are_of_many_poses():
 @pytest.mark.parametrize("camera", ["ego", "side"])
 def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
     """A target that is posed where the calibration puts (u, v) is drawn around that point of the image."""
-    pose, (focal_px, _, centre_px, _) = ImageStream(
-        PretrainRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)
-    ).camera
+    recipe = PretrainRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)
+    pose, (focal_px, _, centre_px, _) = ImageStream(recipe).camera
     eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
     batch = WorldBatch(RECIPE, len(wanted), threads=1)

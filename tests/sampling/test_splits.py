@@ -74,22 +74,15 @@ SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
 PUBLIC = Recipe(split="test", image_size=32)
 
 
-def evaluated(folder: Path, *words: str) -> Path:
-    """A result folder of three episodes."""
-    given = ["evaluate", "--policy", "hold", "--episodes", "3", "--out", str(folder), *words]
-    assert main(given) == 0
-    return folder
-
-
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Results of the public stream, of a salt and of another one."""
+    """Results of three episodes of the public stream, of a salt and of another one."""
     root = tmp_path_factory.mktemp("runs")
     with pytest.MonkeyPatch.context() as patch:
         for name, salt in (("public", ""), ("salted", SALT), ("again", SALT), ("other", OTHER)):
             words = ["--salt", salt] if salt else []
             patch.setattr("sys.argv", ["dynahoi", "evaluate", *words])
-            evaluated(root / name, *words)
+            assert main(["evaluate", "--policy", "hold", "--episodes", "3", "--out", str(root / name), *words]) == 0
     return {folder.name: folder for folder in root.iterdir()}
 
 

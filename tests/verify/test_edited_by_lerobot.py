@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from lerobot.datasets import LeRobotDataset
 from lerobot.datasets.dataset_tools import (
     delete_episodes,
     merge_datasets,
@@ -20,25 +19,22 @@ from lerobot.datasets.dataset_tools import (
 )
 
 from dynahoi_lerobot.verify.command import verify
+from tests.dataset.lerobot_api import open_dataset
 from tests.tools import edit_json
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
 
 
-def opened(root: Path) -> LeRobotDataset:
-    return LeRobotDataset(f"local/{root.name}", root=root)
-
-
 def split(source: Path, out: Path) -> None:
-    split_dataset(opened(source), {"a": [0, 1, 2], "b": [3, 4, 5]}, out.parent)
+    split_dataset(open_dataset(source), {"a": [0, 1, 2], "b": [3, 4, 5]}, out.parent)
     (out.parent / "a").rename(out)
 
 
 EDITS = {
-    "delete": lambda source, out: delete_episodes(opened(source), [1], out, "local/edited"),
-    "merge": lambda source, out: merge_datasets([opened(source), opened(source)], "local/edited", out),
+    "delete": lambda source, out: delete_episodes(open_dataset(source), [1], out, "local/edited"),
+    "merge": lambda source, out: merge_datasets([open_dataset(source), open_dataset(source)], "local/edited", out),
     "split": split,
-    "remove a feature": lambda source, out: remove_feature(opened(source), "next.success", out, "local/edited"),
+    "remove a feature": lambda source, out: remove_feature(open_dataset(source), "next.success", out, "local/edited"),
 }
 
 
@@ -52,7 +48,7 @@ def test_one_sentence_says_what_is_gone(dataset: Path, tmp_path: Path, name: str
 
 def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(dataset: Path, tmp_path: Path):
     copy = shutil.copytree(dataset, tmp_path / "copy")
-    recompute_stats(opened(copy))
+    recompute_stats(open_dataset(copy))
     changed = [finding.message for finding in verify(copy) if finding.check == "files"]
     assert len(changed) == 1
     assert "meta/stats.json has changed" in changed[0]
