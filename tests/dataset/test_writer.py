@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from lerobot.datasets.utils import create_lerobot_dataset_card
 
 from dynahoi_lerobot.core.conventions import HAND_NAMES
 from dynahoi_lerobot.core.episode import Episode
@@ -236,6 +235,8 @@ def test_statistics_of_images_are_those_of_all_pixels(dataset):
 
 
 def test_the_metadata_of_its_card_are_lerobots_and_more(dataset: Path):
+    from lerobot.datasets.utils import create_lerobot_dataset_card
+
     theirs = create_lerobot_dataset_card(license="apache-2.0").data.to_dict()
     ours = yaml.safe_load((dataset / "README.md").read_text().split("---")[1])
     assert set(theirs["tags"]) <= set(ours["tags"])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
@@ -73,11 +74,13 @@ def diffusion():
     small = {"down_dims": (16, 32), "n_groups": 4, "pretrained_backbone_weights": None, "crop_ratio": 1.0}
     small |= {"n_obs_steps": 2, "horizon": 8, "n_action_steps": 4}
     small |= {"noise_scheduler_type": "DDIM", "num_inference_steps": 2}
-    return DiffusionPolicy(DiffusionConfig(**small, **FEATURES)).eval()
+    image = {"observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 64, 64))}
+    inputs = {"input_features": FEATURES["input_features"] | image}
+    return DiffusionPolicy(DiffusionConfig(**small, **FEATURES | inputs)).eval()
 
 
 def test_diffusion_policy_plans_from_the_noted_frames(diffusion):
-    shapes = {"observation.images.ego": (2, 3, 32, 32), "observation.state": (2, 18)}
+    shapes = {"observation.images.ego": (2, 3, 64, 64), "observation.state": (2, 18)}
     no_action = {"action": None}  # LeRobot's preprocessor leaves this key in every batch
     frames = [{key: torch.rand(shape) for key, shape in shapes.items()} | no_action for _ in range(3)]
     noise = torch.randn(2, 8, 18)
