@@ -254,4 +254,5 @@ def test_its_card_counts_and_describes_what_is_there(dataset: Path):
         assert f"| `{key}` |" in card
     drawing = (dataset / "assets/action.svg").read_text()
     assert all(f">{name}<" in drawing for name in HAND_NAMES), "every dimension has a panel"
-    assert all("V16.0h" in panel for panel in (drawing, histogram_svg(np.full((3, 1), 2.0), ["still"])))
+    assert drawing.count("V16.0h") >= len(HAND_NAMES), "its tallest bar fills each"
+    assert "V16.0h" in histogram_svg(np.full((3, 1), 2.0), ["still"])
