@@ -6,6 +6,7 @@ from pathlib import Path
 
 import torch
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
+from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot_policy_obact import ObActConfig
 
@@ -16,7 +17,7 @@ FEATURES = {
         "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
     },
     "output_features": {"action": PolicyFeature(FeatureType.ACTION, (18,))},
-    "normalization_mapping": dict.fromkeys(("VISUAL", "STATE", "ACTION"), NormalizationMode.IDENTITY),
+    "normalization_mapping": dict.fromkeys(("VISUAL", "ENV", "STATE", "ACTION"), NormalizationMode.IDENTITY),
     "device": "cpu",
     "push_to_hub": False,
 }
@@ -32,6 +33,13 @@ def saved(config: PreTrainedConfig, folder: Path) -> Path:
     for pipeline in make_pre_post_processors(config):
         pipeline.save_pretrained(folder)
     return folder
+
+
+def tiny_act(folder: Path, inputs: dict[str, PolicyFeature]) -> Path:
+    """Write an ACT that executes chunks of eight."""
+    small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_decoder_layers": 1}
+    small |= {"chunk_size": 8, "n_action_steps": 8, "use_vae": False, "pretrained_backbone_weights": None}
+    return saved(ACTConfig(**small, **FEATURES | {"input_features": inputs}), folder)
 
 
 def tiny_obact(folder: Path) -> Path:

@@ -46,6 +46,14 @@ def expert_episodes(specs: list[EpisodeSpec]) -> list[Episode]:
 
 
 @pytest.fixture(scope="session")
+def actor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The checkpoint of a tiny ObAct for images of 32 pixels, which has learned nothing."""
+    from tests.checkpoints import tiny_obact  # which takes long to import
+
+    return tiny_obact(tmp_path_factory.mktemp("actor") / "checkpoint")
+
+
+@pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six synthetic episodes with video on disk."""
     return write(tmp_path_factory.mktemp("ours") / "dataset", range(6))

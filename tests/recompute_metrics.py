@@ -52,9 +52,8 @@ def _table(folder: Path) -> pd.DataFrame:
 def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
     start = int(episode["window_frames"])
     palm_distance = np.asarray(episode["stats/palm_distance"], float)  # least of the step that ends at the frame
-    inside = np.flatnonzero(
-        palm_distance[start + 1 :] < RADIUS_M[episode["capture"]]
-    )  # the hand moves from frame `start` on
+    # the hand moves from frame `start` on
+    inside = np.flatnonzero(palm_distance[start + 1 :] < RADIUS_M[episode["capture"]])
     first = start + 1 + int(inside[0]) if inside.size else None
     state = np.stack(frames["observation.state"]).astype(float)
     path = state[start : None if first is None else first + 1, :3]

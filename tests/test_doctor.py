@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections import namedtuple
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +14,6 @@ import pytest
 from dynahoi_lerobot import doctor
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.doctor import EPISODES, TOLERANCE, Fact, Reference, compare, play
-
-Usage = namedtuple("Usage", "free")
 
 
 def by_name(facts) -> dict[str, Fact]:
@@ -47,13 +45,12 @@ def test_a_part_that_breaks_is_a_problem_and_the_others_are_looked_at(monkeypatc
 
     monkeypatch.setattr(doctor, "gpu", broken)
     facts = doctor.examine(Path())
-    assert [fact for fact in facts if fact.problem] == [
-        Fact("gpu", "check failed: OSError: no such device", problem=True)
-    ]
+    found = Fact("gpu", "check failed: OSError: no such device", problem=True)
+    assert [fact for fact in facts if fact.problem] == [found]
 
 
 def test_a_full_disk_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(shutil, "disk_usage", lambda place: Usage(10**8))
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: SimpleNamespace(free=10**8))
     (fact,) = doctor.disk(tmp_path / "not" / "there")
     assert fact.problem
     assert str(tmp_path) in fact.found
@@ -85,12 +82,6 @@ def test_this_machine_moves_as_the_reference_does(ours: Reference):
     assert not [fact for fact in facts.values() if fact.problem], facts
     assert facts["motion"].found.startswith("44 of 44 episodes"), "bit for bit on x86_64, on which it was made"
     assert facts["images"].found.startswith("44 of 44 episodes")
-
-
-def test_the_first_episodes_are_the_same_in_other_numbers(ours: Reference):
-    few = play(2)
-    assert few["motions"].tolist() == ours["motions"][:2].tolist()
-    np.testing.assert_array_equal(few["pixels"], ours["pixels"][:2])
 
 
 @pytest.mark.parametrize(("off", "problem"), [(TOLERANCE / 2, False), (0.01, True)])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 import dynahoi_lerobot
+from tests.tools import python
 
 PACKAGE = Path(dynahoi_lerobot.__file__).parent
 ROOMS = (
@@ -38,11 +37,6 @@ HEAVY = {
 """What no module of a package may import."""
 
 
-def room_of(module: str) -> str:
-    """Return the room of a dotted module of ``dynahoi_lerobot``."""
-    return module.split(".")[1]
-
-
 def imports() -> Iterator[tuple[str, str]]:
     """Yield (importing, imported) module of every import within the core.
 
@@ -54,6 +48,7 @@ def imports() -> Iterator[tuple[str, str]]:
         for node in _run_time_nodes(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module:
                 yield module, node.module
+                yield from ((module, name) for alias in node.names if _is_module(name := f"{node.module}.{alias.name}"))
             elif isinstance(node, ast.Import):
                 yield from ((module, alias.name) for alias in node.names)
             elif isinstance(node, ast.Constant) and _is_module(node.value):
@@ -82,7 +77,7 @@ def test_rooms_import_only_rooms_before_them():
         for module, imported in imports()
         if module != "dynahoi_lerobot"
         and imported.startswith("dynahoi_lerobot.")
-        and ROOMS.index(room_of(imported)) > ROOMS.index(room_of(module))
+        and ROOMS.index(imported.split(".")[1]) > ROOMS.index(module.split(".")[1])
     ]
     assert not wrong, "\n".join(wrong)
 
@@ -95,7 +90,11 @@ def test_every_folder_is_a_room():
 
 @pytest.mark.parametrize(("package", "least"), [("dynahoi_lerobot", 100), ("dynahoi_lerobot.dataset", 8)])
 def test_no_module_imports_what_is_heavy(package: str, least: int):
-    command = [sys.executable, "-c", PROGRAM, package, *HEAVY[package]]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout.split()[-1]) > least, "the walk must have found the modules"
+    said = python("-c", PROGRAM, package, *HEAVY[package])
+    assert int(said.split()[-1]) > least, "the walk must have found the modules"
+
+
+def test_reading_results_imports_nothing_that_draws_them():
+    modules = "".join(f", dynahoi_lerobot.{name}" for name in ("metrics", "evaluate.results", "evaluate.gif", "report"))
+    said = python("-c", f"import sys{modules}; print(*sys.modules)")
+    assert not {"torch", "lerobot", "pandas", "pyarrow", "matplotlib", "PIL", "jinja2"} & set(said.split())

@@ -149,10 +149,7 @@ def _mujoco_inertia(target: TargetObject) -> np.ndarray:
 def _points_inside(target: TargetObject) -> np.ndarray:
     """Points (K, 3) [m] of a sequence of low discrepancy in the box around the object that lie in any of its solids."""
     low, high = _extent(target)
-    return _inside(target, low + (high - low) * ((np.arange(POINTS)[:, None] * ADDITIVE + 0.5) % 1.0))
-
-
-def _inside(target: TargetObject, points: np.ndarray) -> np.ndarray:
+    points = low + (high - low) * ((np.arange(POINTS)[:, None] * ADDITIVE + 0.5) % 1.0)
     inside = np.zeros(len(points), bool)
     for primitive in target.primitives:
         local = (points - primitive.pos) @ quat_to_matrix(np.asarray(primitive.quat))
@@ -172,11 +169,7 @@ POINT_M = 1e-5
 NEAR_M = 0.005
 
 
-def test_every_shape_of_the_scene_is_measured():
-    assert set(SHAPES) == set(SIZES)
-
-
-@pytest.mark.parametrize("shape", [name for name in SIZES if name != "ellipsoid"])
+@pytest.mark.parametrize("shape", [name for name in SHAPES if name != "ellipsoid"])
 def test_distances_are_exact_outside_and_inside(shape: str):
     points, expected = _measured_by_mujoco(shape)
     assert (expected < 0).sum() > 5, "some points must lie inside"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib
 import json
-import math
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +13,6 @@ import pytest
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 NAMES = sorted(path.stem for path in BENCHMARKS.glob("*.py"))
-
-
-def numbers_in(value: Any) -> Iterator[float]:
-    """Yield every number of nested tables."""
-    if isinstance(value, dict):
-        for item in value.values():
-            yield from numbers_in(item)
-    elif isinstance(value, list):
-        for item in value:
-            yield from numbers_in(item)
-    elif isinstance(value, int | float):
-        yield value
 
 
 @pytest.fixture
@@ -35,7 +23,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[s
     def run(name: str, *options: str) -> dict[str, Any]:
         monkeypatch.setattr("sys.argv", [f"{name}.py", "--tiny", "--json", "out/numbers.json", *options])
         importlib.import_module(name).main()
-        return json.loads(Path("out/numbers.json").read_text())
+        return json.loads(Path("out/numbers.json").read_text(), parse_constant=pytest.fail)  # NaN, infinity
 
     return run
 
@@ -50,10 +38,7 @@ def test_it_runs_and_writes_its_numbers(name: str, run: Callable[..., dict[str, 
         assert list(tmp_path.rglob("*.jpg"))
         assert len(table["kinds"]) == 2
         return
-    numbers = list(numbers_in(table))
-    assert numbers
-    assert all(math.isfinite(number) for number in numbers)
-    assert any(number > 0 for number in numbers)
+    assert re.search(r"[: ][0-9.]*[1-9]", json.dumps(table)), "a number above 0"
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ import pytest
 
 from dynahoi_lerobot.cli import main as cli
 
-GARBAGE = b"{\xff"
 GENERATE = "generate --root made --episodes 1 --motions constant"
 CASES = [
     ("dance", "dynahoi: command: invalid choice: 'dance'"),
@@ -48,6 +47,7 @@ CASES = [
     ("filter DATASET --out x --margin -1", "the margin is -1.0; it must be a finite number, 0 or more"),
     ("filter DATASET --out x --column velocity", "there is no column 'velocity'; known: observation.state"),
     ("filter DATASET --out x --drop 6", "6"),
+    ("filter DATASET --out x --drop=-1", "-1"),
     ("filter DATASET --out x --drop first", "first"),
     ("filter DATASET", "say where the new dataset goes with --out DIR"),
     ("filter DATASET --out .", ". exists; choose a new folder"),
@@ -59,6 +59,7 @@ CASES = [
     (f"{GENERATE} --seed -1", "seed is -1"),
     (f"{GENERATE} --seed {2**40}", f"seed is {2**40}; it must be 0 to 5354228879 for 1 episodes"),
     (f"{GENERATE} --image-size 31", "image size is 31"),
+    (f"{GENERATE} --image-size large", "invalid int value: 'large'"),
     (f"{GENERATE} --shard-episodes 0", "episodes per shard is 0"),
     (f"{GENERATE} --codec mpeg2", "unknown codec 'mpeg2'"),
     (f"{GENERATE} --preset warp9", "preset is 'warp9'; h264 has ultrafast"),
@@ -87,7 +88,7 @@ def test_one_sentence_names_what_was_received_and_what_is_allowed(case, dataset,
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.yaml"]
 
 
-def overwrite(pattern: str, content: bytes = GARBAGE) -> Callable[[Path], object]:
+def overwrite(pattern: str, content: bytes = b"{\xff") -> Callable[[Path], object]:
     return lambda root: [path.write_bytes(content) for path in root.glob(pattern)]
 
 

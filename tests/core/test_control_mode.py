@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -15,7 +14,7 @@ from lerobot_env_dynahoi import DynahoiEnvConfig
 from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, from_grasp, to_grasp
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
-from dynahoi_lerobot.dataset import open_dataset, read_episodes
+from dynahoi_lerobot.dataset import open_dataset
 from dynahoi_lerobot.env.single_env import DynahoiEnv
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.checkpoint import trained_for
@@ -60,10 +59,6 @@ def test_a_dataset_holds_and_replays_them(dataset: Path):
     feature = open_dataset(dataset).meta.features["action"]
     assert tuple(feature["shape"]) == (4,)
     assert tuple(feature["names"]) == CONTROL_MODES["grasp"]
-    item: Any = open_dataset(dataset)[0]
-    assert item["action"].shape == (4,)
-    assert all(episode.action.shape[1] == 4 for episode in read_episodes(dataset))
-    assert "palm_dx" in (dataset / "meta/info.json").read_text()
     assert verify(dataset, replayed=2) == []
 
 

@@ -12,8 +12,6 @@ from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.arguments import add_field_arguments, field_docs, given_fields
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
-from dynahoi_lerobot.hands.base import EGO_CAMERA
-from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 
@@ -38,10 +36,6 @@ def test_elements_are_named_and_keys_are_unique() -> None:
     told_apart = {(feature.key, feature.shape) for feature in FEATURES.values()}
     assert len(told_apart) == len(FEATURES)
     assert len({feature.key for feature in FEATURES.values()}) == len(FEATURES) - 1, "two kinds of environment_state"
-
-
-def test_the_hands_camera_is_the_first_view() -> None:
-    assert next(iter(VIEWS)) == EGO_CAMERA == "ego"
 
 
 NAMES = tuple(entry.name for entry in fields(Recipe))
@@ -72,8 +66,3 @@ def test_only_what_is_said_is_given_and_has_the_type_of_its_field(parser: Argume
     recipe = Recipe().changed(**given)
     assert (recipe.hand, recipe.expert) == ("opposed", "match"), "they come with the capture rule"
     assert Recipe(capture="contact").changed(image_size=32).hand == "opposed"
-
-
-def test_a_wrong_type_is_refused(parser: ArgumentParser):
-    with pytest.raises(SystemExit):
-        parser.parse_args(["--image-size", "large"])

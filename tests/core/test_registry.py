@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.tools import install, python
+
 MOTION = '''
 """A motion of somebody else."""
 
@@ -24,27 +26,6 @@ class Borrowed(MOTIONS["constant"]):
     """x = a: a straight line under another name."""
 '''
 
-OBJECT = '''
-from dynahoi_lerobot.objects import ObjectGeometry, Primitive, object_type
-
-
-@object_type("marble", rolls=True)
-def marble(rng):
-    """A ball of 2 cm."""
-    return ObjectGeometry((Primitive("sphere", (0.02,)),), 0.02, 0.02, 0.02)
-'''
-
-
-def install(site: Path, distribution: str, modules: dict[str, str]) -> None:
-    """Lay out an installed distribution with one entry point for each module."""
-    info = site / f"{distribution}-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
-    lines = [f"{name} = {name}" for name in modules]
-    (info / "entry_points.txt").write_text("\n".join(["[dynahoi_lerobot.plugins]", *lines, ""]))
-    for name, source in modules.items():
-        (site / f"{name}.py").write_text(source)
-
 
 def dynahoi(site: Path, *words: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(site)}
@@ -58,7 +39,8 @@ def names(listed: subprocess.CompletedProcess[str]) -> list[str]:
 
 
 def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
-    install(tmp_path, "sound", {"sound_motion": MOTION.format(name="glide"), "sound_object": OBJECT})
+    sound = {"sound_motion": MOTION.format(name="glide"), "sound_object": "import tests.third_party.things"}
+    install(tmp_path, "sound", sound)
     install(tmp_path, "broken", {"broken_motion": "1 / 0", "greedy_motion": MOTION.format(name="lob")})
     motions = dynahoi(tmp_path, "list", "motions", "--json")
     assert "glide" in names(motions)
@@ -66,14 +48,13 @@ def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
     assert "plugin 'broken_motion' of broken (broken_motion) could not be imported: ZeroDivision" in motions.stderr
     assert "the plugin 'greedy_motion' of broken" in motions.stderr
     assert "the motion name 'lob' is taken" in motions.stderr
-    assert "marble" in names(dynahoi(tmp_path, "list", "objects", "--json"))
+    assert "caltrop" in names(dynahoi(tmp_path, "list", "objects", "--json"))
 
 
 def test_an_edit_in_any_module_of_a_plugins_package_changes_the_code_fingerprint(tmp_path: Path) -> None:
-    def fingerprint() -> bytes:
+    def fingerprint() -> str:
         script = "from dynahoi_lerobot.sampling.fingerprint import code_fingerprint; print(code_fingerprint())"
-        environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-        return subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, check=True).stdout
+        return python("-c", script, PYTHONPATH=str(tmp_path))
 
     without = fingerprint()
     (tmp_path / "borrowed").mkdir()

@@ -9,9 +9,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from lerobot.configs.recipe import MessageTurn, TrainingRecipe
+from lerobot.datasets.dataset_tools import merge_datasets
+from lerobot.datasets.language_render import active_at, render_sample
 from lerobot.rl.buffer import ReplayBuffer
+from lerobot.scripts.lerobot_eval import _env_features_to_dataset_features
+from lerobot.utils.collate import lerobot_collate_fn
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import read_episodes, write_episodes
 from dynahoi_lerobot.dataset.columns import LANGUAGE, SUBTASKS, subtask_rows
@@ -19,6 +23,7 @@ from dynahoi_lerobot.dataset.video import Encoding
 from tests.dataset.episodes import varied_episode, write
 from tests.dataset.lerobot_api import REPO, open_dataset, write_with_lerobot
 from tests.synthetic import synthetic_episode
+from tests.tools import generated
 
 SEEDS = range(4)
 
@@ -101,12 +106,8 @@ def test_decoded_frames_are_the_same(pair):
 LENGTHS = [20 + seed % 7 for seed in range(6)]
 
 
-def hwc(tensor) -> np.ndarray:
-    return np.moveaxis(tensor.numpy() * 255, -3, -1)
-
-
 def check_images(dataset, index: int, seed: int, frame: int) -> None:
-    image = hwc(dataset[index]["observation.images.ego"])
+    image = np.moveaxis(dataset[index]["observation.images.ego"].numpy() * 255, -3, -1)
     assert np.abs(image - varied_episode(seed).images["ego"][frame]).mean() < 6
 
 
@@ -131,8 +132,6 @@ def test_episode_columns_can_be_filtered_and_read(dataset):
 
 @pytest.mark.parametrize("concatenate", [True, False])
 def test_merge(dataset, tmp_path, concatenate):
-    from lerobot.datasets.dataset_tools import merge_datasets
-
     other = write(tmp_path / "other", range(6, 9))
     merged = merge_datasets(
         [open_dataset(dataset), open_dataset(other)], REPO, tmp_path / "merged", concatenate, concatenate
@@ -144,23 +143,6 @@ def test_merge(dataset, tmp_path, concatenate):
     for name in ("palm_distance", "state", "target_pose", "localized", "intercept_position"):
         np.testing.assert_allclose(getattr(episode, name), getattr(varied_episode(7), name), err_msg=name)
     assert episode.meta == varied_episode(7).meta
-
-
-@pytest.mark.parametrize("codec", ["h264", "images"])
-def test_columns_have_types_and_shapes(codec: str, tmp_path: Path):
-    datasets = pytest.importorskip("datasets")
-    write(tmp_path / "d", range(2), encoding=Encoding(codec=codec))
-    table = datasets.load_dataset(str(tmp_path / "d"), split="train", cache_dir=str(tmp_path / "cache"))
-    episodes = list(read_episodes(tmp_path / "d"))
-    assert len(table) == sum(map(len, episodes))
-    kinds = table.features
-    assert (kinds["action"].feature.dtype, kinds["action"].length) == ("float32", 18)
-    assert (kinds["timestamp"].dtype, kinds["episode_index"].dtype) == ("float32", "int64")
-    assert kinds["next.success"].dtype == "bool"
-    np.testing.assert_array_equal(table[0]["observation.state"], episodes[0].state[0])
-    if codec == "images":
-        assert isinstance(kinds["observation.images.ego"], datasets.Image)
-        np.testing.assert_array_equal(np.asarray(table[0]["observation.images.ego"]), episodes[0].images["ego"][0])
 
 
 STATE = "observation.state"
@@ -190,8 +172,6 @@ def test_the_replay_buffer_gets_a_reward_per_success_and_an_end_per_episode(stor
 
 
 def test_the_columns_are_those_of_lerobots_own_recordings(stored) -> None:
-    from lerobot.scripts.lerobot_eval import _env_features_to_dataset_features
-
     features = open_dataset(stored[0]).meta.features
     for key, theirs in _env_features_to_dataset_features({}).items():
         assert (features[key]["dtype"], tuple(features[key]["shape"])) == (theirs["dtype"], theirs["shape"]), key
@@ -202,10 +182,8 @@ WATCH, REACH, HOLD = SUBTASKS
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data") / "d"
-    words = ["--root", str(root), "--episodes", "2", "--image-size", "0", "--motions", "constant,lob", "--subtasks"]
-    assert main(["generate", *words]) == 0
-    return root
+    words = ["--image-size", "0", "--motions", "constant,lob", "--subtasks"]
+    return generated(tmp_path_factory.mktemp("data") / "d", *words)
 
 
 def test_a_target_that_is_never_localised_is_never_to_be_held() -> None:
@@ -215,10 +193,6 @@ def test_a_target_that_is_never_localised_is_never_to_be_held() -> None:
 
 
 def test_lerobot_finds_the_subtask_of_every_frame(root: Path) -> None:
-    from lerobot.configs.recipe import MessageTurn, TrainingRecipe
-    from lerobot.datasets.language_render import active_at, render_sample
-    from lerobot.utils.collate import lerobot_collate_fn
-
     dataset = open_dataset(root, delta_timestamps={"action": [0.0, 0.05]})
     assert dataset.meta.has_language_columns
     (first, _) = read_episodes(root)

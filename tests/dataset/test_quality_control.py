@@ -80,11 +80,6 @@ def test_the_speed_of_the_class_decides_what_is_a_jump():
     assert not problems(moved, control_class="standard", capture="contact"), "its gantry is as fast as `unlimited`"
 
 
-def test_the_sound_episode_passes():
-    episode = synthetic_episode(0)
-    assert not trajectory_problems(episode)
-
-
 def test_the_range_of_the_slides_is_that_of_the_world():
     """The same numbers in the home frame are possible at one home and not at another."""
     episode = synthetic_episode(0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import ast
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,10 +59,8 @@ def assert_same(root: Path, episodes: list[Episode]) -> None:
 
 
 def test_the_script_imports_nothing_of_the_package() -> None:
-    tree = ast.parse(Path(recompute_metrics.__file__).read_text())
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
-    names = {alias.name for node in imports if isinstance(node, ast.Import) for alias in node.names}
-    names |= {node.module or "" for node in imports if isinstance(node, ast.ImportFrom)}
+    text = Path(recompute_metrics.__file__).read_text()
+    names = set(re.findall(r"^\s*(?:from|import) ([\w.]+)", text, re.MULTILINE))
     assert names == {"__future__", "sys", "pathlib", "numpy", "pandas", "pyarrow.parquet"}
 
 

@@ -50,8 +50,6 @@ class Block:
 
 @dataclass(frozen=True)
 class Page:
-    """One Markdown file."""
-
     path: Path
     text: str
 
@@ -66,17 +64,12 @@ class Page:
 
     @property
     def all_blocks(self) -> list[Block]:
-        """The blocks of code."""
         return [self._block(match) for match in FENCE.finditer(self.text)]
 
     def _block(self, match: re.Match[str]) -> Block:
         before = self.text[: match.start()]
         need, file = (found.group(1) if (found := rule.search(before)) else "" for rule in (NEED, SAVED))
         return Block(match.group(1), match.group(2), need, file)
-
-    def blocks(self, *languages: str) -> list[str]:
-        """Return the code blocks in the given languages; "" is a block without one."""
-        return [block.body for block in self.all_blocks if block.language in languages]
 
     @property
     def spans(self) -> list[str]:
@@ -109,7 +102,6 @@ class Page:
 
 
 def pages() -> list[Page]:
-    """Return every page."""
     return [Page.read(path) for path in PAGES]
 
 

@@ -99,13 +99,14 @@ class Player:
 
 
 def small(words: list[str]) -> list[str]:
-    """Return a command that does the same with fewer episodes and steps."""
+    """Return a command that does the same with fewer episodes and steps; of repeated options, the last count."""
     command = next((key for key in COUNTS | FEWER if _names(words, key)), "")
-    kept = [word for group in _grouped(words) for word in _replaced(group, COUNTS.get(command, {}))]
-    given = {word.partition("=")[0] for word in kept} - ({"--steps"} if "--resume=true" in kept else set())
-    added = FEWER.get(command, []) if "--replay" not in kept and "--dry-run" not in kept else []
+    given = {word.partition("=")[0] for word in words}
+    fewer = [f"{name}={value}" for name, value in COUNTS.get(command, {}).items() if name in given]
+    given -= {"--steps"} if "--resume=true" in words else set()
+    added = FEWER.get(command, []) if not given & {"--replay", "--dry-run"} else []
     added = added + [extra for key, more in FEWER_WITH.items() if key in words for extra in more]
-    return kept + [word for word in added if word.partition("=")[0] not in given]
+    return words + fewer + [word for word in added if word.partition("=")[0] not in given]
 
 
 def run(words: list[str]) -> None:
@@ -165,22 +166,3 @@ def prepare(folder: Path) -> None:
 
 def _names(words: list[str], command: str) -> bool:
     return words[: command.count(" ") + 1] == command.split() or (command == "lerobot-train" and TRAINING in words)
-
-
-def _grouped(words: list[str]) -> list[list[str]]:
-    """Options together with the value that follows them, everything else alone."""
-    groups: list[list[str]] = []
-    for word in words:
-        follows = groups and groups[-1][0].startswith("--") and "=" not in groups[-1][0] and len(groups[-1]) == 1
-        if follows and not word.startswith("-"):
-            groups[-1].append(word)
-        else:
-            groups.append([word])
-    return groups
-
-
-def _replaced(group: list[str], values: dict[str, str]) -> list[str]:
-    name = group[0].partition("=")[0]
-    if name not in values or (len(group) == 1 and "=" not in group[0]):
-        return group
-    return [f"{name}={values[name]}"] if "=" in group[0] else [name, values[name]]

@@ -17,16 +17,19 @@ import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 import yaml
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
+from dynahoi_lerobot.cli import quickstart
+from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.evaluate.results import Results, read_results
 from tests.docs.documents import ROOT, Block, Page, pages
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.evaluate.results import Results
-    from tests.docs.playing import Player
+from tests.docs.playing import Player, prepare, run
+from tests.hub.server import TOKEN
+from tests.hub.server import serving as serving_hub
+from tests.vlm.server import serving as serving_model
 
 DATA_FORMATS = {"json": json.loads, "yaml": yaml.safe_load, "toml": tomllib.loads}
 PROGRAMS = ("python", "bash")
@@ -68,11 +71,6 @@ def test_every_page_with_programs_is_played():
 @pytest.fixture
 def player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Player]:
     """An empty folder in which commands find the repository's folders, a Hub and a vision-language model."""
-    from tests.docs.playing import Player, prepare
-    from tests.hub.server import TOKEN
-    from tests.hub.server import serving as serving_hub
-    from tests.vlm.server import serving as serving_model
-
     before = Path.cwd()
     prepare(tmp_path)
     monkeypatch.setenv("OPENAI_API_KEY", "secret")
@@ -87,11 +85,6 @@ def player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Player]:
 
 def check_data(folder: Path) -> None:
     """What generate.md, dataset.md and lerobot.md leave."""
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    from dynahoi_lerobot.dataset import read_episodes
-    from tests.docs.playing import run
-
     ours = sorted({path.parents[1] for path in folder.glob("data/*/meta/manifest.json")} - {folder / "data/slow"})
     assert len(ours) >= 10
     for root in ours:
@@ -118,16 +111,12 @@ def digest(root: Path) -> str:
 
 def before_data(folder: Path) -> None:
     """Generate what documented datasets are compared with: by one worker, and not by datatrove."""
-    from tests.docs.playing import run
-
     run(["dynahoi", "generate", "--root", "data/one_worker", "--episodes", "2", "--image-size", "96"])
     run(["dynahoi", "generate", "--root", "data/plain", "--episodes", "2"])
 
 
 def check_results(folder: Path) -> None:
     """What the pages about training and evaluation leave."""
-    from dynahoi_lerobot.evaluate.results import read_results
-
     trained = {path.parents[3].name for path in folder.glob("outputs/*/checkpoints/last/pretrained_model/config.json")}
     assert trained == {"obact", "act", "act_val", "act_state", "act_2", "act_hub"}
     (played,) = folder.glob("outputs/act_val/dynahoi/*")
@@ -177,10 +166,6 @@ def before_first_hour(folder: Path) -> None:
 
     It leaves a dataset, a checkpoint, results and a report, and the pages find them there.
     """
-    from dynahoi_lerobot.cli import quickstart
-    from dynahoi_lerobot.evaluate.results import read_results
-    from tests.docs.playing import run
-
     out = folder / "outputs/quickstart"
     code, said = on_a_terminal([sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"])
     assert code == 0, said
@@ -207,8 +192,6 @@ def before_first_hour(folder: Path) -> None:
 
 def check_first_hour(folder: Path) -> None:
     """What README and the pages for beginners leave."""
-    from dynahoi_lerobot.evaluate.results import read_results
-
     for page in (folder / "report.html", folder / "outputs/quickstart/report.html"):
         assert "S_loc" in page.read_text()
     for results in (folder / "results").iterdir():

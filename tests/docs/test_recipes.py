@@ -11,10 +11,14 @@ from pathlib import Path
 import draccus
 import pytest
 import yaml
+from lerobot.configs.train import TrainPipelineConfig
+from lerobot.utils.import_utils import register_third_party_plugins
 
 from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.pretrain.recipe import read_recipe
 from dynahoi_lerobot.sampling.recipe import load_recipe
 from tests.docs.documents import ROOT, pages
+from tests.docs.playing import Player, prepare
 
 RECIPES = ROOT / "recipes"
 FOLDERS = {"eye", "generate", "train", "zoo"}
@@ -36,23 +40,13 @@ def test_folders_are_named_after_what_reads_their_files():
     assert {path.name for path in RECIPES.iterdir()} == FOLDERS
 
 
-@pytest.mark.parametrize("path", recipes("generate"))
-def test_a_generation_recipe_is_read(path: Path):
-    assert load_recipe(path).split == "train"
-
-
-@pytest.mark.parametrize("path", recipes("eye"))
-def test_an_eye_recipe_is_read(path: Path):
-    from dynahoi_lerobot.pretrain.recipe import read_recipe
-
-    assert read_recipe(path).episodes.split == "train"
+@pytest.mark.parametrize("path", recipes("generate", "eye"))
+def test_a_recipe_of_training_data_is_read(path: Path):
+    assert (read_recipe(path).episodes if path.parent.name == "eye" else load_recipe(path)).split == "train"
 
 
 @pytest.mark.parametrize("path", recipes("train", "zoo"))
 def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(path: Path):
-    from lerobot.configs.train import TrainPipelineConfig
-    from lerobot.utils.import_utils import register_third_party_plugins
-
     register_third_party_plugins()
     config = draccus.parse(TrainPipelineConfig, config_path=path, args=[])
     values = yaml.safe_load(path.read_text())
@@ -68,8 +62,6 @@ def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(pat
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    from tests.docs.playing import prepare
-
     before, folder = Path.cwd(), tmp_path_factory.mktemp("recipes")
     prepare(folder)
     yield folder
@@ -78,8 +70,6 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.mark.slow
 def test_recipes_that_no_page_trains_do_so_as_their_headers_say(workspace: Path, subtests: pytest.Subtests):
-    from tests.docs.playing import Player
-
     generated, played_by_pages = set(), [words for page in pages() for words in page.commands]
     for parameter in recipes("train"):
         (path,) = parameter.values

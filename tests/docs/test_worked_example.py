@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.docs.documents import ROOT, Page
+from tests.tools import python
 
 EXAMPLE = Page.read(ROOT / "docs" / "extend.md")
 PROGRAMS = {"dynahoi": ["-m", "dynahoi_lerobot.cli.main"], "pytest": ["-m", "pytest", "-p", "no:cacheprovider"]}
@@ -33,11 +32,8 @@ def test_the_worked_example_works_as_written(tmp_path: Path):
         ["dynahoi", "verify"],
     ]
     for program, *words in commands:
-        run = [sys.executable, *PROGRAMS[program], *words]
-        done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stdout + done.stderr
-        if program == "pytest":
-            assert re.search(r"[1-9]\d* passed", done.stdout)
+        said = python(*PROGRAMS[program], *words, cwd=tmp_path)
+        assert program != "pytest" or re.search(r"[1-9]\d* passed", said)
     assert (tmp_path / "spiral.gif").read_bytes()[:4] == b"GIF8"
     for check in (["check"], ["format", "--check"]):
-        subprocess.run([sys.executable, "-m", "ruff", *check, path], cwd=tmp_path, check=True)
+        python("-m", "ruff", *check, path, cwd=tmp_path)

@@ -7,6 +7,7 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from lerobot.envs.utils import (
     env_to_policy_features,
     preprocess_observation,
 )
-from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_env_dynahoi.command_line import new_results_folder, policy_name, policy_weights
@@ -32,19 +32,14 @@ from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.checkpoints import FEATURES, SHIPPED, saved, tiny_obact
+from tests.checkpoints import FEATURES, SHIPPED, tiny_act
 
 SMALL = {"image_size": 32, "split": "test_small"}
 
 
-@pytest.fixture(scope="module")
-def config_class() -> type[EnvConfig]:
+def test_one_suite_per_category_one_task_per_kind() -> None:
     register_third_party_plugins()
-    return EnvConfig.get_choice_class("dynahoi")
-
-
-def test_one_suite_per_category_one_task_per_kind(config_class: type[EnvConfig]) -> None:
-    suites = config_class(**SMALL).create_envs(1)
+    suites = EnvConfig.get_choice_class("dynahoi")(**SMALL).create_envs(1)
     assert set(suites) == set(CATEGORIES)
     tasks = [env.task for suite in suites.values() for env in suite.values()]
     assert sorted(tasks) == list(BENCHMARK.splits["test"].motions)
@@ -61,37 +56,27 @@ def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path, monkey
     assert (summary["E_loc"].value or 0.0) > 0.3
 
 
-def test_features_are_what_the_dataset_calls_them(config_class: type[EnvConfig]) -> None:
-    features = env_to_policy_features(config_class(**SMALL))
-    assert {key: tuple(feature.shape) for key, feature in features.items()} == {
-        "observation.images.ego": (3, 32, 32),
-        "observation.state": (18,),
-        "observation.phase": (2,),
-        "action": (18,),
-    }
-
-
 @pytest.mark.parametrize(
     ("option", "sentence"),
     [
         ({"renderer": "tilez"}, r"unknown renderer 'tilez' \(did you mean 'tiles'\?\); known: "),
         ({"hand": "claw"}, "unknown hand 'claw'; known: "),
-        ({"capture": "magnet"}, "unknown capture rule 'magnet'"),
-        ({"views": ("top",)}, "unknown view 'top'"),
     ],
 )
-def test_unknown_names_are_refused_by_the_config(config_class, option, sentence):
+def test_unknown_names_are_refused_by_the_config(option, sentence):
     with pytest.raises(ValueError, match=sentence):
-        config_class(**SMALL, **option)
+        DynahoiEnvConfig(**SMALL, **option)
 
 
-def test_further_views_reach_the_policy(config_class: type[EnvConfig], tmp_path: Path) -> None:
-    config = config_class(**SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path))
-    wanted = {"observation.images.ego", "observation.images.side", "observation.images.ego_depth"}
-    assert {key for key in env_to_policy_features(config) if "images" in key} == wanted
+def test_features_are_the_datasets_and_further_views_reach_the_policy(tmp_path: Path) -> None:
+    config = DynahoiEnvConfig(**SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path))
+    wanted = {f"observation.images.{view}": (3, 32, 32) for view in ("ego", "side", "ego_depth")}
+    others = {"observation.state": (18,), "observation.phase": (2,), "action": (18,)}
+    features = env_to_policy_features(config)
+    assert {key: tuple(feature.shape) for key, feature in features.items()} == wanted | others
     env = config.create_envs(1)["pendulum"][0]
     observation, _ = env.reset(seed=[0])
-    assert {key for key in preprocess_observation(observation) if "images" in key} == wanted
+    assert {key for key in preprocess_observation(observation) if "images" in key} == wanted.keys()
     assert env.observation_space.contains(observation)
     assert "Catch" in env.call("task_description")[0], "LeRobot's loop asks for it"
 
@@ -139,14 +124,7 @@ def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, mon
 
 @pytest.fixture(scope="module")
 def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_decoder_layers": 1}
-    small |= {"use_vae": False, "pretrained_backbone_weights": None}
-    return saved(ACTConfig(chunk_size=8, n_action_steps=8, **small, **FEATURES), tmp_path_factory.mktemp("act"))
-
-
-@pytest.fixture(scope="module")
-def obact(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tiny_obact(tmp_path_factory.mktemp("obact"))
+    return tiny_act(tmp_path_factory.mktemp("act"), FEATURES["input_features"])
 
 
 def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> Results:
@@ -158,27 +136,20 @@ def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *o
     return read_results(out)
 
 
-def assert_same_as_with_whole_chunks(policy: Path, found: Results) -> None:
-    """Play the same episodes as ``dynahoi evaluate --inference async --inference-ms 150`` does, and compare actions."""
-    agent = RealTimeAgent(PolicyAgent(str(policy)), Inference("async", 150.0))
-    recipe = found.recipe()
-    played = evaluate(
-        WorldBatch(recipe, 2, threads=1), agent, sample_specs(recipe, sorted(row["seed"] for row in found.rows))
-    )
-    expected = {episode.meta.seed: episode.action for episode in played}
+LATE = ("--env.latency_ms=150", "--env.inference=async")
+
+
+def test_a_policy_with_a_queue_plays_as_with_whole_chunks(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """The same actions as by ``dynahoi evaluate --inference async --inference-ms 150``."""
+    found = through_lerobot(act, tmp_path, monkeypatch, *LATE)
+    assert found.info.extra["inference"] == "async 150 ms"
+    agent, recipe = RealTimeAgent(PolicyAgent(str(act)), Inference("async", 150.0)), found.recipe()
+    specs = sample_specs(recipe, sorted(row["seed"] for row in found.rows))
+    expected = {episode.meta.seed: episode.action for episode in evaluate(WorldBatch(recipe, 2), agent, specs)}
     assert len(expected) == 2
     for row, actions in zip(found.rows, found.actions, strict=True):
         np.testing.assert_allclose(actions, expected[row["seed"]], atol=1e-6)
         assert np.ptp(actions, axis=0).max() > 0.01, "the hand moves"
-
-
-LATE = ("--env.latency_ms=150", "--env.inference=async")
-
-
-def test_a_policy_with_a_queue_plays_the_same_episodes(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    found = through_lerobot(act, tmp_path, monkeypatch, *LATE)
-    assert_same_as_with_whole_chunks(act, found)
-    assert found.info.extra["inference"] == "async 150 ms"
 
 
 @pytest.mark.parametrize(
@@ -195,9 +166,9 @@ def test_what_lerobots_loop_cannot_do_is_a_sentence(act, tmp_path, monkeypatch, 
         through_lerobot(act, tmp_path, monkeypatch, *options)
 
 
-def test_a_policy_with_a_memory_is_a_sentence(obact: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_policy_with_a_memory_is_a_sentence(actor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(ValueError, match=r"'obact' looks back 10 frames and would see some twice"):
-        through_lerobot(obact, tmp_path, monkeypatch, *LATE)
+        through_lerobot(actor, tmp_path, monkeypatch, *LATE)
 
 
 def test_without_a_command_line_the_length_of_the_queue_must_be_told():
@@ -212,14 +183,11 @@ def test_without_a_command_line_the_length_of_the_queue_must_be_told():
 FILE = Path(__file__).parents[2] / "envs" / "hub" / "env.py"
 
 
-class Other:
-    task = "lob,pendulum"
-
-
 def test_lerobot_loads_the_file_and_plays(tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = _import_hub_module(str(FILE), "you/dynahoi")
-    suites = _normalize_hub_result(_call_make_env(module, n_envs=2, use_async_envs=False, cfg=Other()))
+    config = SimpleNamespace(task="lob,pendulum")
+    suites = _normalize_hub_result(_call_make_env(module, n_envs=2, use_async_envs=False, cfg=config))
     assert {name: len(tasks) for name, tasks in suites.items()} == {"projectile": 1, "pendulum": 3}
     env = suites["projectile"][0]
     observation, _ = env.reset(seed=[0, 1])

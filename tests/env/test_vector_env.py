@@ -92,7 +92,7 @@ def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     env.reset(seed=[0])
     first = env._batch.specs[0]
-    while not (results := follow_expert(env, 1)[0])[2][0]:
+    while not follow_expert(env, 1)[0][2][0]:
         pass
     assert env._batch.specs[0] is first, "the terminal observation still belongs to the episode that ended"
     observation, reward, terminated, truncated, _ = env.step(np.zeros((1, 18), np.float32))
@@ -100,7 +100,6 @@ def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
     assert fresh is not first
     assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
     np.testing.assert_allclose(observation["agent_pos"][0, :3], 0.0, atol=1e-6)
-    del results
 
 
 def test_the_terminal_observation_shows_the_last_frame_also_in_one_episode_mode() -> None:
@@ -157,9 +156,9 @@ def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarr
     while not ended.all():
         phases.append(is_acting(observation["phase"]))
         distances.append(np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1))
-        command = (
-            Intercept().act(batch.world_state(batch.observe(images=False))) if expert else observation["agent_pos"]
-        )
+        command = observation["agent_pos"]
+        if expert:
+            command = Intercept().act(batch.world_state(batch.observe(images=False)))
         observation, reward, terminated, truncated, info = env.step(command.astype(np.float32))
         rewards.append(np.where(ended, 0.0, reward))
         success |= info["is_success"]

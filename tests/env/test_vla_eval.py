@@ -102,32 +102,19 @@ def test_a_server_whose_chunks_are_over_before_they_are_ready_is_a_sentence():
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "envs" / "vla_eval"
-CONFIGS = pytest.mark.parametrize("path", sorted(FOLDER.glob("*.yaml")), ids=lambda path: path.name)
 
 
-def entry(path: Path) -> EvalConfig:
-    (only,) = load_config(str(path))["benchmarks"]
-    return EvalConfig.from_dict(only)
-
-
-def benchmark_of(path: Path) -> Benchmark:
-    config = entry(path)
-    return resolve_import_string(config.benchmark)(**config.params)
-
-
-@CONFIGS
-def test_the_harness_takes_the_config(path: Path):
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.yaml")), ids=lambda path: path.name)
+def test_the_harness_takes_the_config_and_every_episode_is_another_one(path: Path):
     test = smoke_test_from_path(path)
     assert isinstance(test, SmokeTest)
     assert test.category == "benchmark"
     assert (run_validate([test]).status, run_validate([test]).message) == ("pass", "1/1 configs valid")
     docker = DockerConfig.from_dict(load_config(str(path))["docker"])
     assert Path(docker.build.dockerfile_path).resolve() == FOLDER / "Dockerfile"
-
-
-@CONFIGS
-def test_every_episode_is_another_one(path: Path):
-    config, benchmark = entry(path), benchmark_of(path)
+    (only,) = load_config(str(path))["benchmarks"]
+    config = EvalConfig.from_dict(only)
+    benchmark: Benchmark = resolve_import_string(config.benchmark)(**config.params)
     tasks, split = benchmark.get_tasks(), config.params["split"]
     assert {task["suite"] for task in tasks} == set(CATEGORIES)
     recipe = Recipe(split=split)
@@ -136,22 +123,15 @@ def test_every_episode_is_another_one(path: Path):
     assert config.episodes_per_task == min(held), "more would wrap around"
 
 
-DOCKERFILE = FOLDER / "Dockerfile"
-
-
-def instructions() -> list[tuple[str, str]]:
-    """Return the keyword and the rest of every line that is no comment."""
-    lines = [line for line in DOCKERFILE.read_text().splitlines() if line and not line.startswith("#")]
-    return [(keyword, rest) for keyword, _, rest in (line.partition(" ") for line in lines)]
-
-
 def test_the_image_copies_and_installs_what_is_here():
-    for keyword, rest in instructions():
+    lines = [line for line in (FOLDER / "Dockerfile").read_text().splitlines() if line and not line.startswith("#")]
+    instructions = [(keyword, rest) for keyword, _, rest in (line.partition(" ") for line in lines)]
+    for keyword, rest in instructions:
         if keyword == "COPY":
             *sources, _ = rest.split()
             assert all(list(ROOT.glob(source.rstrip("/"))) for source in sources), rest
         elif keyword == "RUN":
             check_installation(shlex.split(rest))
-    said = {keyword: json.loads(rest) for keyword, rest in instructions() if keyword in ("ENTRYPOINT", "CMD")}
+    said = {keyword: json.loads(rest) for keyword, rest in instructions if keyword in ("ENTRYPOINT", "CMD")}
     assert (said["ENTRYPOINT"][0], said["CMD"][0]) == ("vla-eval", "run")
     assert (FOLDER / Path(said["CMD"][-1]).name).is_file()

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import inspect
-import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +21,9 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.evaluate.checkpoint import STEPS, WEIGHTS, PolicyError, checked_folder, trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
+from tests.checkpoints import SHIPPED
+from tests.tools import edit_json
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "obact_standard"
 PREPROCESSOR = "policy_preprocessor.json"
 
 
@@ -33,15 +32,8 @@ def program(marker: Path) -> dict[str, Any]:
     return {"class": "os.mkdir", "config": {"path": str(marker)}}
 
 
-def change(file: Path, edit: Callable[[Any], object]) -> None:
-    """Edit a JSON file in place."""
-    content = json.loads(file.read_text())
-    edit(content)
-    file.write_text(json.dumps(content))
-
-
 def add_step(folder: Path, step: object, pipeline: str = PREPROCESSOR) -> None:
-    change(folder / pipeline, lambda content: content["steps"].append(step))
+    edit_json(folder / pipeline, lambda content: content["steps"].append(step))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -51,7 +43,7 @@ def plugins() -> None:
 
 @pytest.fixture
 def checkpoint(tmp_path: Path) -> Path:
-    return Path(shutil.copytree(CHECKPOINT, tmp_path / "checkpoint"))
+    return Path(shutil.copytree(SHIPPED, tmp_path / "checkpoint"))
 
 
 @pytest.fixture
@@ -180,14 +172,14 @@ def test_weights_that_do_not_fit_are_refused(damage: str, checkpoint: Path) -> N
     ],
 )
 def test_a_policy_that_fails_while_it_plays_is_one_sentence(setting, told, checkpoint, capsys):
-    change(checkpoint / "config.json", lambda config: config.update(setting))
+    edit_json(checkpoint / "config.json", lambda config: config.update(setting))
     assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
     assert told in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_path, capsys):
     late = {"type": "dynahoi", "control_class": "late"}
-    change(checkpoint / "train_config.json", lambda config: config.update(env=late))
+    edit_json(checkpoint / "train_config.json", lambda config: config.update(env=late))
     words = ["evaluate", "--policy", str(checkpoint), "--episodes", "1"]
     assert cli.main([*words, "--out", str(tmp_path / "own")]) == 0
     assert "--control-class late" in capsys.readouterr().out
@@ -202,13 +194,13 @@ def test_the_dataset_tells_what_a_checkpoint_was_trained_for(env, checkpoint: Pa
     (tmp_path / "data" / "meta").mkdir(parents=True)
     recipe = {"control_class": "late", "protocol": "direct_act"}
     Manifest(0, 0, {}, provenance={"recipe": recipe}).write(tmp_path / "data")
-    change(checkpoint / "train_config.json", lambda c: c.update(env=env, dataset={"root": str(tmp_path / "data")}))
+    edit_json(checkpoint / "train_config.json", lambda c: c.update(env=env, dataset={"root": str(tmp_path / "data")}))
     assert trained_for(checkpoint) == recipe | {"image_size": 96}
 
 
 def test_any_camera_tells_the_size_of_the_images(checkpoint: Path) -> None:
     camera = {"type": "VISUAL", "shape": [3, 64, 64]}
-    change(checkpoint / "config.json", lambda c: c.update(input_features={"observation.images.ego_motion": camera}))
+    edit_json(checkpoint / "config.json", lambda c: c.update(input_features={"observation.images.ego_motion": camera}))
     assert trained_for(checkpoint)["image_size"] == 64
 
 

@@ -11,13 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
+from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame, queued_frame
 from dynahoi_lerobot.evaluate.results import read_results
+from tests.checkpoints import FEATURES, SHIPPED
 
-CHECKPOINT = str(Path(__file__).parents[2] / "checkpoints" / "obact_standard")
+CHECKPOINT = str(SHIPPED)
 
 
 def test_settings_change_the_config_and_nothing_else() -> None:
@@ -67,39 +71,18 @@ def test_what_cannot_be_set_is_said(setting: str, sentence: str) -> None:
 
 @pytest.fixture(scope="module")
 def diffusion():
-    from lerobot.configs import FeatureType, PolicyFeature
-    from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
-    from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
-
-    config = DiffusionConfig(
-        input_features={
-            "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 64, 64)),
-            "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
-        },
-        output_features={"action": PolicyFeature(FeatureType.ACTION, (18,))},
-        n_obs_steps=2,
-        horizon=8,
-        n_action_steps=4,
-        down_dims=(16, 32),
-        n_groups=4,
-        pretrained_backbone_weights=None,
-        crop_ratio=1.0,
-        noise_scheduler_type="DDIM",
-        num_inference_steps=2,
-        device="cpu",
-    )
-    return DiffusionPolicy(config).eval()
+    small = {"down_dims": (16, 32), "n_groups": 4, "pretrained_backbone_weights": None, "crop_ratio": 1.0}
+    small |= {"n_obs_steps": 2, "horizon": 8, "n_action_steps": 4}
+    small |= {"noise_scheduler_type": "DDIM", "num_inference_steps": 2}
+    image = {"observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 64, 64))}
+    inputs = {"input_features": FEATURES["input_features"] | image}
+    return DiffusionPolicy(DiffusionConfig(**small, **FEATURES | inputs)).eval()
 
 
 def test_diffusion_policy_plans_from_the_noted_frames(diffusion):
-    frames = [
-        {
-            "observation.images.ego": torch.rand(2, 3, 64, 64),
-            "observation.state": torch.rand(2, 18),
-            "action": None,  # LeRobot's preprocessor leaves this key in every batch
-        }
-        for _ in range(3)
-    ]
+    shapes = {"observation.images.ego": (2, 3, 64, 64), "observation.state": (2, 18)}
+    no_action = {"action": None}  # LeRobot's preprocessor leaves this key in every batch
+    frames = [{key: torch.rand(shape) for key, shape in shapes.items()} | no_action for _ in range(3)]
     noise = torch.randn(2, 8, 18)
     asked_always, asked_once = copy.deepcopy(diffusion), copy.deepcopy(diffusion)
     for frame in frames:

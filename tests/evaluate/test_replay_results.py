@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import shutil
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.replay_results import drawn
 from dynahoi_lerobot.evaluate.results import Results, read_results, write_results
 from dynahoi_lerobot.rollout.replay import replay
+from tests.tools import edit_json
 
 
 def rewritten(folder: Path, **changes: object) -> None:
@@ -26,15 +26,13 @@ def rewritten(folder: Path, **changes: object) -> None:
     result_files.write(folder, results.as_json(), results.rows, results.actions)
 
 
-def edited_head(folder: Path, **changes: object) -> None:
-    head = json.loads((folder / "metrics.json").read_text())
-    (folder / "metrics.json").write_text(json.dumps(head | changes))
+def set_head(**changes: object) -> Callable[[Path], None]:
+    """Return a function that changes ``metrics.json``."""
+    return lambda folder: edit_json(folder / "metrics.json", lambda head: head.update(changes))
 
 
 def better_sum(folder: Path) -> None:
-    head = json.loads((folder / "metrics.json").read_text())
-    head["metrics"]["E_loc"]["value"] /= 2
-    edited_head(folder, metrics=head["metrics"])
+    edit_json(folder / "metrics.json", lambda head: head["metrics"]["E_loc"].update(value=0.1))
 
 
 def better_row(folder: Path) -> None:
@@ -42,27 +40,20 @@ def better_row(folder: Path) -> None:
     rewritten(folder, rows=(rows[0] | {"E_loc": rows[0]["E_loc"] / 2}, *rows[1:]))
 
 
-def another_log(folder: Path) -> None:
-    actions = read_results(folder).actions
-    moved = actions[1].copy()
-    moved[-20:, :3] += 0.01
-    rewritten(folder, actions=(actions[0], moved, *actions[2:]))
+def moved(row: int, last: int, offset_m: float) -> Callable[[Path], None]:
+    """Return a function that moves the last commands of a row."""
 
+    def change(folder: Path) -> None:
+        actions = [commands.copy() for commands in read_results(folder).actions]
+        actions[row][-last:, :3] += offset_m
+        rewritten(folder, actions=tuple(actions))
 
-def faster_hand(folder: Path) -> None:
-    actions = read_results(folder).actions
-    leap = actions[2].copy()
-    leap[-1, :3] += 1.0
-    rewritten(folder, actions=(*actions[:2], leap, *actions[3:]))
+    return change
 
 
 def easy_seed_twice(folder: Path) -> None:
     results = read_results(folder)
     rewritten(folder, rows=(results.rows[0],) * 2, actions=(results.actions[0],) * 2)
-
-
-def another_fingerprint(folder: Path) -> None:
-    edited_head(folder, fingerprint="0123456789abcdef")
 
 
 def another_version(folder: Path) -> None:
@@ -88,15 +79,15 @@ def longer_logs(folder: Path) -> None:
 FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (better_sum, " over the episodes"),
     (better_row, "seed {0}: E_loc is "),
-    (another_log, "seed {1}: "),
-    (faster_hand, "seed {2}: the command of frame "),
+    (moved(row=1, last=20, offset_m=0.01), "seed {1}: "),
+    (moved(row=2, last=1, offset_m=1.0), "seed {2}: the command of frame "),
     (easy_seed_twice, "seed {0} is there 2 times"),
     (more_attempts, "seed {0} took 3 attempts; a policy has one"),
     (longer_logs, "an evaluation with them"),
     (another_version, "are of version v9 of the benchmark, here is v"),
-    (another_fingerprint, "or another recipe (0123456789abcdef, here is "),
-    (lambda folder: edited_head(folder, split="val"), "names split val and capture rule attach, but its recipe plays"),
-    (lambda folder: edited_head(folder, split="test_small+12345678"), "but its recipe plays test_small\n"),
+    (set_head(fingerprint="0123456789abcdef"), "or another recipe (0123456789abcdef, here is "),
+    (set_head(split="val"), "names split val and capture rule attach, but its recipe plays"),
+    (set_head(split="test_small+12345678"), "but its recipe plays test_small\n"),
 ]
 """What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""
 

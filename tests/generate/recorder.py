@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import REDRAW_STRIDE
 from tests.dataset.episodes import varied_episode
@@ -24,6 +25,10 @@ class FakeRecipe(Recipe):
     """Every first draw that this divides is missed by the expert; 0 for none."""
     hopeless: bool = False
     """The expert misses everything."""
+
+
+PLAN = GenerationPlan(FakeRecipe(), 5, shard_episodes=2)
+"""Five episodes in three shards."""
 
 
 def record(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from lerobot.datasets import LeRobotDataset
 
 from dynahoi_lerobot.cli.main import main
@@ -19,6 +18,7 @@ from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.generate.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.verify.command import verify
+from tests.tools import edit_json
 from tests.verify.rewriting import changed, rewrite
 
 SEEDS = 4
@@ -75,7 +75,8 @@ def test_any_number_of_workers_gives_the_same_bytes(generated: Path, actor: Path
 
 
 def test_another_checkpoint_is_another_dataset(generated, actor, tmp_path, capsys):
-    other = edited(actor, tmp_path, "config.json", lambda content: content | {"n_action_steps": 1})
+    other = shutil.copytree(actor, tmp_path / "other")
+    edit_json(other / "config.json", lambda content: content.update(n_action_steps=1))
     assert actor_name(str(other)) != actor_name(str(actor))
     assert main(words(other, generated)) == 2
     assert "holds another dataset (other actor)" in capsys.readouterr().err
@@ -91,8 +92,6 @@ def test_a_worker_with_another_checkpoint_or_other_libraries_refuses(actor: Path
 
 
 def test_its_random_numbers_and_threads_are_its_own(actor: Path):
-    import torch
-
     policy = PolicyAgent(str(actor), "cpu")
     drawn: list[float] = []
     policy.act = lambda observation: drawn.append(torch.rand(()).item())  # type: ignore[method-assign,assignment]
@@ -119,7 +118,8 @@ def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: P
 
 
 def test_a_checkpoint_that_could_run_code_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    hostile = edited(actor, tmp_path, "config.json", lambda content: content | {"auto_map": {"x": "y"}})
+    hostile = shutil.copytree(actor, tmp_path / "other")
+    edit_json(hostile / "config.json", lambda content: content.update(auto_map={"x": "y"}))
     assert main(words(hostile, tmp_path / "d")) == 2
     error = capsys.readouterr().err
     assert "has an auto_map" in error
@@ -138,10 +138,3 @@ def test_a_recipe_that_names_another_actor_is_refused(actor: Path, tmp_path: Pat
     recipe.write_text("actor: me\n")
     assert main(words(None, tmp_path / "d", "--recipe", recipe)) == 2
     assert "TYPE@HASH, got 'me'" in capsys.readouterr().err
-
-
-def edited(actor: Path, folder: Path, name: str, change: Callable[[dict], dict]) -> Path:
-    """Return a copy of the checkpoint with another JSON file."""
-    copy = shutil.copytree(actor, folder / "other")
-    (copy / name).write_text(json.dumps(change(json.loads((copy / name).read_text()))))
-    return copy

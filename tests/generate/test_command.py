@@ -14,10 +14,8 @@ from tests.generate.recorder import FakeRecipe
 
 def run(*words, record=recorder.record) -> int:
     parser = argparse.ArgumentParser()
-    if "--episodes" not in words:
-        words = (*words, "--episodes", 4)
     command.add_arguments(parser)
-    args = parser.parse_args([str(word) for word in words])
+    args = parser.parse_args(["--episodes", "4", *map(str, words)])
     return exit_code("dynahoi generate", lambda: command.run(args, record=record, recipe=FakeRecipe()))
 
 
@@ -29,11 +27,6 @@ def test_generates_and_summarises(tmp_path, capsys):
     assert (told["episodes"], told["yield"]) == (3, 1.0)
     assert Manifest.read(root).seeds == [7, 8, 9]
     assert told["megabytes"] == pytest.approx(sum(f.stat().st_size for f in root.rglob("*.*")) / 1e6, abs=0.1)
-
-
-def test_no_camera(tmp_path):
-    assert run("--root", tmp_path / "d", "--episodes", 2, "--image-size", 0) == 0
-    assert not (tmp_path / "d/videos").exists()
 
 
 @pytest.mark.parametrize(("seconds", "files"), [(1e9, 1), (3, 2)])

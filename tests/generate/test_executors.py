@@ -13,41 +13,27 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.core.arguments import CommandError
-from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.manifest import hash_files
 from dynahoi_lerobot.generate import executors
 from dynahoi_lerobot.generate.executors import ClusterResources
-from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from tests.generate import recorder
-from tests.generate.recorder import FakeRecipe
+from tests.generate.recorder import PLAN
 from tests.generate.test_command import run
 
 
 @pytest.fixture
 def plan() -> GenerationPlan:
-    """Seven episodes in four shards, planned by the code as it is now, like that of the processes started next."""
+    """Planned by the code as it is now, like that of the processes started next."""
     code_fingerprint.cache_clear()
-    return GenerationPlan(FakeRecipe(), 7, shard_episodes=2)
+    return dataclasses.replace(PLAN, code=code_fingerprint())
 
 
-@pytest.fixture(scope="module")
-def alone(tmp_path_factory):
-    """The dataset as one process makes it."""
-    root = tmp_path_factory.mktemp("alone") / "d"
-    generate(GenerationPlan(FakeRecipe(), 7, shard_episodes=2), root, record=recorder.record)
-    return root
-
-
-def same(first, second) -> bool:
-    one, other = Manifest.read(first), Manifest.read(second)
-    return hash_files(first) == hash_files(second) == other.files and one.seeds == other.seeds
-
-
-def test_local_tasks_give_the_same_bytes(plan, alone, tmp_path):
+def test_local_tasks_give_the_same_bytes(plan, undisturbed, tmp_path):
     work = ("local", plan, tmp_path / "d", recorder.record, ClusterResources(tasks=3, workers=1))
     assert executors.run(*work) is True
-    assert same(alone, tmp_path / "d")
+    assert hash_files(tmp_path / "d") == undisturbed
     assert not list((tmp_path / "d.partial").glob("shard-*"))
     assert executors.run(*work) is True, "done already"
 
@@ -58,17 +44,15 @@ RAY = """
 import sys
 from pathlib import Path
 from dynahoi_lerobot.generate import executors
-from dynahoi_lerobot.generate.plan import GenerationPlan
 from tests.generate import recorder
 
-plan = GenerationPlan(recorder.FakeRecipe(), 7, shard_episodes=2)
 resources = executors.ClusterResources(tasks=2, mem_per_cpu_gb=1)
-assert executors.run("ray", plan, Path(sys.argv[1]), recorder.record, resources) is True
+assert executors.run("ray", recorder.PLAN, Path(sys.argv[1]), recorder.record, resources) is True
 """
 
 
 @pytest.mark.slow
-def test_ray_tasks_give_the_same_bytes_below_uv_run(alone, tmp_path):
+def test_ray_tasks_give_the_same_bytes_below_uv_run(undisturbed, tmp_path):
     (tmp_path / "run").write_text(BELOW_UV)
     (tmp_path / "script.py").write_text(RAY)
     command = ["uv", "run", sys.executable, str(tmp_path / "script.py"), str(tmp_path / "d")]
@@ -84,7 +68,7 @@ def test_ray_tasks_give_the_same_bytes_below_uv_run(alone, tmp_path):
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
     assert code == 0, (tmp_path / "errors.txt").read_text()[-2000:]
-    assert same(alone, tmp_path / "d")
+    assert hash_files(tmp_path / "d") == undisturbed
 
 
 def test_slurm_scripts_can_be_seen(tmp_path, capsys):
@@ -129,7 +113,7 @@ def test_machines_with_other_code_refuse_to_work(plan, tmp_path):
 
 def test_shards_that_are_missing_are_not_merged(plan, tmp_path):
     maker = executors.ShardMaker(plan, tmp_path / "d.partial", recorder.record)
-    with pytest.raises(CommandError, match="4 of 4 shards are missing"):
+    with pytest.raises(CommandError, match="3 of 3 shards are missing"):
         executors.merge_shards(maker, tmp_path / "d")
 
 

@@ -16,20 +16,11 @@ import pytest
 
 from dynahoi_lerobot.dataset.manifest import hash_files
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace
-from dynahoi_lerobot.generate.plan import GenerationPlan
-from tests.generate.recorder import FakeRecipe, record, record_slowly
+from tests.generate.recorder import PLAN, record, record_slowly
 from tests.generate.test_command import run
 
 REPOSITORY = Path(__file__).parents[2]
-PLAN = GenerationPlan(FakeRecipe(), 5, shard_episodes=2)
 WORDS = ("--episodes", 5, "--shard-episodes", 2)
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory) -> dict[str, str]:
-    root = tmp_path_factory.mktemp("undisturbed") / "d"
-    generate(PLAN, root, record=record)
-    return hash_files(root)
 
 
 def start(root: Path) -> int:
@@ -43,14 +34,6 @@ def start(root: Path) -> int:
     return child
 
 
-def killed_after(seconds: float, root: Path) -> bool:
-    """Generate in a child that is killed after so long; tell whether it was."""
-    child = start(root)
-    time.sleep(seconds)
-    os.kill(child, signal.SIGKILL)
-    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
-
-
 def test_killed_at_random_instants(undisturbed, tmp_path):
     begin, rng, killed, root = time.monotonic(), random.Random(7), 0, tmp_path / "d"
     os.waitpid(start(tmp_path / "first"), 0)
@@ -58,7 +41,10 @@ def test_killed_at_random_instants(undisturbed, tmp_path):
     shutil.rmtree(tmp_path / "first")
     while killed < 4:
         whole = {path: path.stat().st_ino for path in root.with_name("d.partial").glob("shard-*")}
-        killed += killed_after(rng.uniform(0, longest_s), root)
+        child = start(root)
+        time.sleep(rng.uniform(0, longest_s))
+        os.kill(child, signal.SIGKILL)
+        killed += os.WIFSIGNALED(os.waitpid(child, 0)[1])
         if root.exists():
             assert hash_files(root) == undisturbed
             os.waitpid(start(root), 0)  # removes the workspace, where the kill came before that

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -16,8 +17,9 @@ from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.generate.shard import ShardMaker
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 from tests.generate import recorder
-from tests.generate.recorder import FakeRecipe
+from tests.generate.recorder import PLAN, FakeRecipe
 from tests.generate.test_command import run
+from tests.tools import flip_byte
 
 
 def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -> GenerationPlan:
@@ -119,30 +121,14 @@ def test_impossible_plans_are_refused(change):
         plan(**change)
 
 
-WORKSPACE = GenerationPlan(FakeRecipe(), 6, shard_episodes=2)
-
-
-@pytest.fixture(scope="module")
-def undamaged(tmp_path_factory) -> dict[str, str]:
-    root = tmp_path_factory.mktemp("undamaged") / "d"
-    generate(WORKSPACE, root, record=recorder.record)
-    return hash_files(root)
-
-
 @pytest.fixture
 def interrupted(tmp_path) -> Path:
     """The workspace of a run that made every shard and did not come to merge them."""
-    with open_workspace(WORKSPACE, tmp_path / "d") as workspace:
-        maker = ShardMaker(WORKSPACE, workspace, recorder.record)
-        for shard in range(WORKSPACE.shards):
+    with open_workspace(PLAN, tmp_path / "d") as workspace:
+        maker = ShardMaker(PLAN, workspace, recorder.record)
+        for shard in range(PLAN.shards):
             maker.make(shard)
     return workspace
-
-
-def flip_byte(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
 
 
 def exchange_shards(workspace: Path) -> None:
@@ -153,7 +139,7 @@ def exchange_shards(workspace: Path) -> None:
 
 def take_from_another_plan(workspace: Path) -> None:
     """Put a shard of the same seeds and another recipe into the place of ours."""
-    other_plan = GenerationPlan(FakeRecipe(name="other"), 6, shard_episodes=2)
+    other_plan = dataclasses.replace(PLAN, recipe=FakeRecipe(name="other"))
     with open_workspace(other_plan, workspace.parent / "other") as other:
         made = ShardMaker(other_plan, other, recorder.record).make(1)
     shutil.rmtree(workspace / "shard-000001")
@@ -175,17 +161,17 @@ VIDEO = "shard-000001/videos/observation.images.ego/chunk-000/file-000.mp4"
         lambda folder: (folder / "shard-000001/meta/manifest.json").write_bytes(b""),
     ],
 )
-def test_damaged_shards_are_made_again(interrupted, undamaged, tmp_path, damage):
+def test_damaged_shards_are_made_again(interrupted, undisturbed, tmp_path, damage):
     damage(interrupted)
-    generate(WORKSPACE, tmp_path / "d", record=recorder.record)
-    assert hash_files(tmp_path / "d") == undamaged
+    generate(PLAN, tmp_path / "d", record=recorder.record)
+    assert hash_files(tmp_path / "d") == undisturbed
     assert not interrupted.exists()
 
 
-def test_intact_shards_are_kept(interrupted, undamaged, tmp_path):
+def test_intact_shards_are_kept(interrupted, undisturbed, tmp_path):
     (interrupted / "shard-000000000009").mkdir()  # beyond the plan
-    generate(WORKSPACE, tmp_path / "d", record=recorder.record_and_die)
-    assert hash_files(tmp_path / "d") == undamaged
+    generate(PLAN, tmp_path / "d", record=recorder.record_and_die)
+    assert hash_files(tmp_path / "d") == undisturbed
 
 
 def test_a_finished_dataset_is_checked(tmp_path, capsys):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -15,24 +14,17 @@ from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.dataset import open_dataset, read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.video import CODECS, Encoding
-from dynahoi_lerobot.generate import command
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import verify
-
-
-def run(module, *words) -> int:
-    parser = argparse.ArgumentParser()
-    module.add_arguments(parser)
-    return module.run(parser.parse_args([str(word) for word in words]))
+from tests.tools import generated
 
 
 def test_a_physical_dataset_holds_forces(tmp_path):
-    root = tmp_path / "contact"
-    words = ("--root", root, "--episodes", 3, "--image-size", 32, "--motions", "constant,planar,struck")
-    assert run(command, *words, "--capture", "contact") == 0
+    words = ("--episodes", "3", "--image-size", "32", "--motions", "constant,planar,struck", "--capture", "contact")
+    root = generated(tmp_path / "contact", *words)
     assert verify(root, replayed=1) == []
     dataset = LeRobotDataset("local/contact", root=root)
     assert dataset.meta.features[FEATURES["touch"].key]["names"] == list(FINGERS)

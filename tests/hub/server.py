@@ -54,15 +54,12 @@ class Hub:
 
 
 class RefusalError(Exception):
-    """An answer that is an error."""
-
     def __init__(self, status: int, code: str = "", message: str = "", **details: str) -> None:
         self.status, self.code, self.body = status, code, {"error": message, **details}
 
 
 @contextmanager
 def serving() -> Iterator[Hub]:
-    """Serve an empty Hub from a thread."""
     hub = Hub()
     server = ThreadingHTTPServer(("127.0.0.1", 0), type("Handler", (_Handler,), {"hub": hub}))
     hub.url = f"http://127.0.0.1:{server.server_port}"

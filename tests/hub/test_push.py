@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from huggingface_hub import constants
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
@@ -19,6 +20,7 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.hub.server import TOKEN, Hub, serving
 from tests.synthetic import synthetic_episode
+from tests.tools import generated
 
 Push = Callable[..., tuple[int, str, str]]
 """Run ``dynahoi push`` and return its exit code and what it printed on both streams."""
@@ -32,8 +34,6 @@ def hub() -> Iterator[Hub]:
 
 @pytest.fixture
 def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Push:
-    from huggingface_hub import constants
-
     template = constants.HUGGINGFACE_CO_URL_TEMPLATE.replace(constants.ENDPOINT, hub.url)
     monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
     monkeypatch.setattr(constants, "ENDPOINT", hub.url)
@@ -51,9 +51,7 @@ def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pyte
 
 @pytest.fixture(scope="session")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("hub") / "dataset"
-    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32"]) == 0
-    return root
+    return generated(tmp_path_factory.mktemp("hub") / "dataset", "--image-size", "32")
 
 
 @pytest.fixture
@@ -114,8 +112,7 @@ def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(
 def test_another_dataset_of_the_same_files_is_not_overwritten(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
     push(simulated, "me/catching")
     before = dict(hub.repos[DATASET].commits)
-    root = tmp_path / "other"
-    assert main(["generate", "--root", str(root), "--episodes", "2", "--image-size", "32", "--seed", "9"]) == 0
+    root = generated(tmp_path / "other", "--image-size", "32", "--seed", "9")
     refused(push(root, "me/catching"), "me/catching holds another dataset")
     assert hub.repos[DATASET].commits == before
 
@@ -170,8 +167,6 @@ def test_tokens_that_will_not_do(repo, token, said, *, checkpoint, hub, push, mo
 
 
 def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatch):
-    from huggingface_hub import constants
-
     monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
     refused(push(checkpoint, "me/policy"), "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost")
 
@@ -289,9 +284,7 @@ def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(checkpo
 
 
 @pytest.mark.parametrize("policy", ["you/other", "intercept", "outputs/gone/pretrained_model"])
-def test_results_of_another_policy_are_refused_unless_they_are_said_to_be_of_this_one(
-    policy: str, *, checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(policy, checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
     refused(push(results, "me/policy"), f"{results} is of {policy}, and nothing shows that this repository holds it")

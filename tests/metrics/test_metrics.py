@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -10,18 +11,63 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.metrics import METRICS, measure
-from tests.metrics.hand_made import WINDOW, hand_made
+from dynahoi_lerobot.rollout.recorder import next_frames
 from tests.recompute_metrics import linearity, smoothness
 from tests.synthetic import synthetic_episode
 
+WINDOW = 8
 LINE = [(0.1 * i, 0.0, 1.0) for i in range(5)]
 STILL = [(0.0, 0.0, 1.0)] * 5
+FLICKER = (np.nextafter(np.float32(1), np.float32(2)), 0, 0)
 
 
-def with_distance(values: list[float], **changes: object):
-    distance = np.array([0.001] * WINDOW + values, np.float32)  # the window's 1 mm must not count
-    return replace(hand_made(LINE, **changes), palm_distance=distance, fingertip_distance=distance)
+def hand_made(
+    palm: Sequence[Sequence[float]],
+    *,
+    target: Sequence[Sequence[float]] | None = None,
+    joints: Sequence[float] = (),
+    localized_from: int | None = None,
+    length_frames: int = 40,
+    **changes: object,
+) -> Episode:
+    """Return an episode that rests for 8 frames and then passes through the ``palm`` positions [m].
+
+    ``joints`` gives one angle [rad] per control frame, taken by all 15 joints (reference 1, open 0);
+    ``localized_from`` counts from control start.
+    """
+    points = _after_the_window(palm)
+    frames = len(points)
+    angles = np.zeros((frames, 15), np.float32)
+    angles[WINDOW : WINDOW + len(joints)] = np.array(joints, np.float32)[:, None]
+    state = np.hstack([points, angles])
+    aim = np.full((frames, 3), 10.0) if target is None else _after_the_window(target)
+    localized = np.arange(frames) >= (frames if localized_from is None else WINDOW + localized_from)
+    episode = synthetic_episode(frames=40, image_size=None)
+    return replace(
+        episode,
+        meta=replace(episode.meta, window_frames=WINDOW, length_frames=length_frames),
+        state=state,
+        action=np.vstack([state[1:], state[-1:]]),
+        executed_action=np.vstack([state[1:], state[-1:]]),
+        fingertips=np.zeros((frames, 30), np.float32),
+        phase=one_hot_phase(np.arange(frames) >= WINDOW),
+        target_pose=np.hstack([aim, np.tile([1.0, 0, 0, 0], (frames, 1))]).astype(np.float32),
+        target_velocity=np.zeros((frames, 6), np.float32),
+        target_contacts=np.zeros((frames, 5), np.float32),
+        palm_distance=np.linalg.norm(points - aim, axis=1).astype(np.float32),
+        fingertip_distance=np.full(frames, 0.5, np.float32),
+        localized=localized,
+        captured=localized,
+        succeeded=next_frames(localized),
+        **changes,
+    )
+
+
+def _after_the_window(points: Sequence[Sequence[float]]) -> np.ndarray:
+    return np.array([points[0]] * WINDOW + list(points), np.float32)
 
 
 def test_localisation_is_any_localised_control_frame():
@@ -46,7 +92,8 @@ def test_planar_localisation_in_the_window_does_not_count():
 
 
 def test_errors_are_least_control_distances_in_units_of_a_decimetre():
-    episode = with_distance([0.5, 0.25, 0.06, 0.3, 0.2])
+    distance = np.array([0.001] * WINDOW + [0.5, 0.25, 0.06, 0.3, 0.2], np.float32)  # the window's 1 mm must not count
+    episode = replace(hand_made(LINE), palm_distance=distance, fingertip_distance=distance)
     assert METRICS["E_loc"](episode) == pytest.approx(0.6)
     assert METRICS["E_gra"](episode) == pytest.approx(0.6)
 
@@ -127,16 +174,14 @@ def test_the_first_opportunity_ends_a_tenth_of_a_second_after_the_intercept(loca
     assert METRICS["S_intercept"](episode) == expected
 
 
-@pytest.mark.parametrize(("angle", "expected"), [(0.89, 0.0), (0.91, 1.0), (1.19, 1.0), (1.21, 0.0), (-1.0, 0.0)])
-def test_a_two_sided_grasp_is_neither_too_open_nor_too_closed(angle: float, expected: float):
+@pytest.mark.parametrize(
+    ("angle", "papers", "two_sided"),
+    [(0.89, 0, 0), (0.91, 1, 1), (1.19, 1, 1), (1.21, 1, 0), (2.0, 1, 0), (-1.0, 0, 0)],
+)
+def test_a_two_sided_grasp_is_neither_too_open_nor_a_fist(angle: float, papers: int, two_sided: int):
     episode = hand_made(LINE, joints=[0.0, 0.0, angle, angle, angle], localized_from=2)
-    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == expected
-
-
-def test_a_fist_passes_the_papers_grasp_and_not_the_joint_success():
-    episode = hand_made(LINE, joints=[2.0] * 5, localized_from=2)
-    assert METRICS["S_gra"](episode) == METRICS["S_joint_paper"](episode) == 1.0
-    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == 0.0
+    assert METRICS["S_gra"](episode) == METRICS["S_joint_paper"](episode) == papers
+    assert METRICS["S_gra_two_sided"](episode) == METRICS["S_joint"](episode) == two_sided
 
 
 def test_a_joint_that_the_reference_leaves_open_does_not_count_in_a_two_sided_grasp():
@@ -154,9 +199,8 @@ def test_relative_speed_is_that_of_the_step_in_which_they_meet():
 
 
 def random_path(seed: int, points: int = 7) -> np.ndarray:
-    return (
-        np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).astype(float)
-    )  # as exact as the episode, in double precision
+    # as exact as the episode, in double precision
+    return np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).astype(float)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -175,19 +219,12 @@ def test_the_trajectory_ends_with_the_first_localised_frame(localized_from: int)
     assert METRICS["Q_line"](episode) == pytest.approx(linearity(path[: localized_from + 1]), abs=1e-9)
 
 
-@pytest.mark.parametrize("points", [1, 2, 9])
-def test_no_motion_is_smooth_and_without_direction(points: int):
-    episode = hand_made([(0.2, 0.1, 1.0)] * points)
+@pytest.mark.parametrize("path", [*([(0.2, 0.1, 1.0)] * points for points in (1, 2, 9)), [(1.0, 0, 0), FLICKER] * 2])
+def test_no_motion_and_flicker_of_the_last_bit_are_smooth_and_without_direction(path: list):
+    episode = hand_made(path)
     for suffix in ("", "_18d"):
         assert METRICS[f"Q_smooth{suffix}"](episode) == 1.0
         assert METRICS[f"Q_line{suffix}"](episode) == 0.0
-
-
-def test_flicker_of_the_last_bit_is_no_motion():
-    flicker = np.nextafter(np.float32(1), np.float32(2))
-    episode = hand_made([(1.0, 0, 0), (flicker, 0, 0), (1.0, 0, 0), (flicker, 0, 0)])
-    assert METRICS["Q_smooth"](episode) == 1.0
-    assert METRICS["Q_line"](episode) == 0.0
 
 
 @pytest.mark.parametrize(("reach_m", "still"), [(0.0009, True), (0.0011, False)])

@@ -30,16 +30,12 @@ FALL_M_S = GRAVITY_M_S2 * PHYSICS_DT
 SEEDS = range(5)
 
 
-def played(drawn: Drawn, seconds: float) -> Track:
-    return simulate(drawn.motion, drawn.target, seconds)
-
-
 @pytest.mark.parametrize("kind", THROWS)
 def test_a_throw_is_held_then_flies_a_parabola(kind: str):
     for seed in SEEDS:
         drawn = draw_motion(kind, seed)
         motion, released = drawn.motion, round(drawn.motion.release_s / PHYSICS_DT)
-        track = played(drawn, motion.release_s + 0.45)
+        track = simulate(drawn.motion, drawn.target, motion.release_s + 0.45)
         np.testing.assert_allclose(track.pos[: released + 1] - motion.start, 0.0, atol=1e-9)
         tau = track.time[released:] - track.time[released]
         parabola = np.outer(tau, motion.velocity) - np.outer(tau**2, [0.0, 0.0, GRAVITY_M_S2 / 2])
@@ -51,7 +47,7 @@ def test_bounces_return_the_stated_share_of_the_speed():
     errors = []
     for seed in range(24):
         drawn = draw_motion("bounce", seed)
-        track = played(drawn, drawn.motion.release_s + 1.0)
+        track = simulate(drawn.motion, drawn.target, drawn.motion.release_s + 1.0)
         clear = track.pos[:, 2] - drawn.target.rest_height_m
         before = int(np.flatnonzero(clear < 0)[0]) - 1
         after = before + 1 + int(np.flatnonzero(clear[before + 1 :] > 0)[0])
@@ -71,7 +67,7 @@ def test_rolls_without_slipping_and_accelerates_as_its_moment_of_inertia_says(ki
         motion, target = drawn.motion, drawn.target
         expected = rolling_acceleration(motion.slope_rad, target)
         rolled_s = np.sqrt(2 * motion.run_m / expected)
-        track = played(drawn, motion.release_s + 0.95 * rolled_s)
+        track = simulate(drawn.motion, drawn.target, motion.release_s + 0.95 * rolled_s)
         rolled = (track.time - motion.release_s) / rolled_s
         chosen = (rolled > 0.3) & (rolled < 0.95)
         forward, normal = motion.slope_axes()
@@ -99,7 +95,7 @@ def test_runs_out_with_the_energy_of_the_ramp():
         radius, acceleration = target.roll_radius_m, rolling_acceleration(motion.slope_rad, target)
         ratio = target.inertia[2] / (target.mass_kg * radius**2)
         run_m = motion.run_m - radius * np.tan(motion.slope_rad / 2)  # it touches the level before its contact does
-        track = played(drawn, motion.release_s + np.sqrt(2 * motion.run_m / acceleration) + 0.15)
+        track = simulate(drawn.motion, drawn.target, motion.release_s + np.sqrt(2 * motion.run_m / acceleration) + 0.15)
         level_s = track.time[-1] - motion.release_s - np.sqrt(2 * run_m / acceleration)
         kept = (ratio + np.cos(motion.slope_rad)) / (1 + ratio)
         resisted = GRAVITY_M_S2 * ROLLING_FRICTION_M / radius / (1 + ratio) * level_s
@@ -124,7 +120,7 @@ def swings(drawn: Drawn, track: Track) -> np.ndarray:
 @pytest.mark.parametrize("kind", PENDULUMS)
 def test_the_string_keeps_its_length(kind: str):
     drawn = draw_motion(kind, 0)
-    length = np.linalg.norm(arms(drawn, played(drawn, 2.0)), axis=1)
+    length = np.linalg.norm(arms(drawn, simulate(drawn.motion, drawn.target, 2.0)), axis=1)
     np.testing.assert_allclose(length, drawn.motion.length_m, atol=5e-5)
 
 
@@ -136,7 +132,7 @@ def test_swings_have_the_period_of_the_elliptic_integral(angle_rad: float):
     for _ in range(30):  # the arithmetic-geometric mean
         mean, other = (mean + other) / 2, np.sqrt(mean * other)
     expected = drawn.motion.small_period_s(drawn.target) / mean
-    track = played(drawn, 2.6 * expected)
+    track = simulate(drawn.motion, drawn.target, 2.6 * expected)
     swing = swings(drawn, track)
     falling = np.flatnonzero((swing[:-1] > 0) & (swing[1:] <= 0))
     times = track.time[falling] + PHYSICS_DT * swing[falling] / (swing[falling] - swing[falling + 1])
@@ -146,7 +142,7 @@ def test_swings_have_the_period_of_the_elliptic_integral(angle_rad: float):
 def test_a_conical_pendulum_circles_at_constant_height_and_rate():
     for seed in SEEDS:
         drawn = draw_motion("conical", seed)
-        track = played(drawn, 3.0)
+        track = simulate(drawn.motion, drawn.target, 3.0)
         arm = arms(drawn, track)
         assert np.ptp(arm[:, 2]) < 0.001
         angle = np.unwrap(np.arctan2(arm[:, 1], arm[:, 0]))
@@ -173,7 +169,7 @@ def test_a_central_blow_at_the_stated_time_keeps_momentum_and_returns_the_stated
     errors = []
     for drawn in (draw_motion("struck", seed, name) for name in SLIDING for seed in SEEDS):
         motion = drawn.motion
-        track = played(drawn, motion.impact_s + 0.2)
+        track = simulate(drawn.motion, drawn.target, motion.impact_s + 0.2)
         along, striker = track.velocity @ motion.direction(), track.striker_speed
         touched = np.flatnonzero(np.abs(np.diff(striker)) > 1e-6)
         first, last = int(touched[0]), int(touched[-1]) + 1
@@ -194,7 +190,7 @@ def test_the_wall_is_met_on_time_and_returns_the_stated_share_of_the_stated_spee
     errors = []
     for name, drawn in ((name, draw_motion("wall_rebound", seed, name)) for name in SLIDING for seed in SEEDS):
         motion, near_m = drawn.motion, 0.002
-        track = played(drawn, motion.impact_s + 0.3)
+        track = simulate(drawn.motion, drawn.target, motion.impact_s + 0.3)
         speed = track.velocity @ motion.direction()
         turned = int(np.flatnonzero(speed < 0)[0])
         assert PHYSICS_DT - 1e-9 < track.time[turned] - motion.impact_s < 2 * PHYSICS_DT + 1e-9

@@ -61,9 +61,7 @@ def test_an_eye_is_pretrained_and_a_policy_starts_from_it(finished: Path):
     assert 0 < minutes[0] <= minutes[1] <= minutes[2]
 
 
-def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(finished, tmp_path, monkeypatch):
     words = ["pretrain", "--recipe", str(tiny_recipe(tmp_path))]
     for update, saved in ((5, [12]), (2, [12])):  # two updates after the first save, then one before the second
         with monkeypatch.context() as patch:
@@ -87,9 +85,7 @@ def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFi
         assert f"must be KEY=VALUE, the value as YAML, got {wrong!r}" in capsys.readouterr().err
 
 
-def test_a_finished_run_is_not_trained_again(
-    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_finished_run_is_not_trained_again(finished, monkeypatch, capsys):
     kill_at(monkeypatch, 0)
     before = (finished / eye_training.WEIGHTS).read_bytes()
     assert main(["pretrain", "--recipe", str(finished.parent / "recipe.yaml")]) == 0
@@ -103,20 +99,17 @@ def test_a_finished_run_is_not_trained_again(
         ({"save_every": 0}, "save_every must be 1 or more, got 0"),
         ({"batch_size": 0}, "batch_size must be 1 or more, got 0"),
         ({"images": 3}, "images must be at least batch_size, 4, got 3"),
+        ({"randomized_share": 1.5}, "randomized_share must be 0 to 1, got 1.5"),
         ({"camera": "front"}, "camera must be ego or side, got front"),
     ],
 )
-def test_a_wrong_recipe_is_refused_in_a_sentence(
-    change: dict, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_a_wrong_recipe_is_refused_in_a_sentence(change: dict, told: str, tmp_path, capsys):
     assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path, **change))]) == 2
     assert told in capsys.readouterr().err
     assert not (tmp_path / "eye").exists()
 
 
-def test_a_loss_that_is_not_finite_ends_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_a_loss_that_is_not_finite_ends_the_run(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(eye_training, "sighting_loss", lambda *_: torch.tensor([float("nan")]))
     assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path))]) == 1
     assert "the loss of update 0 is nan; lower learning_rate; the last save is in" in capsys.readouterr().err

@@ -67,16 +67,6 @@ def test_worlds_that_are_not_asked_for_are_black_and_the_others_unchanged(watchi
     assert not np.delete(some, [4, 17], axis=0).any()
 
 
-def test_images_follow_the_world(specs: list[EpisodeSpec]):
-    batch = world([specs[3]], image_size=SIZE)
-    before = batch.cameras.render()
-    batch.step(batch.executed)
-    moved = batch.cameras.render()
-    assert (before != moved).any()
-    batch.reset([0], [specs[3]])
-    np.testing.assert_array_equal(batch.cameras.render(), before)
-
-
 def _cosine(color: np.ndarray, tint: tuple[float, float, float]) -> float:
     return float(color @ np.asarray(tint) / np.linalg.norm(color) / np.linalg.norm(tint))
 

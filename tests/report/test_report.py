@@ -13,7 +13,7 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.gif import write_gif
-from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.evaluate.table import Table, metric_cell
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
@@ -262,12 +262,9 @@ def test_clips_are_the_first_gifs_of_the_folder_itself(tmp_path: Path, monkeypat
     assert clips_of(folder)[1] == 1
 
 
-def test_no_folder_or_a_damaged_one_leaves_no_page(root: Path, tmp_path: Path):
+def test_no_folder_makes_no_page(tmp_path: Path):
     with pytest.raises(ValueError, match="at least one result folder"):
         render_report([], tmp_path)
-    with pytest.raises(ResultsError, match="no result folder"):
-        render_report([root / "expert", tmp_path / "nowhere"], tmp_path / "report.html")
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_report_pairs_across_what_it_is_asked_to(tmp_path, capsys, monkeypatch):

@@ -15,13 +15,13 @@ STILL = -1.0
 
 
 class Clock(ChunkAgent):
-    """Plans 100 x (frame it sees) + (frame the action is for), five at a time."""
+    """Plans 100 x (frame it sees) + (frame the action is for), a few at a time."""
 
     name = "clock"
     accepts_guidance = True
 
-    def __init__(self, seconds: tuple[float, float] = (0.0, 0.0)) -> None:
-        self.seconds = np.array(seconds)
+    def __init__(self, seconds: tuple[float, float] = (0.0, 0.0), horizon: int = 5) -> None:
+        self.seconds, self.horizon = np.array(seconds), horizon
         self.calls: list[tuple] = []
         self.guided = False
         self.reset(2)
@@ -48,9 +48,9 @@ class Clock(ChunkAgent):
     ) -> tuple:
         told = [None if values is None else values.tolist() for values in (executed, delays)]
         self.calls.append((self.t, worlds.tolist(), *told))
-        actions = 100 * self.t + self.t + np.arange(5.0)
+        actions = 100 * self.t + self.t + np.arange(float(self.horizon))
         self.t += 1
-        chunks = np.broadcast_to(actions[None, :, None], (len(worlds), 5, 18))
+        chunks = np.broadcast_to(actions[None, :, None], (len(worlds), self.horizon, 18))
         return chunks, self.seconds[worlds]
 
 
@@ -128,37 +128,20 @@ def test_a_chunk_is_ready_at_the_first_frame_at_which_its_inference_has_ended(la
     assert frames_of(latency_ms / 1000) == frames
 
 
-class Counter(ChunkAgent):
-    """Plans 100 x (frame it sees) + (frame the action is for), 12 at a time; the same with a queue of some of them."""
-
-    name = "counter"
-
-    def __init__(self, policy: QueuedPolicy) -> None:
-        self.policy, self.queue, self.seen = policy, deque[float](), list[int]()
-
-    def act(self, observation: Observation) -> np.ndarray:
-        raise AssertionError("a chunk was asked for")
-
-    def plan(self, observation: Observation, worlds: np.ndarray, **continued: np.ndarray) -> tuple:
-        t = float(observation.state[0, 0])
-        return np.broadcast_to((101 * t + np.arange(12.0))[None, :, None], (1, 12, 18)), np.zeros(1)
-
-    def select_action(self, frame: int) -> np.ndarray:
-        """As LeRobot's policies do: infer if the queue is empty, else answer from it without a look."""
-        self.seen.append(frame)
-        if not self.queue:
-            self.queue.extend(float(101 * frame + i) for i in range(self.policy.n_action_steps))
-        return np.full((1, 18), self.queue.popleft())
-
-
 def stepwise(policy: QueuedPolicy, latency_ms: float, frames: int) -> tuple[list[float], list[int]]:
-    """What is executed in each frame, and the frame seen in each call, of a world that plays so many frames."""
-    counter, inference = Counter(policy), StepwiseInference(policy, Inference("async", latency_ms))
-    executed: list[float] = []
+    """What is executed in each frame, and the frame seen in each call, of a world that plays so many frames.
+
+    As LeRobot's policies do, this one infers if its queue is empty, and else answers from it without a look.
+    """
+    inference, queue = StepwiseInference(policy, Inference("async", latency_ms)), deque[float]()
+    executed, seen = list[float](), list[int]()
     for _ in range(inference.calls(frames)):
-        command = inference.answer(counter.select_action(len(executed)), np.full((1, 18), STILL))
+        seen.append(frame := len(executed))
+        if not queue:
+            queue.extend(float(101 * frame + i) for i in range(policy.n_action_steps))
+        command = inference.answer(np.full((1, 18), queue.popleft()), np.full((1, 18), STILL))
         executed += [] if command is None else [float(command[0, 0])]
-    return executed[:frames], counter.seen
+    return executed[:frames], seen
 
 
 def test_the_world_stands_still_while_the_queue_is_read_and_moves_in_its_last_calls():
@@ -169,15 +152,8 @@ def test_the_world_stands_still_while_the_queue_is_read_and_moves_in_its_last_ca
 
 @pytest.mark.parametrize("latency_ms", [0.0, 50.0, 100.0, 150.0, 300.0])
 def test_it_is_the_timing_of_whole_chunks(latency_ms: float):
-    policy = QueuedPolicy("twelve", 12)
-    agent, expected = RealTimeAgent(Counter(policy), Inference("async", latency_ms)), []
-    agent.reset(1)
-    for frame in range(30):
-        state = np.full((1, 18), STILL, np.float32)
-        state[0, 0] = frame  # what `Counter.plan` reads
-        seen = Observation({}, state, np.zeros((1, 30), np.float32), one_hot_phase(np.ones(1, bool)), ("",))
-        expected.append(float(agent.act(seen)[0, 1]))
-    assert stepwise(policy, latency_ms, 30)[0] == expected
+    expected = played(RealTimeAgent(Clock(horizon=12), Inference("async", latency_ms)), 30)[0]
+    assert stepwise(QueuedPolicy("twelve", 12), latency_ms, 30)[0] == expected.tolist()
 
 
 def test_a_new_episode_begins_with_an_inference():

@@ -38,10 +38,7 @@ def test_a_randomization_changes_what_is_seen_in_every_episode(name: str, few: l
 def test_randomizations_do_not_disturb_each_other(name: str, few: list[EpisodeSpec]) -> None:
     """What one of them sets is the same alone and with all others."""
     for spec in few:
-        alone, together = (
-            randomize_appearance(spec, [name]).appearance,
-            randomize_appearance(spec, list(RANDOMIZATIONS)).appearance,
-        )
+        alone, together = (randomize_appearance(spec, names).appearance for names in ([name], list(RANDOMIZATIONS)))
         changed = [name for name, value in vars(alone).items() if value != getattr(spec.appearance, name)]
         assert changed
         assert all(getattr(alone, name) == getattr(together, name) for name in changed)

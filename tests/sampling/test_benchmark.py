@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
-from collections import Counter
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -14,57 +11,12 @@ import pytest
 
 from benchmarks import pin
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
-from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
-from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.splits import split_seeds
-
-KINDS_PER_CATEGORY = {
-    "straight_line": 3,
-    "simple_harmonic": 3,
-    "circular_arc": 3,
-    "projectile": 3,
-    "pendulum": 3,
-    "inclined_rolling": 2,
-    "impact_response": 2,
-    "hybrid": 3,
-}
-
-
-def test_it_has_22_kinds_in_8_categories_and_11_objects():
-    train = BENCHMARK.splits["train"]
-    assert Counter(MOTIONS[name].category for name in train.motions) == KINDS_PER_CATEGORY
-    assert set(KINDS_PER_CATEGORY) == set(CATEGORIES)
-    assert len(set(train.objects)) == len(train.objects) == 11
-
-
-@pytest.mark.parametrize("split", BENCHMARK.splits)
-def test_everything_it_lists_is_registered(split: str):
-    entry = BENCHMARK.splits[split]
-    assert set(entry.motions) <= set(MOTIONS.names())
-    assert set(entry.objects) <= set(OBJECTS.names())
-    assert entry.stream in BENCHMARK.streams
-
-
-@pytest.mark.slow
-def test_what_others_register_is_played_by_name(tmp_path: Path):
-    run_module("tests.third_party.by_name", str(tmp_path / "dataset"))
-    assert (tmp_path / "dataset" / "meta" / "info.json").is_file()
-
-
-def run_module(*words: str) -> str:
-    """Run a module in a process of its own, as what it registers must not reach other tests; return what it prints."""
-    done = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()[-1]
-
+from tests.tools import install, python
 
 PINNED = pin.read()
 ROOT = Path(__file__).parents[2]
-PLUGIN = """
-from tests.third_party import register
-register()
-"""
 WITH_PLUGIN = """
 import json
 from benchmarks import pin
@@ -121,18 +73,16 @@ def test_images_are_the_pinned_ones(split: str):
 
 @pytest.mark.slow
 def test_a_motion_and_an_object_of_a_plugin_change_no_digest(tmp_path: Path):
-    info = tmp_path / "third_party-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: third_party\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[dynahoi_lerobot.plugins]\nours = third_party_plugin\n")
-    (tmp_path / "third_party_plugin.py").write_text(PLUGIN)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (tmp_path, ROOT, ROOT / "benchmarks")))}
-    done = subprocess.run(
-        [sys.executable, "-c", WITH_PLUGIN], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
+    install(tmp_path, "third_party", {"third_party_plugin": "import tests.third_party.things"})
+    path = os.pathsep.join(map(str, (tmp_path, ROOT, ROOT / "benchmarks")))
+    found = json.loads(python("-c", WITH_PLUGIN, PYTHONPATH=path).splitlines()[-1])
     found["specs"] = {split: {int(seed): digest for seed, digest in d.items()} for split, d in found["specs"].items()}
     assert sum(map(len, found["specs"].values())) == 3 * len(BENCHMARK.streams)
     assert len(found["images"]) == 2 * len(BENCHMARK.streams)
     assert pin.differences(found, PINNED) == []
+
+
+@pytest.mark.slow
+def test_what_others_register_is_played_by_name(tmp_path: Path):
+    python("-m", "tests.third_party.by_name", tmp_path / "dataset")  # as what it registers must not reach other tests
+    assert (tmp_path / "dataset" / "meta" / "info.json").is_file()

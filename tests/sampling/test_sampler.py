@@ -35,18 +35,13 @@ def assert_same(one: EpisodeSpec, other: EpisodeSpec) -> None:
             assert a == b, field.name
 
 
-def test_a_spec_depends_on_nothing_else_in_the_call(specs: list[EpisodeSpec]):
+def test_a_spec_depends_on_no_thread_and_nothing_else_in_the_call(specs: list[EpisodeSpec]):
     for seed in (1, 13, 21):
         assert_same(sample_spec(TEST, seed), specs[seed])
     mixed = sample_specs(TEST, [40, 3, 12, 40, 21])
-    for spec in mixed:
+    for spec in [*mixed, *sample_specs(TEST, range(22), threads=2)]:
         assert_same(spec, specs[spec.seed])
     assert [spec.seed for spec in mixed] == [40, 3, 12, 40, 21]
-
-
-def test_a_spec_does_not_depend_on_threads(specs: list[EpisodeSpec]):
-    for spec in sample_specs(TEST, range(22), threads=2):
-        assert_same(spec, specs[spec.seed])
 
 
 def test_what_is_drawn_does_not_depend_on_how_it_is_shown(specs: list[EpisodeSpec]):
@@ -145,21 +140,16 @@ TRAVEL_BINS_U, TRAVEL_PERCENT = (0, 0.5, 2, 4, np.inf), (20.1, 47.7, 16.4, 5.8)
 """The paper's travels leave 10 % unassigned, which we spread: each bin is 2 to 3 points higher by design."""
 
 
-def assert_reproduces(lengths: list[int], travels_m: list[float], points: float) -> None:
-    """Each bin is within ``points`` percentage points of the paper's."""
+def test_ten_thousand_timings_are_within_three_points_of_the_papers():
+    kinds, rng = BENCHMARK.splits["train"].motions, np.random.default_rng(0)
+    timings = [draw_timing(kinds[i % len(kinds)], "observe_before_act", rng) for i in range(10_000)]
     for values, bins, paper in (
-        (np.array(lengths), DURATION_BINS, DURATION_PERCENT),
-        (np.array(travels_m) / UNIT_M, TRAVEL_BINS_U, TRAVEL_PERCENT),
+        ([timing.length_frames for timing in timings], DURATION_BINS, DURATION_PERCENT),
+        ([timing.travel_m / UNIT_M for timing in timings], TRAVEL_BINS_U, TRAVEL_PERCENT),
     ):
         percent = 100 * np.histogram(values, bins)[0] / len(values)
         assert percent.sum() == pytest.approx(100.0), "nothing lies outside the bins"
-        np.testing.assert_allclose(percent, paper, atol=points)
-
-
-def test_ten_thousand_timings_are_within_three_points():
-    kinds, rng = BENCHMARK.splits["train"].motions, np.random.default_rng(0)
-    timings = [draw_timing(kinds[i % len(kinds)], "observe_before_act", rng) for i in range(10_000)]
-    assert_reproduces([t.length_frames for t in timings], [t.travel_m for t in timings], points=3.0)
+        np.testing.assert_allclose(percent, paper, atol=3.0)
 
 
 @pytest.mark.parametrize("kind", MOTIONS.names())

@@ -31,7 +31,8 @@ def occluded() -> list[EpisodeSpec]:
 
 @pytest.mark.parametrize("actor", ["intercept", "hold"])
 def test_no_pixel_of_the_target_shows_for_6_to_12_frames_before_it_can_be_met(occluded: list[EpisodeSpec], actor: str):
-    shown, bare = (target_pixels(specs, actor) for specs in (occluded, [without_screen(spec) for spec in occluded]))
+    without = [replace(spec, appearance=replace(spec.appearance, screen=None)) for spec in occluded]
+    shown, bare = (target_pixels(specs, actor) for specs in (occluded, without))
     for i, spec in enumerate(occluded):
         meeting = earliest_meeting(spec)
         gone = shown[:meeting, i] == 0
@@ -56,10 +57,6 @@ def target_pixels(specs: list[EpisodeSpec], actor: str) -> np.ndarray:
 def run_lengths(flags: np.ndarray) -> list[int]:
     """How many consecutive frames hold, run by run."""
     return [sum(1 for _ in run) for held, run in groupby(flags) if held] or [0]
-
-
-def without_screen(spec: EpisodeSpec) -> EpisodeSpec:
-    return replace(spec, appearance=replace(spec.appearance, screen=None))
 
 
 def test_episodes_are_those_of_observe_before_act_or_else_no_screen_can_stand_in_these(specs, occluded):

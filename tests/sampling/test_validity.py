@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +14,7 @@ from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.tools import python
 
 EPISODES = 110
 WORLDS = 44
@@ -76,9 +75,7 @@ of each (0.26 to 0.48 of 1,000 episodes)."""
 
 @pytest.mark.slow
 def test_a_regressor_without_images_is_no_better_than_a_fixed_path(tmp_path: Path):
-    command = [sys.executable, str(SCRIPT), "--train", "440", "--episodes", "220", "--json", "numbers.json"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    python(SCRIPT, "--train", 440, "--episodes", 220, "--json", "numbers.json", cwd=tmp_path)
     table = json.loads((tmp_path / "numbers.json").read_text())["table"]
     fixed = table["blind_path"]
     for inputs in ("numbers", "numbers and words"):

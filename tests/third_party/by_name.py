@@ -5,6 +5,7 @@ python -m tests.third_party.by_name FOLDER
 
 from __future__ import annotations
 
+import importlib
 import sys
 from pathlib import Path
 
@@ -16,14 +17,13 @@ from dynahoi_lerobot.env import register_envs
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.scene import compile_scene
-from tests.third_party import register
 
 OPTIONS = ["--motions", "a_drift", "--objects", "caltrop"]
 
 
 def main(folder: Path) -> None:
     before = compile_scene()
-    register()
+    importlib.import_module("tests.third_party.things")
     assert compile_scene().target_geoms.size > before.target_geoms.size, "slots are added after the first compilation"
     for split in ("train", "test", "ood_speed"):
         recipe = Recipe(split=split, motions=("a_drift",), objects=("caltrop",), image_size=32)

@@ -31,11 +31,9 @@ class Drift(PrescribedMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw where and how fast."""
         return cls(draw.meeting_point(), draw.intercept_s, draw.uniform(0.05, 0.2) * draw.sign())
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (K, 3) position [m], world."""
         return np.asarray(self.center) + np.outer(time_s - self.center_s, [0.0, self.speed_m_s, 0.0])
 
 
@@ -48,11 +46,10 @@ SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 def caltrop(rng: np.random.Generator) -> ObjectGeometry:
     """Ten spikes of every shape there is, 1 to 1.2 cm long, all around the centre."""
     size = rng.uniform(0.005, 0.006)
-    spikes = [_spike(shape, number, size) for shape in SIZES for number in range(SPIKES)]
+    angles = [2 * np.pi * number / SPIKES for number in range(SPIKES)]
+    spikes = [
+        Primitive(shape, (size,) * n, (0.02 * float(np.cos(angle)), 0.02 * float(np.sin(angle)), 0.01 * (level - 2)))
+        for level, (shape, n) in enumerate(SIZES.items())
+        for angle in angles
+    ]
     return ObjectGeometry(tuple(spikes), 0.025, 0.02 + 2 * size)
-
-
-def _spike(shape: str, number: int, size: float) -> Primitive:
-    angle = 2 * np.pi * number / SPIKES
-    height = 0.01 * (list(SIZES).index(shape) - 2)
-    return Primitive(shape, (size,) * SIZES[shape], (0.02 * float(np.cos(angle)), 0.02 * float(np.sin(angle)), height))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -11,7 +10,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from lerobot.datasets import LeRobotDataset
 from lerobot.datasets.dataset_tools import (
     delete_episodes,
     merge_datasets,
@@ -21,45 +19,36 @@ from lerobot.datasets.dataset_tools import (
 )
 
 from dynahoi_lerobot.verify.command import verify
-from tests.dataset.episodes import write
+from tests.dataset.lerobot_api import open_dataset
+from tests.tools import edit_json
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
 
 
-def opened(root: Path) -> LeRobotDataset:
-    return LeRobotDataset(f"local/{root.name}", root=root)
-
-
 def split(source: Path, out: Path) -> None:
-    split_dataset(opened(source), {"a": [0, 1], "b": [2, 3]}, out.parent)
+    split_dataset(open_dataset(source), {"a": [0, 1, 2], "b": [3, 4, 5]}, out.parent)
     (out.parent / "a").rename(out)
 
 
 EDITS = {
-    "delete": lambda source, out: delete_episodes(opened(source), [1], out, "local/edited"),
-    "merge": lambda source, out: merge_datasets([opened(source), opened(source)], "local/edited", out),
+    "delete": lambda source, out: delete_episodes(open_dataset(source), [1], out, "local/edited"),
+    "merge": lambda source, out: merge_datasets([open_dataset(source), open_dataset(source)], "local/edited", out),
     "split": split,
-    "remove a feature": lambda source, out: remove_feature(opened(source), "next.success", out, "local/edited"),
+    "remove a feature": lambda source, out: remove_feature(open_dataset(source), "next.success", out, "local/edited"),
 }
 
 
-@pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four episodes with video."""
-    return write(tmp_path_factory.mktemp("ours") / "source", range(4))
-
-
 @pytest.mark.parametrize("name", EDITS)
-def test_one_sentence_says_what_is_gone(source: Path, tmp_path: Path, name: str):
-    EDITS[name](source, tmp_path / "edited")
+def test_one_sentence_says_what_is_gone(dataset: Path, tmp_path: Path, name: str):
+    EDITS[name](dataset, tmp_path / "edited")
     (finding,) = verify(tmp_path / "edited", replayed=1)
     assert "meta/manifest.json is gone" in finding.message
     assert ("our columns" in finding.message) == (name in ("delete", "split")), "the others copy them"
 
 
-def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(source: Path, tmp_path: Path):
-    copy = shutil.copytree(source, tmp_path / "copy")
-    recompute_stats(opened(copy))
+def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(dataset: Path, tmp_path: Path):
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    recompute_stats(open_dataset(copy))
     changed = [finding.message for finding in verify(copy) if finding.check == "files"]
     assert len(changed) == 1
     assert "meta/stats.json has changed" in changed[0]
@@ -69,8 +58,7 @@ def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(source: 
 
 
 def add_episode(root: Path) -> None:
-    info = json.loads((root / "meta/info.json").read_text())
-    (root / "meta/info.json").write_text(json.dumps(info | {"total_episodes": 9}))
+    edit_json(root / "meta/info.json", lambda info: info.update(total_episodes=9))
 
 
 def shift_times(root: Path) -> None:
@@ -86,7 +74,7 @@ def cut_video(root: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [add_episode, shift_times, cut_video])
-def test_damage_that_lerobots_format_shows_is_found(source: Path, tmp_path: Path, damage):
-    EDITS["delete"](source, tmp_path / "edited")
+def test_damage_that_lerobots_format_shows_is_found(dataset: Path, tmp_path: Path, damage):
+    EDITS["delete"](dataset, tmp_path / "edited")
     damage(tmp_path / "edited")
     assert {finding.check for finding in verify(tmp_path / "edited")} == {"files", "format"}

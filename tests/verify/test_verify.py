@@ -23,22 +23,18 @@ from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import Finding, drawn_evenly, verify
 from tests.dataset.episodes import write
+from tests.tools import edit_json, flip_byte, generated
 from tests.verify.rewriting import changed, rewrite, sign
 
 DATA, ROWS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = "videos/observation.images.ego/chunk-000/file-000.mp4"
 RECIPE = Recipe(motions=("constant", "lob"), image_size=32)
-
-
-def generated(root: Path, *words: str) -> Path:
-    small = ["--episodes", "2", "--image-size", "32", "--motions", "constant,lob"]
-    assert main(["generate", "--root", str(root), *small, *words]) == 0
-    return root
+SMALL = ("--image-size", "32", "--motions", "constant,lob")
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory) -> Path:
-    return generated(tmp_path_factory.mktemp("sound") / "d")
+    return generated(tmp_path_factory.mktemp("sound") / "d", *SMALL)
 
 
 @pytest.fixture
@@ -60,7 +56,7 @@ def found(root: Path, **options) -> set[str]:
     ],
 )
 def test_what_was_generated_is_sound_and_replays_to_the_same_bytes(tmp_path, capsys, words):
-    root = generated(tmp_path / "d", *words)
+    root = generated(tmp_path / "d", *SMALL, *words)
     assert main(["verify", str(root), "--replay", "2"]) == 0
     told = capsys.readouterr().out
     views = len(Store(root).image_keys)
@@ -74,12 +70,6 @@ def test_every_metric_follows_from_what_is_stored(sound):
         assert measure(episode).keys() == set(METRICS.names())
 
 
-def flip_byte(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-
-
 FILES: dict[str, Callable[[Path], object]] = {
     "a flipped byte in a table": lambda root: flip_byte(root / DATA),
     "a truncated table": lambda root: (root / ROWS).write_bytes((root / ROWS).read_bytes()[:-40]),
@@ -88,17 +78,11 @@ FILES: dict[str, Callable[[Path], object]] = {
     "a link": lambda root: (root / "data/link").symlink_to("/etc/passwd"),
     "info without features": lambda root: (root / "meta/info.json").write_text("{}"),
     "an unreadable manifest": lambda root: (root / "meta/manifest.json").write_text("{}"),
-    "a path that leads outside": lambda root: edit(
+    "a path that leads outside": lambda root: edit_json(
         root / "meta/manifest.json", lambda m: m["files"].update({"../x": "0"})
     ),
-    "other seeds": lambda root: edit(root / "meta/manifest.json", lambda m: m["seeds"].reverse()),
+    "other seeds": lambda root: edit_json(root / "meta/manifest.json", lambda m: m["seeds"].reverse()),
 }  # fmt: skip
-
-
-def edit(path: Path, change: Callable[[dict], object]) -> None:
-    content = json.loads(path.read_text())
-    change(content)
-    path.write_text(json.dumps(content))
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -142,8 +126,8 @@ FORMAT: dict[str, Callable[[Path], object]] = {
     "a file that is not there": column(ROWS, "data/file_index", lambda files: [7] * len(files)),
     "a frame fewer": one_fewer_frame,
     "an image fewer": without_a_packet,
-    "more episodes": lambda root: edit(root / "meta/info.json", lambda info: info.update(total_episodes=9)),
-    "another shape": lambda root: edit(
+    "more episodes": lambda root: edit_json(root / "meta/info.json", lambda info: info.update(total_episodes=9)),
+    "another shape": lambda root: edit_json(
         root / "meta/info.json", lambda info: info["features"]["action"].update(dtype="int64")
     ),
 }
@@ -154,6 +138,10 @@ def test_what_lerobot_would_read_wrongly_is_found_though_it_is_signed(copy, name
     FORMAT[name](copy)
     sign(copy)
     assert "format" in found(copy)
+
+
+def meta(**values: object) -> Callable[[Episode], Episode]:
+    return lambda episode: dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **values))
 
 
 VERDICTS: dict[str, Callable[[Episode], Episode]] = {
@@ -169,9 +157,7 @@ VERDICTS: dict[str, Callable[[Episode], Episode]] = {
     "a success before": changed("succeeded", slice(5, None), True),
     "another stage": lambda episode: dataclasses.replace(episode, stage="missed"),
     "no number": changed("action", (4, 2), np.nan),
-    "an unknown rule": lambda episode: dataclasses.replace(
-        episode, meta=dataclasses.replace(episode.meta, capture="magic")
-    ),
+    "an unknown rule": meta(capture="magic"),
 }
 
 
@@ -184,7 +170,7 @@ def test_verdicts_that_do_not_follow_are_found_though_they_are_signed(copy, name
 
 @pytest.mark.parametrize("key", ["next.reward", "observation.environment_state", "language_persistent"])
 def test_derived_columns_that_do_not_follow_are_found_though_they_are_signed(tmp_path, key):
-    root = generated(tmp_path / "d", "--environment-state", "truth", "--subtasks", "--image-size", "0")
+    root = generated(tmp_path / "d", *SMALL, "--environment-state", "truth", "--subtasks", "--image-size", "0")
     column(DATA, key, lambda values: values[::-1])(root)
     sign(root)
     assert found(root) == {"verdicts"}
@@ -206,17 +192,11 @@ def with_images(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Episode
     return lambda episode: dataclasses.replace(episode, images={"ego": change(episode.images["ego"])})
 
 
-def swapped(images: np.ndarray) -> np.ndarray:
-    return images[[*range(8), 12, *range(9, 12), 8, *range(13, len(images))]]
-
-
-def meta(**values: object) -> Callable[[Episode], Episode]:
-    return lambda episode: dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **values))
-
-
 REPLAYS: dict[str, Callable[[Episode], Episode]] = {
     "a white square of 2 x 2 px in every image": with_images(white_square),
-    "two images exchanged": with_images(swapped),
+    "two images exchanged": with_images(
+        lambda images: images[[*range(8), 12, *range(9, 12), 8, *range(13, len(images))]]
+    ),
     "another command": changed("action", (12, 0), lambda x: x + 0.01),
     "another mass": lambda episode: dataclasses.replace(episode, object_mass=episode.object_mass * 1.01),
     "another seed": meta(seed=5),
@@ -243,7 +223,7 @@ def test_a_white_square_in_every_image_is_found_also_where_no_image_is_equal(cop
 
 
 def test_only_the_code_that_made_a_dataset_replays_it(copy):
-    edit(copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123"))
+    edit_json(copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123"))
     sign(copy)
     (finding,) = verify(copy, replayed=1)
     assert "made by other code (0123" in finding.message

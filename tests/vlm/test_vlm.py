@@ -53,8 +53,6 @@ def test_a_good_answer_is_read(wrap: str):
     assert skills == [("APPROACH", 4), ("APPROACH", 6)]
 
 
-WRONG_LENGTH = [STATE.tolist()] * 9
-SHORT_FRAME = [STATE.tolist()] * 9 + [[0.0] * 17]
 BAD_ANSWERS = {
     "empty": "",
     "refusal": "I'm sorry, I cannot control a robot.",
@@ -63,8 +61,8 @@ BAD_ANSWERS = {
     "unknown skill": answer(skill="TELEPORT"),
     "too long": answer(durations=(4, 7)),
     "no skills": answer(durations=()),
-    "nine frames": answer(WRONG_LENGTH),
-    "short frame": answer(SHORT_FRAME),
+    "nine frames": answer([STATE.tolist()] * 9),
+    "short frame": answer([STATE.tolist()] * 9 + [[0.0] * 17]),
     "infinity": answer().replace("0.1", "1e999", 1),
     "text": answer().replace("0.1", '"0.1"', 1),
     "deep": "[" * 30_000,

@@ -15,7 +15,6 @@ class _Characters:
     """Stands in for FAST's byte-pair encoding: token k is the character of number k."""
 
     def decode(self, tokens: Any) -> str:
-        """Return one character per token."""
         return "".join(chr(max(int(token), 0)) for token in tokens)
 
 
@@ -23,12 +22,10 @@ class CoarseProcessor(ProcessorMixin):
     """Turns (B, H, A) actions into lists of tokens 0 to ``LEVELS`` - 1."""
 
     def __init__(self, **kwargs: Any) -> None:
-        """Take nothing of what a processor usually holds."""
         super().__init__()
         self.scale, self.min_token, self.bpe_tokenizer = 4, -LEVELS // 2, _Characters()
 
     def __call__(self, actions: Any) -> list[list[int]]:
-        """Return the tokens of each chunk."""
         coefficients = dct(np.asarray(actions), axis=1, norm="ortho")  # (B, H, A)
         tokens = np.clip(np.round(coefficients * self.scale) - self.min_token, 0, LEVELS - 1).astype(int)
         return [chunk.reshape(-1).tolist() for chunk in tokens]

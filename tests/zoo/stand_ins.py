@@ -28,6 +28,8 @@ from transformers import (
     SmolVLMVideoProcessor,
 )
 
+from tests.tools import edit_json
+
 WORDS = ["catch", "the", "moving", "ball", "that", "is", "being", "."]
 FILLERS = [f"w{i}" for i in range(300)]
 """Rare words, whose tokens may be given another meaning."""
@@ -42,17 +44,15 @@ def save_clip(folder: Path) -> None:
     text = {**TOWER, "vocab_size": 32, "max_position_embeddings": 77, **ends}
     vision = {**TOWER, "image_size": 64, "patch_size": 16}
     CLIPModel(CLIPConfig(text_config=text, vision_config=vision, projection_dim=16)).save_pretrained(folder)
-    tokenizer = _words(["<|startoftext|>", "<|endoftext|>", "<unk>", *WORDS])
-    ends_of_text = {"bos_token": "<|startoftext|>", "eos_token": "<|endoftext|>", "pad_token": "<|endoftext|>"}
-    PreTrainedTokenizerFast(tokenizer_object=tokenizer, unk_token="<unk>", **ends_of_text).save_pretrained(folder)
+    start, end = "<|startoftext|>", "<|endoftext|>"
+    _tokenizer([start, end, "<unk>", *WORDS], bos_token=start, eos_token=end, pad_token=end).save_pretrained(folder)
 
 
 def save_smolvlm(folder: Path) -> None:
     """Write a SmolVLM2 with its processor."""
     special = ["<fake_token_around_image>", "<image>", "<end_of_utterance>", "<global-img>"]
-    tokenizer = PreTrainedTokenizerFast(
-        tokenizer_object=_words(["<pad>", "<unk>", *special, *WORDS, *FILLERS]),
-        unk_token="<unk>",
+    tokenizer = _tokenizer(
+        ["<pad>", "<unk>", *special, *WORDS, *FILLERS],
         pad_token="<pad>",
         eos_token="<end_of_utterance>",
         extra_special_tokens={
@@ -76,10 +76,7 @@ def save_smolvlm(folder: Path) -> None:
 def save_openvla(folder: Path, size: int) -> None:
     """Write an OpenVLA for ``size`` actions in the files of the released ones, which name remote code."""
     words = ["<s>", "<unk>", "</s>", "▁", *WORDS, *FILLERS]
-    tokenizer = PreTrainedTokenizerFast(
-        tokenizer_object=_words(words), bos_token="<s>", eos_token="</s>", unk_token="<unk>", pad_token="<PAD>"
-    )
-    tokenizer.save_pretrained(folder)
+    _tokenizer(words, bos_token="<s>", eos_token="</s>", pad_token="<PAD>").save_pretrained(folder)
     text = {**TOWER, "model_type": "llama", "vocab_size": len(words) + 64, "num_key_value_heads": 2}
     text |= {"pad_token_id": len(words), "bos_token_id": 0, "eos_token_id": 2}
     config = OpenVLAConfig(
@@ -94,7 +91,7 @@ def save_openvla(folder: Path, size: int) -> None:
     OpenVLAForActionPrediction(config).save_pretrained(folder)
     remote = {"AutoConfig": "configuration_prismatic.OpenVLAConfig", "AutoProcessor": "x.PrismaticProcessor"}
     remote |= {"AutoModelForVision2Seq": "modeling_prismatic.OpenVLAForActionPrediction"}
-    _edit(folder / "config.json", auto_map=remote)
+    edit_json(folder / "config.json", lambda config: config.update(auto_map=remote))
     tower = {"input_sizes": [3, 32, 32], "interpolations": "bicubic", "means": [0.5, 0.4, 0.3], "stds": [0.2, 0.3, 0.4]}
     pictures = {key: [value, value] for key, value in tower.items()} | {"image_resize_strategy": "resize-naive"}
     pictures |= {"processor_class": "PrismaticProcessor", "image_processor_type": "PrismaticImageProcessor"}
@@ -104,8 +101,7 @@ def save_openvla(folder: Path, size: int) -> None:
 def save_phi(folder: Path) -> None:
     """Write a Phi with its tokenizer."""
     words = ["<|endoftext|>", "<unk>", *WORDS]
-    ends = {"bos_token": words[0], "eos_token": words[0], "unk_token": "<unk>"}
-    PreTrainedTokenizerFast(tokenizer_object=_words(words), **ends).save_pretrained(folder)
+    _tokenizer(words, bos_token=words[0], eos_token=words[0]).save_pretrained(folder)
     rows = {"vocab_size": len(words), "max_position_embeddings": 512, "bos_token_id": 0, "eos_token_id": 0}
     PhiForCausalLM(PhiConfig(**TOWER | {"hidden_size": 32}, **rows)).save_pretrained(folder)
 
@@ -120,15 +116,10 @@ def save_image_tokenizer(folder: Path) -> None:
     model.save_pretrained(folder)
 
 
-def _edit(path: Path, **changes: Any) -> None:
-    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
-
-
 def save_paligemma_tokenizer(folder: Path) -> None:
     """Write a tokenizer where Pi's processors look for PaliGemma's."""
-    tokenizer = _words(PALIGEMMA_WORDS)
-    special = {"pad_token": "<pad>", "eos_token": "<eos>", "bos_token": "<bos>", "unk_token": "<unk>"}
-    PreTrainedTokenizerFast(tokenizer_object=tokenizer, **special).save_pretrained(folder)
+    special = {"pad_token": "<pad>", "eos_token": "<eos>", "bos_token": "<bos>"}
+    _tokenizer(PALIGEMMA_WORDS, **special).save_pretrained(folder)
 
 
 def save_action_tokenizer(folder: Path) -> None:
@@ -159,9 +150,8 @@ def tiny_florence() -> dict[str, Any]:
 def save_cosmos(folder: Path) -> None:
     """Write the tokenizer, processors and configuration of a Qwen3-VL, GR00T's backbone."""
     marks = ["<|vision_start|>", "<|vision_end|>", "<|image_pad|>", "<|video_pad|>", "<|im_start|>", "<|im_end|>"]
-    tokenizer = PreTrainedTokenizerFast(
-        tokenizer_object=_words(["<pad>", "<unk>", *marks, "user", *WORDS]),
-        unk_token="<unk>",
+    tokenizer = _tokenizer(
+        ["<pad>", "<unk>", *marks, "user", *WORDS],
         pad_token="<pad>",
         eos_token="<|im_end|>",
         extra_special_tokens={mark.strip("<|>") + "_token": mark for mark in marks},
@@ -204,7 +194,8 @@ def save_groot(folder: Path, backbone: str) -> None:
     GR00TN17(config, load_backbone_weights=False).save_pretrained(folder)
 
 
-def _words(vocabulary: list[str]) -> Tokenizer:
-    tokenizer = Tokenizer(models.WordLevel({word: i for i, word in enumerate(vocabulary)}, unk_token="<unk>"))
+def _tokenizer(words: list[str], **special: Any) -> PreTrainedTokenizerFast:
+    """Return one that knows some words, of which some are special."""
+    tokenizer = Tokenizer(models.WordLevel({word: i for i, word in enumerate(words)}, unk_token="<unk>"))
     tokenizer.pre_tokenizer = pre_tokenizers.Whitespace()
-    return tokenizer
+    return PreTrainedTokenizerFast(tokenizer_object=tokenizer, unk_token="<unk>", **special)

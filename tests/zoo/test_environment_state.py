@@ -7,9 +7,8 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
+from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 
 from dynahoi_lerobot.cli.main import main
@@ -20,30 +19,21 @@ from dynahoi_lerobot.report.entries import unique_labels
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.checkpoints import FEATURES, saved
+from tests.checkpoints import tiny_act
+from tests.tools import generated
 
 KEY = "observation.environment_state"
-
-
-def generated(folder: Path, *words: str) -> Path:
-    root = folder / "d"
-    assert main(["generate", "--root", str(root), "--episodes", "2", *words]) == 0
-    return root
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ["--environment-state", "truth", "--image-size", "0", "--motions", "constant,lob"]
-    return generated(tmp_path_factory.mktemp("data"), *words)
+    return generated(tmp_path_factory.mktemp("data") / "d", *words)
 
 
 def small_act(folder: Path, size: int) -> str:
-    small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_decoder_layers": 1}
     ours, state = PolicyFeature(FeatureType.ENV, (size,)), PolicyFeature(FeatureType.STATE, (18,))
-    inputs = {KEY: ours, "observation.state": state}
-    config = ACTConfig(chunk_size=4, n_action_steps=4, use_vae=False, **small, **FEATURES | {"input_features": inputs})
-    config.normalization_mapping = dict.fromkeys(("ENV", "STATE", "ACTION"), NormalizationMode.IDENTITY)
-    return str(saved(config, folder))
+    return str(tiny_act(folder, {KEY: ours, "observation.state": state}))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +44,7 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture(scope="module")
 def by_eye(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ["--environment-state", "eye", "--image-size", "96", "--motions", "constant"]
-    return generated(tmp_path_factory.mktemp("by_eye"), *words)
+    return generated(tmp_path_factory.mktemp("by_eye") / "d", *words)
 
 
 def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
@@ -173,10 +163,3 @@ def test_the_eye_sees_the_same_if_no_images_are_shown() -> None:
         assert bool(observation.images) == bool(size)
         seen.append(observation.sighting)
     np.testing.assert_array_equal(*seen)
-
-
-def test_the_eye_needs_images_of_its_size() -> None:
-    with pytest.raises(
-        ValueError, match="with environment_state eye, image_size must be 96, or 0 to show no images, got 64"
-    ):
-        Recipe(environment_state="eye", image_size=64)

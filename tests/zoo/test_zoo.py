@@ -14,6 +14,7 @@ from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
+from tests.tools import generated
 from tests.zoo import stand_ins
 
 RECIPES = Path(__file__).parents[2] / "recipes" / "zoo"
@@ -72,10 +73,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("data") / "d"
-    words = ["--root", str(root), "--episodes", "2", "--image-size", str(SIZE), "--motions", "constant,lateral"]
-    assert main(["generate", *words]) == 0
-    return root
+    return generated(tmp_path_factory.mktemp("data") / "d", "--image-size", str(SIZE), "--motions", "constant,lateral")
 
 
 @pytest.fixture

@@ -1,47 +1,81 @@
-"""Actions as tokens: the bins, constrained writing, learning, padding, checkpoints."""
+"""Actions as tokens, alone or with the image to come: bins, who sees whom, what is learned, padding, checkpoints."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot_policy_actiontokens import ActionTokensConfig, ActionTokensPolicy
+from lerobot_policy_actiontokens import ActionTokensPolicy, UPVLAPolicy
 from lerobot_policy_actiontokens.bins import N_BINS, decode, encode, token_ids
+from lerobot_policy_actiontokens.upvla.sequence import Vocabulary, lay_out
+from torch import Tensor
 
-from tests.zoo.stand_ins import save_smolvlm
+from tests.zoo.stand_ins import save_image_tokenizer, save_phi, save_smolvlm
 
-SIZE, VOCABULARY = 3, 1000
+SIZE, VOCABULARY, CAMERA = 3, 1000, "observation.images.ego"
+PIXELS = {ActionTokensPolicy: 32, UPVLAPolicy: 16}
+BIN = 1 / 255 + 1e-6
+"""How far a written action may be from what was meant."""
+Policy = ActionTokensPolicy | UPVLAPolicy
+both = pytest.mark.parametrize("kind", PIXELS)
 
 
 @pytest.fixture(scope="module")
-def vlm(tmp_path_factory: pytest.TempPathFactory) -> str:
-    folder = tmp_path_factory.mktemp("models") / "smolvlm"
-    save_smolvlm(folder)
-    return str(folder)
-
-
-def make_policy(vlm: str, **changes: object) -> ActionTokensPolicy:
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("models")
     torch.manual_seed(0)
-    config = ActionTokensConfig(
-        vlm_name=vlm,
+    save_smolvlm(root / "smolvlm")
+    save_phi(root / "phi")
+    save_image_tokenizer(root / "images" / "vqvae")
+    return root
+
+
+def make_policy(kind: type[Policy], models: Path, **changes: object) -> Policy:
+    torch.manual_seed(0)
+    if kind is UPVLAPolicy:
+        options = {"llm_name": str(models / "phi"), "image_tokenizer": str(models / "images")}
+        options |= {"image_size": PIXELS[kind], "chunk_size": 4, "n_action_steps": 4}
+    else:
+        options = {"vlm_name": str(models / "smolvlm"), "load_weights": False}
+    config = kind.config_class(
         device="cpu",
-        load_weights=False,
         push_to_hub=False,
-        input_features={"observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32))},
+        input_features={CAMERA: PolicyFeature(FeatureType.VISUAL, (3, PIXELS[kind], PIXELS[kind]))},
         output_features={"action": PolicyFeature(FeatureType.ACTION, (SIZE,))},
-        **changes,
+        **options | changes,
     )
-    return ActionTokensPolicy(config)
+    return kind(config)
 
 
-def make_batch(policy: ActionTokensPolicy, n: int = 2, seed: int = 0) -> dict[str, object]:
-    generator = torch.Generator().manual_seed(seed)
+def make_batch(policy: Policy, n: int = 2) -> dict[str, object]:
+    """What is learned from: the image to come is the second one."""
+    generator, pixels = torch.Generator().manual_seed(0), PIXELS[type(policy)]
+    frames = (2,) if isinstance(policy, UPVLAPolicy) else ()
+    images = torch.rand(n, *frames, 3, pixels, pixels, generator=generator)
     actions = 2 * torch.rand(n, policy.config.chunk_size, SIZE, generator=generator) - 1
-    images = torch.rand(n, 3, 32, 32, generator=generator)
-    return {"observation.images.ego": images, "action": actions, "task": ["Catch the ball."] * n}
+    return {CAMERA: images, "action": actions, "task": ["catch the ball"] * n}
+
+
+def now(batch: dict[str, object]) -> dict[str, object]:
+    """What is seen while playing."""
+    return batch | {CAMERA: batch[CAMERA][:, 0]} if batch[CAMERA].dim() == 5 else batch
+
+
+def losses(policy: Policy, batch: dict[str, object]) -> Tensor:
+    """(N,) the loss of each sample."""
+    return policy.eval()(batch, reduction="none")[0]
+
+
+def train(policy: Policy, batch: dict[str, object], steps: int, rate: float) -> None:
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=rate)
+    for _ in range(steps):
+        policy.train()(batch)[0].backward()
+        optimizer.step()
+        optimizer.zero_grad()
 
 
 def test_bins_are_those_of_openvla() -> None:
@@ -53,81 +87,144 @@ def test_bins_are_those_of_openvla() -> None:
     centres = (edges[:-1] + edges[1:]) / 2
     middles = centres[np.clip(VOCABULARY - ids.numpy() - 1, 0, 254)]
     np.testing.assert_allclose(decode(ids, VOCABULARY), middles, atol=1e-6)
-    assert np.abs(decode(ids, VOCABULARY).numpy() - np.clip(values, -1, 1)).max() <= 1 / 255 + 1e-6
+    assert np.abs(decode(ids, VOCABULARY).numpy() - np.clip(values, -1, 1)).max() <= BIN
     assert set(ids.tolist()) <= set(token_ids(VOCABULARY))
     assert len(token_ids(VOCABULARY)) == N_BINS
 
 
-def test_it_learns_a_chunk_and_writes_it(vlm: str) -> None:
-    policy = make_policy(vlm, chunk_size=2, n_action_steps=2)
+def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
+    words, kept = torch.tensor([[0, 5, 6]]), torch.tensor([[0, 1, 1]])
+    sequence = lay_out(words, kept, torch.tensor([[1, 0]]), n_actions=2, vocabulary=Vocabulary(n_words=10, n_codes=4))
+    task, image, end, act, code = 10, 11, 12, 13, 14
+    assert sequence.ids[0].tolist() == [task, 0, 5, 6, image, code + 1, code, end, act, act]
+    assert sequence.ids[0, sequence.codes].tolist() == [code + 1, code]
+    assert sequence.ids[0, sequence.actions].tolist() == [act, act]
+    everything = "1.11111111"
+    seen = ["".join("1" if x else "." for x in row) for row in sequence.mask[0, 0]]
+    assert seen == [
+        "1.........",
+        "11........",  # padding, which nobody sees
+        "1.1.......",
+        "1.11......",
+        everything,
+        everything,
+        everything,
+        everything,
+        "1.1111111.",
+        "1.11111111",
+    ]
+    assert sequence.positions[0].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7, 8]
+
+
+def test_it_learns_a_chunk_and_writes_it_in_one_call(models: Path) -> None:
+    policy = make_policy(ActionTokensPolicy, models, chunk_size=2, n_action_steps=2)
     batch = make_batch(policy, n=1)
-    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=1e-2)
-    for _ in range(60):
-        policy.train()(batch)[0].backward()
-        optimizer.step()
-        optimizer.zero_grad()
-    chunk = policy.predict_action_chunk(batch)
-    assert chunk.shape == (1, 2, SIZE)
-    assert (chunk - batch["action"]).abs().max() <= 1 / 255 + 1e-6
-
-
-def test_an_untrained_model_writes_actions_and_nothing_else(vlm: str) -> None:
-    policy = make_policy(vlm)
-    chunk = policy.predict_action_chunk(make_batch(policy, n=4))
-    assert chunk.shape == (4, 1, SIZE)
-    assert chunk.abs().max() <= 1
-
-
-def test_a_longer_instruction_beside_it_changes_nothing(vlm: str) -> None:
-    policy = make_policy(vlm).eval()
-    batch = make_batch(policy)
-    alone = policy(batch, reduction="none")[0]
-    mixed = batch | {"task": ["Catch the ball.", "Catch the moving ball that is being the ball."]}
-    torch.testing.assert_close(policy(mixed, reduction="none")[0][0], alone[0], rtol=1e-4, atol=1e-5)
-    assert (policy(mixed, reduction="none")[0][1] - alone[1]).abs() > 1e-6
-
-
-def test_padded_actions_are_not_learned_from(vlm: str) -> None:
-    policy = make_policy(vlm, chunk_size=2).eval()
-    batch = make_batch(policy) | {"action_is_pad": torch.tensor([[False, True], [False, False]])}
-    other = batch | {"action": batch["action"].clone()}
-    other["action"][:, 1] = -other["action"][:, 1]
-    before, after = (policy(b, reduction="none")[0] for b in (batch, other))
-    torch.testing.assert_close(before[0], after[0])
-    assert (before[1] - after[1]).abs() > 1e-6
-
-
-def test_a_checkpoint_brings_its_own_weights(vlm: str, tmp_path: Path) -> None:
-    policy = make_policy(vlm)
-    policy.save_pretrained(tmp_path)
-    again = ActionTokensPolicy.from_pretrained(tmp_path)
-    batch = make_batch(policy)
-    torch.testing.assert_close(again.predict_action_chunk(batch), policy.predict_action_chunk(batch))
-    torch.testing.assert_close(again.eval()(batch)[0], policy.eval()(batch)[0])
-
-
-def test_the_vision_tower_stays_as_it_is(vlm: str) -> None:
-    frozen, free = make_policy(vlm), make_policy(vlm, freeze_vision=False)
-    assert len(frozen.get_optim_params()) < len(free.get_optim_params())
-    assert all("vision" in name for name, p in frozen.named_parameters() if not p.requires_grad)
-
-
-def test_one_call_per_chunk(vlm: str) -> None:
-    policy = make_policy(vlm, chunk_size=2, n_action_steps=2)
-    batch = make_batch(policy)
-    chunk = policy.predict_action_chunk(batch)
+    train(policy, batch, steps=60, rate=1e-2)
+    assert (policy.predict_action_chunk(batch) - batch["action"]).abs().max() <= BIN
     for t in range(2):
-        torch.testing.assert_close(policy.select_action(batch), chunk[:, t])
+        assert (policy.select_action(batch) - batch["action"][:, t]).abs().max() <= BIN
     assert not policy._queue
     policy.select_action(batch)
     policy.reset()
     assert not policy._queue
 
 
+def test_it_learns_what_comes_and_what_to_do(models: Path) -> None:
+    policy = make_policy(UPVLAPolicy, models)
+    batch = make_batch(policy)
+    train(policy, batch, steps=150, rate=3e-3)
+    assert (policy.predict_action_chunk(now(batch)) - batch["action"]).abs().max() < 0.1
+    codes = policy.images.encode(batch[CAMERA][:, 1])
+    assert codes.unique().numel() > 4
+    expected = policy.images.decode(codes)
+    assert (policy.predict_image(now(batch)) - expected).abs().mean() < 0.1 * expected.std()
+
+
+def test_an_untrained_model_writes_actions_and_nothing_else(models: Path) -> None:
+    policy = make_policy(ActionTokensPolicy, models)
+    chunk = policy.predict_action_chunk(make_batch(policy, n=4))
+    assert chunk.shape == (4, 1, SIZE)
+    assert chunk.abs().max() <= 1
+
+
+def test_actions_depend_on_image_and_instruction(models: Path) -> None:
+    policy = make_policy(UPVLAPolicy, models)
+    batch = now(make_batch(policy))
+    chunk = policy.predict_action_chunk(batch)
+    assert chunk.shape == (2, 4, SIZE)
+    assert (policy.predict_action_chunk(batch | {CAMERA: 1 - batch[CAMERA]}) - chunk).abs().max() > 1e-4
+    assert (policy.predict_action_chunk(batch | {"task": "catch the moving ball"}) - chunk).abs().max() > 1e-4
+
+
+@both
+def test_a_longer_instruction_beside_it_changes_nothing(kind: type[Policy], models: Path) -> None:
+    policy = make_policy(kind, models)
+    batch = make_batch(policy)
+    alone = losses(policy, batch)
+    mixed = losses(policy, batch | {"task": ["catch the ball", "catch the moving ball that is being the ball"]})
+    torch.testing.assert_close(mixed[0], alone[0], rtol=1e-4, atol=1e-5)
+    assert (mixed[1] - alone[1]).abs() > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("kind", "padded"), [(ActionTokensPolicy, "action"), (UPVLAPolicy, "action"), (UPVLAPolicy, CAMERA)]
+)
+def test_what_is_after_the_episode_is_not_learned(kind: type[Policy], padded: str, models: Path) -> None:
+    policy = make_policy(kind, models, chunk_size=4)
+    batch = make_batch(policy)
+    pad = torch.zeros(batch[padded].shape[:2], dtype=torch.bool)
+    pad[0, -1] = True
+    other = batch[padded].clone()
+    other[:, -1] = 1 - other[:, -1]
+    before, after = (
+        losses(policy, batch | {padded: values, f"{padded}_is_pad": pad}) for values in (batch[padded], other)
+    )
+    torch.testing.assert_close(before[0], after[0])
+    assert (before[1] - after[1]).abs() > 1e-6
+
+
+@both
+def test_a_checkpoint_brings_its_own_weights(kind: type[Policy], models: Path, tmp_path: Path) -> None:
+    policy = make_policy(kind, shutil.copytree(models, tmp_path / "models"))
+    for file in (tmp_path / "models").rglob("*.safetensors"):
+        file.unlink()
+    with torch.no_grad():
+        for weight in policy.parameters():
+            weight.add_(0.05 * torch.randn_like(weight))
+    policy.save_pretrained(tmp_path / "policy")
+    again = kind.from_pretrained(tmp_path / "policy")
+    batch = make_batch(policy)
+    torch.testing.assert_close(losses(again, batch), losses(policy, batch))
+    torch.testing.assert_close(again.predict_action_chunk(now(batch)), policy.predict_action_chunk(now(batch)))
+    if kind is UPVLAPolicy:
+        torch.testing.assert_close(again.predict_image(now(batch)), policy.predict_image(now(batch)))
+
+
+def test_the_vision_tower_stays_as_it_is(models: Path) -> None:
+    frozen, free = (make_policy(ActionTokensPolicy, models, freeze_vision=freeze) for freeze in (True, False))
+    assert len(frozen.get_optim_params()) < len(free.get_optim_params())
+    assert all("vision" in name for name, p in frozen.named_parameters() if not p.requires_grad)
+
+
+def test_the_image_tokenizer_stays_as_it_is(models: Path) -> None:
+    policy = make_policy(UPVLAPolicy, models).train()
+    assert not policy.images.model.training
+    assert not any(p.requires_grad for p in policy.images.parameters())
+    assert policy.llm.get_input_embeddings().weight.requires_grad
+
+
+def test_codes_come_back_row_by_row(models: Path) -> None:
+    images = make_policy(UPVLAPolicy, models).images
+    codes = torch.randint(0, 16, (2, 64), generator=torch.Generator().manual_seed(0))
+    latents = images.model.quantize.get_codebook_entry(codes.flatten(), (2, 8, 8, 4))
+    decoded = images.model.decoder(images.model.post_quant_conv(latents)).clamp(0, 1)
+    torch.testing.assert_close(images.decode(codes), decoded)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [({"n_action_steps": 2}, "n_action_steps is 2, but must be 1 to 1"), ({"dtype": "int8"}, "int8")],
 )
-def test_bad_values_are_named(vlm: str, changes: dict, words: str) -> None:
+def test_bad_values_are_named(models: Path, changes: dict, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        make_policy(vlm, **changes)
+        make_policy(ActionTokensPolicy, models, **changes)

@@ -83,8 +83,7 @@ def test_each_tower_sees_its_own_normalisation(processor: PrismaticProcessor) ->
     torch.testing.assert_close(pixels[:3], tvf.normalize(resized, [0.5, 0.4, 0.3], [0.2, 0.3, 0.4]))
 
 
-def test_an_image_that_would_be_cropped_is_refused(checkpoint: str) -> None:
-    processor = AutoProcessor.from_pretrained(checkpoint)
+def test_an_image_that_would_be_cropped_is_refused(processor: PrismaticProcessor) -> None:
     processor.image_settings["image_resize_strategy"] = "letterbox"
     with pytest.raises(ValueError, match="20 x 40, but must be square for letterbox"):
         processor(images=[[picture()[:, :, :20]]], text=[PROMPT])
@@ -107,23 +106,19 @@ def test_patches_follow_the_first_token(processor: PrismaticProcessor, model: Op
     torch.testing.assert_close(model(**inputs).logits, model.language_model(inputs_embeds=embeddings).logits)
 
 
-def test_an_imported_checkpoint_acts_as_the_model_does(checkpoint: str, imported: Path) -> None:
+def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, imported: Path) -> None:
     """Bins count down from the tokenizer's size, and are stretched between the dataset's percentiles."""
     policy = ActionTokensPolicy.from_pretrained(imported)
     preprocess, postprocess = make_pre_post_processors(policy.config, pretrained_path=str(imported))
     image = picture(size=32)
     batch = preprocess({CAMERA: image.float() / 255, "task": "Catch the moving ball."})
     action = postprocess(policy.select_action(batch))[0]
-    model, processor = (
-        AutoModelForImageTextToText.from_pretrained(checkpoint),
-        AutoProcessor.from_pretrained(checkpoint),
-    )
     prompt = "<image>In: What action should the robot take to catch the moving ball?\nOut: "
     inputs = processor(images=[[image]], text=[prompt])
     allowed = range(model.config.vocabulary - 256, model.config.vocabulary)
     written = []
     for _ in range(SIZE):
-        logits = model.eval()(**inputs).logits[0, -1, allowed.start : allowed.stop]
+        logits = model(**inputs).logits[0, -1, allowed.start : allowed.stop]
         written.append(allowed[int(logits.argmax())])
         inputs["input_ids"] = torch.cat([inputs["input_ids"], torch.tensor([[written[-1]]])], dim=1)
         inputs["attention_mask"] = torch.ones_like(inputs["input_ids"])

@@ -6,19 +6,27 @@ be told not to use them.
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
+from tests.tools import python
+
 HERE = [name for name in __cpu_dispatch__ if __cpu_features__[name]]
+LEAST = {"NPY_DISABLE_CPU_FEATURES": " ".join(HERE), "OPENBLAS_CORETYPE": "Prescott"}
 PROCESSORS = {
-    "all that it has": {},
-    "the least of all": {"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": " ".join(HERE)},
+    "no AVX-512": {"NPY_DISABLE_CPU_FEATURES": " ".join(name for name in HERE if name.startswith("AVX512"))},
+    "no FMA in the C library": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"},
+    "the least of all": LEAST,
 }
-PLAY = """
+FUNCTIONS = """
+import hashlib
+import numpy as np
+from dynahoi_lerobot.core.numerics import *
+a, b = np.random.default_rng(0).uniform(-9, 9, (2, 30_000))
+results = [sin(a), cos(a), tan(a), arcsin(a / 9), arctan2(a, b), cbrt(a), product(a.reshape(-1, 30), b.reshape(30, -1))]
+print(hashlib.sha256(b"".join(result.tobytes() for result in results)).hexdigest())
+"""
+EPISODES = """
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -33,18 +41,16 @@ for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 6), (test.
         spec = specs[episode.meta.seed]
         print(recipe.capture, recipe.protocol, spec.motion.name, spec.appearance, digest(episode))
 """
+"""The expert's first episode of each kind, and some behind a screen and with contacts."""
+
+
+@pytest.mark.parametrize("name", PROCESSORS)
+def test_functions_do_not_depend_on_the_processor(name: str) -> None:
+    assert python("-c", FUNCTIONS, **PROCESSORS[name]) == python("-c", FUNCTIONS)
 
 
 @pytest.mark.slow
 def test_episodes_do_not_depend_on_the_processor() -> None:
-    """The expert's first episode of each kind, and some behind a screen and with contacts."""
-    played = {
-        name: subprocess.run(
-            [sys.executable, "-c", PLAY], env=os.environ | changes, capture_output=True, text=True, check=True
-        ).stdout.splitlines()
-        for name, changes in PROCESSORS.items()
-    }
-    reference = played["all that it has"]
+    reference = python("-c", EPISODES).splitlines()
     assert len(reference) == 36
-    for name, episodes in played.items():
-        assert episodes == reference, name
+    assert python("-c", EPISODES, **LEAST).splitlines() == reference

@@ -1,0 +1,50 @@
+"""What tests of several parts need: Python in a process of its own, plugins, small datasets, changed files."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from dynahoi_lerobot.cli.main import main
+
+
+def python(*words: object, cwd: Path | None = None, **environment: str) -> str:
+    """Run Python in a process of its own, with further environment variables; return what it prints."""
+    command = [sys.executable, *map(str, words)]
+    done = subprocess.run(command, cwd=cwd, env=os.environ | environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def install(site: Path, distribution: str, modules: dict[str, str]) -> None:
+    """Lay out an installed distribution of modules, of which each is a plugin."""
+    info = site / f"{distribution}-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {distribution}\nVersion: 1.0\n")
+    lines = [f"{name} = {name}" for name in modules]
+    (info / "entry_points.txt").write_text("\n".join(["[dynahoi_lerobot.plugins]", *lines, ""]))
+    for name, source in modules.items():
+        (site / f"{name}.py").write_text(source)
+
+
+def generated(root: Path, *words: str) -> Path:
+    """Generate a dataset of two episodes by command, with further words."""
+    assert main(["generate", "--root", str(root), "--episodes", "2", *words]) == 0
+    return root
+
+
+def edit_json(path: Path, change: Callable[[Any], object]) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+def flip_byte(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
