@@ -9,7 +9,7 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot_policy_actiontokens import UPVLAConfig, UPVLAPolicy
-from lerobot_policy_actiontokens.upvla.sequence import Vocabulary, lay_out
+from lerobot_policy_actiontokens.upvla.sequence import lay_out
 
 from tests.zoo.stand_ins import save_image_tokenizer, save_phi
 
@@ -53,7 +53,7 @@ def now(batch: dict[str, object]) -> dict[str, object]:
 
 def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
     words, kept = torch.tensor([[0, 5, 6]]), torch.tensor([[0, 1, 1]])
-    sequence = lay_out(words, kept, torch.tensor([[1, 0]]), n_actions=2, vocabulary=Vocabulary(n_words=10, n_codes=4))
+    sequence = lay_out(words, kept, torch.tensor([[1, 0]]), n_actions=2, n_words=10)
     task, image, end, act, code = 10, 11, 12, 13, 14
     assert sequence.ids[0].tolist() == [task, 0, 5, 6, image, code + 1, code, end, act, act]
     assert sequence.ids[0, sequence.codes].tolist() == [code + 1, code]
