@@ -1,7 +1,5 @@
 """Circles at constant angular speed, a helix, and an arc swung to and fro."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

@@ -1,17 +1,13 @@
 """Targets on a level table of low friction that are struck or rebound from a wall."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Vector, as_vector, heading, yaw_quat
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.objects import ObjectType, TargetObject
+from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 TABLE_HALF_M = (1.1, 0.9, 0.02)
 

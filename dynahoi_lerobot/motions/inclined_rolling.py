@@ -1,9 +1,7 @@
 """Round targets that roll down a plank without slipping."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -21,9 +19,7 @@ from dynahoi_lerobot.motions.launch import (
     yaw_pitch_quat,
     yaw_quat,
 )
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.objects import ObjectType, TargetObject
+from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 PLANK_HALF_THICKNESS_M = 0.012
 PLANK_HALF_WIDTH_M = 0.07

@@ -1,17 +1,13 @@
 """Thrown and bouncing targets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Vector, as_vector, ballistic_velocity, heading
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.objects import ObjectType, TargetObject
+from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 LANDING_RESTITUTION = 0.1
 """Of the floor, where a target that was missed lands."""

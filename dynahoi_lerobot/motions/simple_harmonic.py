@@ -1,7 +1,5 @@
 """Simple harmonic motion along one axis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

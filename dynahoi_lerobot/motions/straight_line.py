@@ -1,7 +1,5 @@
 """Straight lines at constant acceleration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

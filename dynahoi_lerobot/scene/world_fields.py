@@ -1,7 +1,5 @@
 """Writing one episode into one row of a batch: geometry, masses, fixtures, state and appearance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import zip_longest
 
@@ -12,7 +10,7 @@ from mujoco.batch import Batch
 from dynahoi_lerobot.core.conventions import PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.core.numerics import arctan2, norm
 from dynahoi_lerobot.motions import Motion, PrescribedMotion
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Tether, yaw_quat
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Vector, yaw_quat
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.appearance import Appearance, Solid
 from dynahoi_lerobot.scene.model import HIDDEN_POS, impact_solref
@@ -186,14 +184,14 @@ class WorldFields:
             self.fields["geom_friction"][i, geom, 0] = box.friction
         self.fields["geom_rgba"][i, geom, 3] = float(box is not None)
 
-    def _write_tether(self, i: int, tether: Tether | None, start: np.ndarray) -> None:
+    def _write_tether(self, i: int, anchor: Vector | None, start: np.ndarray) -> None:
         geom, eq = self._scene.tether_geom, self._scene.tether_eq
-        self.eq_active[i, eq] = tether is not None
-        self.fields["geom_rgba"][i, geom, 3] = float(tether is not None)
-        length = 0.0 if tether is None else norm(np.asarray(tether.anchor) - start)
+        self.eq_active[i, eq] = anchor is not None
+        self.fields["geom_rgba"][i, geom, 3] = float(anchor is not None)
+        length = 0.0 if anchor is None else norm(np.asarray(anchor) - start)
         self.fields["geom_pos"][i, geom], self.fields["geom_quat"][i, geom] = (0, 0, length / 2), (1, 0, 0, 0)
         self.fields["geom_size"][i, geom, 1] = max(length / 2, 1e-4)
-        self._anchors[i] = np.zeros(6) if tether is None else (0.0, 0.0, length, *tether.anchor)
+        self._anchors[i] = np.zeros(6) if anchor is None else (0.0, 0.0, length, *anchor)
 
     def _write_striker(self, i: int, striker: Striker | None) -> None:
         body, geom = self._scene.striker_body, self._scene.striker_geom
