@@ -1,7 +1,5 @@
 """``dynahoi doctor``: check every part of this machine, and whether it reproduces our episodes."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import importlib

@@ -1,7 +1,5 @@
 """``dynahoi <command>``: the commands that LeRobot does not have."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import logging

@@ -4,8 +4,6 @@ generate -> lerobot-train (ObAct) -> lerobot-eval -> privileged baselines -> rep
 product exists, so an interrupted quickstart resumes.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """``dynahoi view --sample``: a few episodes of every kind of motion on one page, with what they hold frame by frame."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -3,8 +3,6 @@
 With ``--sample`` a page of several episodes of a dataset.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import html

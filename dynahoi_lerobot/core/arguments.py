@@ -1,7 +1,5 @@
 """What commands share: their failure, types of arguments, and options derived from a dataclass."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace

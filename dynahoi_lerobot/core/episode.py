@@ -1,10 +1,6 @@
 """Episode: the narrow waist. The expert writes it, the dataset stores it, metrics read it."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -53,11 +49,6 @@ class EpisodeMeta:
     attempts: int
     fingerprint: str
     benchmark: str
-
-    @property
-    def motion_parameters(self) -> dict[str, Any]:
-        """The motion's parameters as a dictionary."""
-        return json.loads(self.parameters)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,5 @@
 """Files and text: unwritable places refused before the work starts, what is written whole, YAML, hashes."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """The dataset card, ``README.md``, and its histograms. The same dataset gives the same bytes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

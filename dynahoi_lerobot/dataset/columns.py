@@ -1,7 +1,5 @@
 """The frame table: LeRobot's description of its columns, their arrow types, its rows, and reading them back."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Container, Sequence

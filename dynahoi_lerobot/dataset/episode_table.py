@@ -5,8 +5,6 @@ Facts are read by ``LeRobotDataset(..., episode_filter=lambda ep: ep["motion"] =
 anything there; ``dataset.frame_column`` reads them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, fields
 from typing import Any
@@ -21,7 +19,7 @@ from dynahoi_lerobot.dataset.statistics import NAMES, Stats, table_stats
 
 EpisodeRow = dict[str, Any]
 
-FACTS = {field.name: pa.string() if field.type == "str" else pa.int64() for field in fields(EpisodeMeta)}
+FACTS = {field.name: pa.string() if field.type is str else pa.int64() for field in fields(EpisodeMeta)}
 FACTS |= {"success": pa.bool_(), "stage": pa.string()}
 """Our columns that hold one value."""
 _SCALARS = {"float32": pa.float32(), "bool": pa.bool_()}

@@ -4,9 +4,8 @@ Each rule looks at one episode and returns a sentence about what is wrong, or No
 again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -60,7 +59,7 @@ class TrajectoryLimits:
     frozen_gap_m: float = 0.005
 
     @classmethod
-    def of_class(cls, control: ControlClass, palm_speed_m_s: float) -> TrajectoryLimits:
+    def of_class(cls, control: ControlClass, palm_speed_m_s: float) -> Self:
         """Return the limits of a control class, under whose capture rule the palm has this speed [m/s]."""
         return cls(
             palm_step_m=CATCH_UP * palm_speed_m_s * CONTROL_DT,
@@ -68,7 +67,7 @@ class TrajectoryLimits:
             frozen_frames=cls.frozen_frames + control.latency_frames,
         )
 
-    def seen_from(self, home_pos_w: np.ndarray) -> TrajectoryLimits:
+    def seen_from(self, home_pos_w: np.ndarray) -> Self:
         """Return the limits in the frame whose origin is at (3,) [m], world."""
         moved = np.array(self.palm_range_m) - np.asarray(home_pos_w, float)[:, None]  # (3, 2)
         return replace(self, palm_range_m=tuple((float(low), float(high)) for low, high in moved))

@@ -1,7 +1,5 @@
 """A dataset on disk, read without LeRobot."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from functools import cached_property

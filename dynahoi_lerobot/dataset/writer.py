@@ -3,14 +3,12 @@
 The same episodes give the same bytes, in whatever pieces they were made.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -141,7 +139,7 @@ class DatasetWriter:
         limits: FileLimits | None = None,
         *,
         subtasks: bool = False,
-    ) -> DatasetWriter:
+    ) -> Self:
         """Return a writer of new episodes.
 
         Args:

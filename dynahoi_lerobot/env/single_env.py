@@ -1,7 +1,5 @@
 """One world as a ``gymnasium.Env``: a vector environment of one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

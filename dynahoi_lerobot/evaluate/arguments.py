@@ -1,7 +1,5 @@
 """The arguments of commands that play: who moves the hand, and under which rules."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 Nothing here imports torch or LeRobot before a policy is loaded.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from functools import wraps

@@ -5,8 +5,6 @@ show who or what gave the commands, from which observations, or how long that to
 another name replays, too.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import reprlib

@@ -1,7 +1,5 @@
 """Reading and writing the three files of a result folder; whatever is damaged is one ``ResultsError``."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path

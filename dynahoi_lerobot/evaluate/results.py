@@ -1,12 +1,10 @@
 """The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and ``actions.npz``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import draccus
 import numpy as np
@@ -199,7 +197,7 @@ class ResultsRecorder:
         self._actions = list(actions)
 
     @classmethod
-    def resume(cls, folder: Path) -> ResultsRecorder:
+    def resume(cls, folder: Path) -> Self:
         """Return a recorder that resumes what an interrupted run of the same task has saved in ``folder``.
 
         It may have ended before its first save, or between the renaming of two files, so that one of them holds more

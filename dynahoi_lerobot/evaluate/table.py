@@ -1,7 +1,5 @@
 """Results as tables, which the terminal prints and the report shows."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The base class of hands: a palm on three slides, fifteen flexion joints, five fingertip sites and a camera."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
@@ -11,8 +9,6 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.registry import Registry
-
-HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")
 
 PALM_SITE = "palm_center"
 PALM_BODY = "palm"
@@ -64,3 +60,6 @@ class Hand(ABC):
     def closed_joints(self) -> np.ndarray:
         """Return (15,) joint angles [rad] of the closed hand, one pose for all objects."""
         return self.reference_joints(CLOSED_RADIUS_M)
+
+
+HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")

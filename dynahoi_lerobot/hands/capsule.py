@@ -4,8 +4,6 @@ Lengths follow an adult hand; the palm hangs on a three-axis gantry. The palm ce
 surface, in the middle of what the fingers enclose. Every joint is a position servo with a force limit.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import ClassVar

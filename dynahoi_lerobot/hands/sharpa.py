@@ -5,8 +5,6 @@ eighteen degrees of freedom as the bundled hands. What collides is also what is 
 cylinders, and the boxes around its palm's convex pieces; so no mesh has to be rendered.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whether the hand is in the reference grasp, or holds the target."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import (

@@ -1,7 +1,5 @@
 """What is pretrained and how, as a YAML file that draccus reads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

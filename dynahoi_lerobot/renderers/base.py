@@ -1,7 +1,5 @@
 """The interface of a renderer: images, geom ids and depth of chosen worlds of a batch, from one camera."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import numpy as np
@@ -11,7 +9,6 @@ from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.scene.scene import Scene
 
-RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")
 DEFAULT_RENDERER = "tiles"
 
 
@@ -51,3 +48,6 @@ class Renderer(ABC):
     @abstractmethod
     def depth(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
+
+
+RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")

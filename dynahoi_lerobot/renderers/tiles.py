@@ -5,8 +5,6 @@ image tiles that its bounds overlap. A pixel then tests the shapes of its tile a
 that lie between something its tile shows and the light.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import mujoco

@@ -1,7 +1,5 @@
 """Ray casting with mujoco_warp, which supports every geom, texture and light of MuJoCo, on the CPU or on CUDA."""
 
-from __future__ import annotations
-
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp

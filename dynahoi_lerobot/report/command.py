@@ -1,7 +1,5 @@
 """``dynahoi report``: result folders as one HTML page."""
 
-from __future__ import annotations
-
 import argparse
 from itertools import combinations
 from pathlib import Path

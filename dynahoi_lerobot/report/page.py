@@ -1,7 +1,5 @@
 """``render_report``: one self-contained HTML page from any number of result folders."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Collection, Sequence
 from pathlib import Path

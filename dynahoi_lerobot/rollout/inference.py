@@ -7,13 +7,11 @@ continues. The next inference begins when the last has ended. Until the first ch
 after the last action of a chunk, where that led.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -67,7 +65,7 @@ class Inference:
         return f"{self.mode} {latency}"
 
     @classmethod
-    def from_label(cls, label: str) -> Inference:
+    def from_label(cls, label: str) -> Self:
         """Return the timing that has this ``label``.
 
         Raises:

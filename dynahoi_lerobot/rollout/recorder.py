@@ -1,10 +1,8 @@
 """Recording one world: copying its frames while it is played, freezing them into an Episode when it ends."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -45,7 +43,7 @@ class Job:
     stop_settled: bool = False
 
     @classmethod
-    def evaluation(cls, index: int, spec: EpisodeSpec) -> Job:
+    def evaluation(cls, index: int, spec: EpisodeSpec) -> Self:
         """Return the job of an evaluation: the window, up to L control steps, and the frame the last of them led to."""
         return cls(index, spec, spec.window_frames + spec.length_frames + 1, stop_settled=True)
 

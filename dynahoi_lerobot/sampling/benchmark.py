@@ -6,8 +6,6 @@ A change to this file, or to what it refers to, is a new version of the benchmar
 compares it, the episodes of all splits and some images with the digests that are committed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

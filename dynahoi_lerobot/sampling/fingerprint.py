@@ -1,7 +1,5 @@
 """The code fingerprint: a hash of the sources and library versions that decide the bytes of a dataset."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import platform

@@ -1,7 +1,5 @@
 """Where a target goes if nobody touches it: roll the untouched world ahead."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 

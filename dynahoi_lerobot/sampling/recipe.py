@@ -1,7 +1,5 @@
 """Recipe: everything besides the seed that decides what an episode is; as a YAML file, read by draccus."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -9,7 +7,7 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import draccus
 
@@ -176,7 +174,7 @@ class Recipe:
         """Return the values as datasets and results hold them: of the salt only a hash."""
         return sealed(dataclasses.asdict(self))
 
-    def changed(self, **changes: Any) -> Recipe:
+    def changed(self, **changes: Any) -> Self:
         """Return the recipe with other values; with another capture rule come its hand and expert.
 
         Raises:

@@ -5,8 +5,6 @@ registered by somebody else has more primitives of a shape. A world fills the sl
 So any mix of motions and objects shares a batch, and nothing is ever recompiled.
 """
 
-from __future__ import annotations
-
 import functools
 from collections import Counter
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """``dynahoi verify``: run every check on a dataset on disk and print the findings."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections import Counter

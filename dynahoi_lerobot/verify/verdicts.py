@@ -4,8 +4,6 @@ States give fingertips; poses and solids give distances; distances give localisa
 rule give the verdict. Metrics are computed from these columns whenever they are asked for, so nothing else is stored.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cache
 

@@ -1,7 +1,5 @@
 """A vision-language model as an agent: one decision per world for every ten frames of the control phase."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor

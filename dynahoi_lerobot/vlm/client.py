@@ -3,8 +3,6 @@
 What a server says may repeat the API key, so nothing of it is stored but valid answers and token counts.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

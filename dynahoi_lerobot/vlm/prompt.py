@@ -1,7 +1,5 @@
 """The prompts for a vision-language model (appendix "Details for Evaluating VLMs")."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import dataclass
 from string import Template

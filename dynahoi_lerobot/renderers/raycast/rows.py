@@ -7,8 +7,6 @@ small parts and loads as a whole. Ray i has the direction ``(xs[i], ys[i], -1)``
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import warp as wp
 
 from dynahoi_lerobot.renderers.raycast import shapes as solids
