@@ -237,10 +237,6 @@ def _gif(clip: Clip) -> bytes:
     return encode_gif(clip.frames, fps=clip.fps, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX)
 
 
-def _write_gif(path: Path, clip: Clip) -> None:
-    path.write_bytes(_gif(clip))
-
-
 def _write_html(path: Path, clip: Clip) -> None:
     data = base64.b64encode(_gif(clip)).decode()
     path.write_text(PAGE.format(caption=html.escape(clip.caption), data=data), encoding="utf-8")
@@ -260,5 +256,5 @@ def _write_mp4(path: Path, clip: Clip) -> None:
         video.mux(stream.encode())
 
 
-WRITERS = {".gif": _write_gif, ".mp4": _write_mp4, ".html": _write_html}
+WRITERS = {".gif": lambda path, clip: path.write_bytes(_gif(clip)), ".mp4": _write_mp4, ".html": _write_html}
 """Function that writes a clip to a path, by the suffix of the file."""

@@ -58,7 +58,8 @@ def run(args: argparse.Namespace) -> int:
         return replay_results.run(args)
     inference = Inference(args.inference, args.inference_ms)
     actor = _real_time(_actor(args), inference)
-    recipe = _recipe(args, actor)
+    rules = playing_rules(given_fields(args, RECIPE_OPTIONS), actor)
+    recipe = Recipe(split=args.split, views=actor.views, **rules)
     if inference.mode != SYNC and recipe.control_mode != JOINTS:
         raise ValueError(f"--inference {inference.mode} needs control_mode {JOINTS!r}, got {recipe.control_mode!r}")
     info = RunInfo(
@@ -157,11 +158,6 @@ def _vlm(args: argparse.Namespace) -> Agent:
         log=args.out / "vlm.jsonl" if args.out else None,
     )
     return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
-
-
-def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
-    given = given_fields(args, RECIPE_OPTIONS)
-    return Recipe(split=args.split, views=actor.views, **playing_rules(given, actor))
 
 
 def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) -> list[EpisodeSpec]:

@@ -51,7 +51,6 @@ class CircularMotion(PrescribedMotion):
 
 
 @MOTIONS.register("horizontal_circle")
-@dataclass(frozen=True)
 class HorizontalCircle(CircularMotion):
     """Constant angular speed about the vertical."""
 
@@ -59,7 +58,6 @@ class HorizontalCircle(CircularMotion):
 
 
 @MOTIONS.register("vertical_circle")
-@dataclass(frozen=True)
 class VerticalCircle(CircularMotion):
     """Constant angular speed about a horizontal axis."""
 

@@ -67,7 +67,6 @@ STRIKER_RADIUS_M = 0.02
 
 
 @MOTIONS.register("struck")
-@dataclass(frozen=True)
 class Struck(TabletopMotion):
     """Striker of equal mass at 0.6 to 1.2 m/s, restitution 0.5 to 0.85, table friction 0.02 to 0.06."""
 
@@ -101,7 +100,6 @@ WALL_HALF_M = (0.02, 0.3, 0.05)
 
 
 @MOTIONS.register("wall_rebound")
-@dataclass(frozen=True)
 class WallRebound(TabletopMotion):
     """Meets the wall at 0.5 to 1.1 m/s, restitution 0.6 to 0.9, table friction 0.01 to 0.04."""
 

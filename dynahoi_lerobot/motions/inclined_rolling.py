@@ -105,7 +105,6 @@ def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
 
 
 @MOTIONS.register("ramp")
-@dataclass(frozen=True)
 class Ramp(RollingMotion):
     """Intercepted after 0.15 to 0.6 m of slope."""
 
@@ -121,7 +120,6 @@ RUNOUT_HALF_M = 0.6
 
 
 @MOTIONS.register("ramp_and_runout")
-@dataclass(frozen=True)
 class RampAndRunout(RollingMotion):
     """Rolls down 0.1 to 0.4 m of slope and is intercepted on level ground 0.15 to 0.5 s later."""
 

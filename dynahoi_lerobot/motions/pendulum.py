@@ -71,7 +71,6 @@ def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarra
 
 
 @MOTIONS.register("planar")
-@dataclass(frozen=True)
 class PlanarPendulum(SuspendedMotion):
     """Released at rest at 12 to 40 degrees."""
 
@@ -84,7 +83,6 @@ class PlanarPendulum(SuspendedMotion):
 
 
 @MOTIONS.register("conical")
-@dataclass(frozen=True)
 class ConicalPendulum(SuspendedMotion):
     """Steady precession at 12 to 32 degrees, started at exactly the speed that keeps the angle."""
 
@@ -103,7 +101,6 @@ class ConicalPendulum(SuspendedMotion):
 
 
 @MOTIONS.register("damped")
-@dataclass(frozen=True)
 class DampedPendulum(SuspendedMotion):
     """Released at rest at 20 to 45 degrees; drag over mass 0.15 to 0.5 per second."""
 

@@ -56,7 +56,6 @@ class ThrowMotion(PhysicalMotion):
 
 
 @MOTIONS.register("lob")
-@dataclass(frozen=True)
 class Lob(ThrowMotion):
     """From 0.8 to 1.5 m in front, 0.5 to 0.85 s before the meeting, released 0.2 to 0.6 m below it."""
 
@@ -70,7 +69,6 @@ class Lob(ThrowMotion):
 
 
 @MOTIONS.register("cross_throw")
-@dataclass(frozen=True)
 class CrossThrow(ThrowMotion):
     """From 0.4 to 0.8 m away, 40 to 66 degrees in front of the side, 0.45 to 0.75 s before the meeting."""
 

@@ -124,11 +124,13 @@ class WorldRecorder:
         """Return the recording as an Episode of ``actor``, which planned ``meeting`` at control start."""
         spec, rule, columns = self.job.spec, batch.rule, self._columns()
         track = self._track(columns)
-        columns |= episode_constants(batch, spec, meeting) | self._commands()
+        columns |= episode_constants(batch, spec, meeting)
         columns |= {
+            "action": np.stack(self.labels),
+            "executed_action": np.stack(self.actions),
             "captured": self._padded(rule.captured(track)),
             "succeeded": next_frames(self._padded(rule.succeeded(track))),
-            "intercept_time": spec.intercept_time_s,
+            "intercept_time": spec.intercept_frame * CONTROL_DT,
         }
         return Episode(
             meta=_meta(self.job, rule.name, batch.control.name, actor),
@@ -145,10 +147,6 @@ class WorldRecorder:
     def _columns(self) -> dict[str, np.ndarray]:
         """Everything measured besides images, (T, ...) each."""
         return {name: np.stack([frame[name] for frame in self.frames]) for name in self.frames[0]}
-
-    def _commands(self) -> dict[str, np.ndarray]:
-        """The commands and what a teacher wanted, (T, 18) each."""
-        return {"action": np.stack(self.labels), "executed_action": np.stack(self.actions)}
 
     def _track(self, columns: dict[str, np.ndarray]) -> Track:
         """What the capture rule judges: the control phase."""

@@ -51,7 +51,7 @@ def code_fingerprint() -> str:
 
 def surroundings() -> dict[str, str]:
     """Return what beside the sources is in the code fingerprint: the kind of processor, and versions by library."""
-    return {"processor": platform.machine(), **{library: _version(library) for library in LIBRARIES}}
+    return {"processor": platform.machine(), **{name: installed_version(name) or "absent" for name in LIBRARIES}}
 
 
 def extension_fingerprint(entries: Iterable[object]) -> str:
@@ -102,8 +102,9 @@ def deciding_sources(package: Path) -> Iterator[Path]:
         yield from (path for path in package.glob(pattern) if path.parent != package or path.name not in NOT_DECIDING)
 
 
-def _version(library: str) -> str:
+def installed_version(name: str) -> str | None:
+    """Return the version of an installed distribution; None if there is none of that name."""
     try:
-        return version(library)
+        return version(name)
     except PackageNotFoundError:
-        return "absent"
+        return None

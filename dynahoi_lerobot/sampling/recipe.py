@@ -135,7 +135,10 @@ class Recipe:
             raise ValueError(f"perturbed_share must be 0 to 1, got {self.perturbed_share}")
         if not 0 <= self.render_noise <= MAX_RENDER_NOISE:
             raise ValueError(f"render_noise must be 0 to {MAX_RENDER_NOISE} levels of 255, got {self.render_noise}")
-        self._check_actor()
+        if self.actor and not ACTOR.fullmatch(self.actor):
+            raise ValueError(f"actor must be as `dynahoi generate --actor` writes it, TYPE@HASH, got {self.actor!r}")
+        if self.actor:
+            self.teacher()
 
     @property
     def stream(self) -> str:
@@ -214,13 +217,6 @@ class Recipe:
     @property
     def _split(self) -> Split:
         return BENCHMARK.splits[self.split]
-
-    def _check_actor(self) -> None:
-        """Refuse an actor that is no name of one, and one whose states nobody can label."""
-        if self.actor and not ACTOR.fullmatch(self.actor):
-            raise ValueError(f"actor must be as `dynahoi generate --actor` writes it, TYPE@HASH, got {self.actor!r}")
-        if self.actor:
-            self.teacher()
 
     def _check_split_of(self, noun: str, name: str) -> None:
         """Refuse what the benchmark holds out for another split, and what an ``ood_`` split holds none of."""

@@ -211,8 +211,11 @@ class WorldFields:
 def drive_for(motion: Motion, target: TargetObject, frames: int) -> TargetDrive:
     """Return the drive that makes ``target`` perform ``motion`` for ``frames`` frames."""
     if isinstance(motion, PrescribedMotion):
-        times = np.arange(-1, frames * SUBSTEPS + 1) * PHYSICS_DT
-        return _follow(motion.position(times), target.mass_kg, frames)
+        times = np.arange(-1, frames * SUBSTEPS + 1) * PHYSICS_DT  # from one physics step before the start
+        path = motion.position(times)
+        velocities = np.diff(path, axis=0) / PHYSICS_DT
+        force = target.mass_kg * (np.diff(velocities, axis=0) / PHYSICS_DT - GRAVITY_W)
+        return TargetDrive(path[1], velocities[0], force.reshape(frames, SUBSTEPS, 3))
     launch = motion.launch(target)
     start, velocity = np.asarray(launch.pos), np.asarray(launch.velocity)
     held = min(round(launch.release_s / PHYSICS_DT), frames * SUBSTEPS)
@@ -222,10 +225,3 @@ def drive_for(motion: Motion, target: TargetObject, frames: int) -> TargetDrive:
     force[:held] = -target.mass_kg * GRAVITY_W
     force[held : held + 1] = target.mass_kg * velocity / PHYSICS_DT  # the impulse of letting go, in the first free step
     return TargetDrive(start, np.zeros(3), force.reshape(frames, SUBSTEPS, 3))
-
-
-def _follow(path: np.ndarray, mass_kg: float, frames: int) -> TargetDrive:
-    """Drive along ``path``, (frames * 25 + 2, 3) positions from one physics step before the start."""
-    velocity = np.diff(path, axis=0) / PHYSICS_DT
-    force = mass_kg * (np.diff(velocity, axis=0) / PHYSICS_DT - GRAVITY_W)
-    return TargetDrive(path[1], velocity[0], force.reshape(frames, SUBSTEPS, 3))

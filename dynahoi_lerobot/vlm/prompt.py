@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_NAMES
+from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 
 HORIZON = 10
@@ -83,8 +84,7 @@ class Prompt:
         Raises:
             ValueError: naming the prompts there are, if it is none.
         """
-        if self.name not in PROMPTS:
-            raise ValueError(f"unknown prompt {self.name!r}; known: {', '.join(PROMPTS)}")
+        known("prompt", self.name, PROMPTS)
 
     def messages(self, task: str, state: np.ndarray, image: np.ndarray) -> list[dict[str, Any]]:
         """Return the chat messages of one request: system, then user with text and a JPEG image.

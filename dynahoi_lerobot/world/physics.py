@@ -129,10 +129,7 @@ class Physics:
         distance = np.linalg.norm(target - qpos[..., self._scene.hand_qpos[:PALM_DOF]], axis=-1)
         contacts = read_contacts(record["sensordata"]) if sensed else None
         if contacts is not None:
-            self._keep_mean(ids, contacts)
+            self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
+            self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
+            self.contacts.others[ids] = contacts.others.mean(axis=1)
         return Substeps(acting, distance, contacts)
-
-    def _keep_mean(self, ids: np.ndarray, contacts: TargetContacts) -> None:
-        self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
-        self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
-        self.contacts.others[ids] = contacts.others.mean(axis=1)
