@@ -58,8 +58,7 @@ class PolicyAgent(ChunkAgent):
             trust: load it even if that can run code of its own.
 
         Raises:
-            PolicyError: if there is no such policy, its config cannot be changed so, or loading it could run code of
-                its own, unless ``trust`` allows that.
+            PolicyError: as ``checked_folder`` and ``load_policy``.
         """
         self.name = path
         folder = checked_folder(path, trust=trust)
