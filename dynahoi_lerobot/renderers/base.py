@@ -6,7 +6,6 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.registry import Registry
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.scene.scene import Scene
 
 DEFAULT_RENDERER = "tiles"
@@ -25,7 +24,7 @@ class Renderer(ABC):
         camera: id of the camera in the model.
     """
 
-    def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA) -> None:
+    def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
         """Prepare to render.
 
         Args:
