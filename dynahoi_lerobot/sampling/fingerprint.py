@@ -69,18 +69,18 @@ def _module_hash(module: str) -> str:
 
 def hash_sources(package: Path) -> bytes:
     """Return the sha256 of the names and contents of the deciding sources below ``package``."""
-    digest = hashlib.sha256()
-    for path in sorted(deciding_sources(package)):
-        digest.update(path.relative_to(package).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.digest()
+    return _hash((path.relative_to(package).as_posix(), path) for path in sorted(deciding_sources(package)))
 
 
 def hash_packages(names: Iterable[str]) -> bytes:
     """Return the sha256 of the names and contents of the modules of top-level packages; those not found are none."""
+    return _hash((path.name, path) for path in sorted({path for name in names for path in _package_sources(name)}))
+
+
+def _hash(files: Iterable[tuple[str, Path]]) -> bytes:
     digest = hashlib.sha256()
-    for path in sorted({path for name in names for path in _package_sources(name)}):
-        digest.update(path.name.encode())
+    for name, path in files:
+        digest.update(name.encode())
         digest.update(path.read_bytes())
     return digest.digest()
 

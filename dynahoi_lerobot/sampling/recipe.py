@@ -256,10 +256,6 @@ def load_recipe(path: Path | None) -> Recipe:
     if not os.path.isfile(path):  # unlike Path.is_file, False for names that no file can have
         raise ValueError(f"there is no recipe at {path}")
     values = read_yaml(path)
-    if values is None:  # nothing but comments
-        return Recipe()
-    if not isinstance(values, dict):
-        raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
     for name, value in values.items():
         if value is None or (isinstance(value, list) and None in value):
             raise ValueError(f"{path}: {name} must not be null; leave it out for its default")
