@@ -12,11 +12,13 @@ from typing import Any, Self
 
 import draccus
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.files import printable, write_atomically
-from dynahoi_lerobot.evaluate.rows import Row, episode_row, row_schema
+from dynahoi_lerobot.evaluate.rows import ROW_SCHEMA, Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
@@ -363,20 +365,15 @@ def _read_head(path: Path) -> dict[str, Any]:
 
 
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    pq.write_table(pa.Table.from_pylist(list(rows), schema=row_schema()), path, compression="none")
+    pq.write_table(pa.Table.from_pylist(list(rows), schema=ROW_SCHEMA), path, compression="none")
 
 
 def _read_rows(path: Path) -> list[Row]:
-    import pyarrow.parquet as pq
-
-    wanted, table = row_schema(), pq.ParquetFile(path).read()
-    if set(table.schema) != set(wanted):
-        differing = sorted({field.name for field in set(table.schema) ^ set(wanted)})
-        raise TypeError(f"its column {differing[0]} is missing, surplus or of another type")
-    return table.select(wanted.names).to_pylist()
+    table = pq.ParquetFile(path).read()
+    if differing := set(table.schema) ^ set(ROW_SCHEMA):
+        name = min(field.name for field in differing)
+        raise TypeError(f"its column {name} is missing, surplus or of another type")
+    return table.select(ROW_SCHEMA.names).to_pylist()
 
 
 def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
