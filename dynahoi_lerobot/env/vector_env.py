@@ -79,12 +79,8 @@ class DynahoiVectorEnv(VectorEnv):
     Options:
         ``reset(options={"lerobot_new_rollout": True})`` plays one episode in every world, then waits for a reset.
 
-    Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset.
-
-    Attributes:
-        recipe: rules of the episodes.
-        kind: the only kind of motion played; None for all.
-        reward: one of ``REWARDS``.
+    Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset. Attributes are
+    ``recipe``, ``kind`` and ``reward``.
     """
 
     metadata = {  # noqa: RUF012 - gymnasium's own convention

@@ -273,12 +273,7 @@ class ResultsRecorder:
 
 
 def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:
-    """Write the result folder of ``episodes``, which may be a generator, and return what it holds.
-
-    Args:
-        folder: made if it does not exist; earlier results in it are replaced.
-        episodes: the played episodes; their images are not kept.
-        info: what was evaluated and how.
+    """Write the result folder of ``episodes``, which may be a generator, in place of earlier results; return it.
 
     Raises:
         ValueError: if there is no episode.

@@ -25,14 +25,7 @@ class Renderer(ABC):
     """
 
     def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
-        """Prepare to render.
-
-        Args:
-            scene: the compiled scene.
-            batch: worlds of ``scene.model``.
-            image_size: side of the square images [px].
-            camera: name of the camera in the model.
-        """
+        """Prepare to render ``batch``, of ``scene.model``, from the model's camera of that name; see the attributes."""
         self.scene, self.batch, self.image_size = scene, batch, image_size
         self.camera = scene.model.camera(camera).id
 

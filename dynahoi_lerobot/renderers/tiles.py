@@ -51,9 +51,6 @@ class TileRenderer(Renderer):
     def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
         """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is any.
 
-        Args:
-            scene, batch, image_size, camera: as ``Renderer`` takes them.
-
         Raises:
             ValueError: if the scene holds shapes, textures or lights that this renderer does not know.
         """

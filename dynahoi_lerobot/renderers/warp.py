@@ -25,11 +25,7 @@ class WarpRenderer(Renderer):
     """
 
     def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
-        """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is any.
-
-        Args:
-            scene, batch, image_size, camera: as ``Renderer`` takes them.
-        """
+        """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is any."""
         super().__init__(scene, batch, image_size, camera)
         self._device = default_device()
         with wp.ScopedDevice(self._device):

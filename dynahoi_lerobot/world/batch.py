@@ -45,8 +45,7 @@ class WorldBatch:
     underneath keeps the world frame; this class converts.
 
     Attributes:
-        recipe: rules of the episodes.
-        size: N.
+        recipe, size: as given.
         scene: the compiled model and where things are in it.
         rule: the capture rule.
         cameras: renders the worlds.
@@ -65,7 +64,7 @@ class WorldBatch:
         """Allocate ``size`` worlds.
 
         Args:
-            recipe: rules of the episodes that are played; their motions, objects and seeds do not matter here.
+            recipe: rules of the episodes; their motions, objects and seeds do not matter here.
             size: N.
             threads: for physics, 0 for all cores; without influence on the result.
 
