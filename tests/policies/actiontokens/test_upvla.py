@@ -53,13 +53,13 @@ def now(batch: dict[str, object]) -> dict[str, object]:
 
 def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
     words, kept = torch.tensor([[0, 5, 6]]), torch.tensor([[0, 1, 1]])
-    sequence = lay_out(words, kept, torch.tensor([[1, 0]]), n_actions=2, n_words=10)
+    ids, mask, positions, codes, actions = lay_out(words, kept, torch.tensor([[1, 0]]), n_actions=2, n_words=10)
     task, image, end, act, code = 10, 11, 12, 13, 14
-    assert sequence.ids[0].tolist() == [task, 0, 5, 6, image, code + 1, code, end, act, act]
-    assert sequence.ids[0, sequence.codes].tolist() == [code + 1, code]
-    assert sequence.ids[0, sequence.actions].tolist() == [act, act]
+    assert ids[0].tolist() == [task, 0, 5, 6, image, code + 1, code, end, act, act]
+    assert ids[0, codes].tolist() == [code + 1, code]
+    assert ids[0, actions].tolist() == [act, act]
     everything = "1.11111111"
-    seen = ["".join("1" if x else "." for x in row) for row in sequence.mask[0, 0]]
+    seen = ["".join("1" if x else "." for x in row) for row in mask[0, 0]]
     assert seen == [
         "1.........",
         "11........",  # padding, which nobody sees
@@ -72,7 +72,7 @@ def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
         "1.1111111.",
         "1.11111111",
     ]
-    assert sequence.positions[0].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7, 8]
+    assert positions[0].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7, 8]
 
 
 def test_it_learns_what_comes_and_what_to_do(models: Path) -> None:

@@ -76,14 +76,16 @@ class UPVLAPolicy(ChunkPolicy):
         texts = [begin + task + end for task in instructions(batch, len(images))]
         words = self.tokenizer(texts, padding=True, return_tensors="pt").to(images.device)
         codes = self.images.encode(images)
-        sequence = lay_out(words["input_ids"], words["attention_mask"], codes, self.config.chunk_size, self.n_words)
+        ids, mask, positions, in_image, in_actions = lay_out(
+            words["input_ids"], words["attention_mask"], codes, self.config.chunk_size, self.n_words
+        )
         hidden = self.llm.base_model(
-            sequence.ids,
-            attention_mask=torch.where(sequence.mask, 0.0, torch.finfo(self.llm.dtype).min).to(self.llm.dtype),
-            position_ids=sequence.positions,
+            ids,
+            attention_mask=torch.where(mask, 0.0, torch.finfo(self.llm.dtype).min).to(self.llm.dtype),
+            position_ids=positions,
         ).last_hidden_state  # (B, L, D)
-        actions = self.to_actions(self.pooling(hidden[:, sequence.actions].float()))  # (B, H * A)
-        logits = self.llm.get_output_embeddings()(hidden[:, sequence.codes])
+        actions = self.to_actions(self.pooling(hidden[:, in_actions].float()))  # (B, H * A)
+        logits = self.llm.get_output_embeddings()(hidden[:, in_image])
         return logits, actions.unflatten(1, (self.config.chunk_size, -1))
 
 

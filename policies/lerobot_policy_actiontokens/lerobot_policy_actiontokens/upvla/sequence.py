@@ -1,7 +1,5 @@
 """The input sequence of the language model: an instruction, the codes of an image, and a placeholder per action."""
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -9,26 +7,9 @@ START_OF_TASK, START_OF_IMAGE, END_OF_IMAGE, ACT, FIRST_CODE = range(5)
 """Token ids, counted from the end of the language model's own words: four markers, then the image codes."""
 
 
-@dataclass(frozen=True)
-class Sequence:
-    """Input sequence of the language model.
-
-    Attributes:
-        ids: token ids, ``(B, L)`` int64.
-        mask: attention mask, ``(B, 1, queries, keys)`` bool, True where a query attends to a key.
-        positions: position ids, ``(B, L)`` int64, counted without padding.
-        codes: positions of the image codes.
-        actions: positions of the action placeholders.
-    """
-
-    ids: Tensor
-    mask: Tensor
-    positions: Tensor
-    codes: slice
-    actions: slice
-
-
-def lay_out(words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, n_words: int) -> Sequence:
+def lay_out(
+    words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, n_words: int
+) -> tuple[Tensor, Tensor, Tensor, slice, slice]:
     """Return the sequence [task, words, image, codes, end of image, actions] (UP-VLA, Section 3).
 
     Attention of words and actions is causal; that of the image is bidirectional over the whole sequence. The output at
@@ -40,6 +21,10 @@ def lay_out(words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, n_words:
         codes: image codes, ``(B, N)`` int64.
         n_actions: number of action placeholders.
         n_words: rows of the language model's original embeddings.
+
+    Returns:
+        Token ids ``(B, L)`` int64; attention mask ``(B, 1, queries, keys)`` bool, True where a query attends to a key;
+        position ids ``(B, L)`` int64, counted without padding; and where the image codes and the placeholders are.
     """
     n, (width, n_codes) = len(words), (words.shape[1], codes.shape[1])
     mark = torch.full_like(words[:, :1], n_words)
@@ -58,10 +43,5 @@ def lay_out(words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, n_words:
     mask = torch.ones(length, length, dtype=torch.bool, device=ids.device).tril()
     mask[image] = True
     mask = mask & real.unsqueeze(1) | torch.eye(length, dtype=torch.bool, device=ids.device)
-    return Sequence(
-        ids=ids,
-        mask=mask.unsqueeze(1),
-        positions=real.cumsum(1) - 1,
-        codes=slice(image.start + 1, image.stop - 1),
-        actions=slice(length - n_actions, length),
-    )
+    in_image, in_actions = slice(image.start + 1, image.stop - 1), slice(length - n_actions, length)
+    return ids, mask.unsqueeze(1), real.cumsum(1) - 1, in_image, in_actions
