@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.registry import Registry
 
@@ -49,9 +49,9 @@ class Hand(ABC):
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add the hand to ``spec``."""
 
-    @abstractmethod
     def open_joints(self) -> np.ndarray:
-        """Return (15,) joint angles [rad] of the open hand, in which it waits."""
+        """Return (15,) joint angles [rad] of the open hand, in which it waits: straight fingers by default."""
+        return np.zeros(FINGER_DOF)
 
     @abstractmethod
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:

@@ -91,10 +91,6 @@ class CapsuleHand(Hand):
             self._add_finger(spec, palm, name, self.fingers[name])
         add_skin(palm, {name: finger.base for name, finger in self.fingers.items()})
 
-    def open_joints(self) -> np.ndarray:
-        """Return (15,) zeros: straight fingers."""
-        return np.zeros(FINGER_DOF)
-
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
         """Return (15,) angles [rad] at which each fingertip pad is ``grasp_radius_m`` away from the palm's axis.
 
