@@ -20,6 +20,7 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.dataset.store import frame_column
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
@@ -180,8 +181,6 @@ def _camera_key(args: argparse.Namespace, dataset: Any) -> str:
 
 def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:
     """Return the phase of each frame, None if the dataset lacks it."""
-    from dynahoi_lerobot.dataset import frame_column
-
     frames = [int(item["index"]) for item in items]
     try:
         phase, localized = (frame_column(args.dataset, key)[frames] for key in ("observation.phase", "localized"))

@@ -71,7 +71,7 @@ def image_keys(features: Features) -> list[str]:
 
 def numeric_keys(features: Features) -> list[str]:
     """Return the keys of all columns that hold numbers, in the dataset's order."""
-    return [key for key, entry in features.items() if entry["dtype"] in _SCALARS]
+    return [key for key, entry in features.items() if entry["dtype"] in SCALARS]
 
 
 def content_arrays(episode: Episode, features: Sequence[Feature]) -> dict[str, np.ndarray]:
@@ -183,7 +183,8 @@ def read_png(cell: dict[str, Any]) -> np.ndarray:
 
 
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-_SCALARS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+SCALARS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+"""Element types of columns of numbers."""
 _LANGUAGE = pa.list_(
     pa.struct(
         [
@@ -197,7 +198,7 @@ _LANGUAGE = pa.list_(
 def _arrow_type(feature: dict[str, Any]) -> pa.DataType:
     if (kind := {"image": _IMAGE, "language": _LANGUAGE}.get(feature["dtype"])) is not None:
         return kind
-    scalar, width = _SCALARS[feature["dtype"]], feature["shape"][0]
+    scalar, width = SCALARS[feature["dtype"]], feature["shape"][0]
     return scalar if width == 1 else pa.list_(scalar, width)
 
 

@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.features import Feature, episode_features
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, bookkeeping_arrays, image_keys, numeric_keys
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, SCALARS, Features, bookkeeping_arrays, image_keys, numeric_keys
 from dynahoi_lerobot.dataset.statistics import NAMES, Stats, table_stats
 
 EpisodeRow = dict[str, Any]
@@ -22,7 +22,6 @@ EpisodeRow = dict[str, Any]
 FACTS = {field.name: pa.string() if field.type is str else pa.int64() for field in fields(EpisodeMeta)}
 FACTS |= {"success": pa.bool_(), "stage": pa.string()}
 """Our columns that hold one value."""
-_SCALARS = {"float32": pa.float32(), "bool": pa.bool_()}
 
 
 def own_columns(episode: Episode, features: Iterable[Feature]) -> EpisodeRow:
@@ -107,7 +106,7 @@ def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
 
 
 def _type(feature: Feature) -> pa.DataType:
-    scalar = _SCALARS[feature.dtype]
+    scalar = SCALARS[feature.dtype]
     return scalar if feature.constant and not feature.shape else pa.list_(scalar)
 
 

@@ -29,18 +29,11 @@ METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"
 ACTIONS_FILE = "actions.npz"
 
-HEAD_TYPES: dict[str, type] = {
-    "n": int,
-    "split": str,
-    "policy": str,
-    "capture": str,
-    "metrics": dict,
-    "per_kind": dict,
-    "fingerprint": str,
-    "benchmark": str,
-    "command": str,
-    "extra": dict,
-}
+HEAD_TYPES = (
+    {"n": int}
+    | dict.fromkeys(("split", "policy", "capture", "fingerprint", "benchmark", "command"), str)
+    | dict.fromkeys(("metrics", "per_kind", "extra"), dict)
+)
 """Keys of ``metrics.json`` with the types of their values; ``extra`` may be missing."""
 
 UNIFORM = ("capture", "benchmark", "protocol", "control_class")
