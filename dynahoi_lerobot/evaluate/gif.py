@@ -1,17 +1,21 @@
 """Camera frames of an episode as a GIF, with a coloured border for the phase and a caption."""
 
+from __future__ import annotations
+
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from PIL import Image
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.files import write_atomically
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 BORDERS = {"observing": (128, 128, 128), "acting": (30, 30, 34), "localized": (46, 160, 67)}
 """Border colour [RGB, 0 to 255] of each phase: grey while observing, dark while acting, green once localised."""
@@ -113,6 +117,8 @@ def _quantized(pages: Sequence[np.ndarray]) -> list[Image.Image]:
 
     Pillow does this. OpenCV's own GIF encoder dithers, so that still pixels change and a small target loses its colour.
     """
+    from PIL import Image
+
     few = [pages[i] for i in np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)]
     octree = Image.Quantize.FASTOCTREE  # median cut would drop the colour of a small target
     learned = Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS), octree).getpalette() or []

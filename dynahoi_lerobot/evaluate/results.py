@@ -12,13 +12,11 @@ from typing import Any, Self
 
 import draccus
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.files import printable, write_atomically
-from dynahoi_lerobot.evaluate.rows import ROW_SCHEMA, Row, episode_row
+from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
@@ -353,15 +351,21 @@ def _read_head(path: Path) -> dict[str, Any]:
 
 
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
-    pq.write_table(pa.Table.from_pylist(list(rows), schema=ROW_SCHEMA), path, compression="none")
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pylist(list(rows), schema=pa.schema(COLUMNS)), path, compression="none")
 
 
 def _read_rows(path: Path) -> list[Row]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     table = pq.ParquetFile(path).read()
-    if differing := set(table.schema) ^ set(ROW_SCHEMA):
+    if differing := set(table.schema) ^ set(pa.schema(COLUMNS)):
         name = min(field.name for field in differing)
         raise TypeError(f"its column {name} is missing, surplus or of another type")
-    return table.select(ROW_SCHEMA.names).to_pylist()
+    return table.select(list(COLUMNS)).to_pylist()
 
 
 def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:

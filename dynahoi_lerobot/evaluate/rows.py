@@ -7,7 +7,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from dynahoi_lerobot.core.conventions import UNIT_M
 from dynahoi_lerobot.core.episode import Episode
@@ -93,14 +92,14 @@ TEXTS = ("split", "agent", "capture", "protocol", "control_class", "fingerprint"
 COUNTS = ("seed", "length_frames", "window_frames", "intercept_frame", "attempts")
 """Columns copied from ``EpisodeMeta``."""
 
-ROW_SCHEMA = pa.schema(
+COLUMNS = (
     dict.fromkeys(TEXTS, "string")
     | dict.fromkeys(COUNTS, "int64")
     | {"travel_u": "double", "grasp_rad": "double", "first_localized": "int64", "stage": "string", "success": "bool"}
     | dict.fromkeys(STRATA, "string")
     | dict.fromkeys(METRICS.names(), "double")
 )
-"""All columns with their types; explicit, because a column may hold nothing but nulls. ``travel_u`` is in u (0.1 m),
+"""Arrow's type of every column; explicit, because a column may hold nothing but nulls. ``travel_u`` is in u (0.1 m),
 ``grasp_rad`` the mean rotation of a joint from the open hand to the reference grasp, ``first_localized`` a frame."""
 
 IDENTITY = ("split", "seed", "kind", "object", "length_frames")
