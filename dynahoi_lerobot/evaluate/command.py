@@ -38,7 +38,6 @@ from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import split_seeds, stream_label, without_salt
-from dynahoi_lerobot.vlm.prompt import Prompt
 from dynahoi_lerobot.world.batch import WorldBatch
 
 __all__ = ["add_arguments", "run"]
@@ -149,12 +148,12 @@ def _vlm(args: argparse.Namespace) -> Agent:
     if args.protocol and known("protocol", args.protocol, PROTOCOLS).blind_control:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
     control = known("control class", args.control_class or Recipe.control_class, CONTROL_CLASSES)
-    prompt = Prompt(args.prompt, CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control))
     client = VlmClient(
         args.model,
         args.base_url,
         timeout_s=args.request_timeout,
-        prompt=prompt,
+        prompt=args.prompt,
+        palm_speed_m_s=CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control),
         log=args.out / "vlm.jsonl" if args.out else None,
     )
     return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)

@@ -21,7 +21,7 @@ from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers.views import MOTION_VIEW
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, check_command
-from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
+from dynahoi_lerobot.scene.world_fields import WorldFields
 from dynahoi_lerobot.world.physics import Physics
 from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, camera_pose, intrinsics, with_render_noise
 
@@ -310,8 +310,9 @@ class WorldBatch:
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
         """Fill row ``i`` with an episode that is about to begin."""
-        drive = drive_for(spec.motion, spec.target, spec.horizon_frames)
-        self._fields.write_world(i, spec.motion, spec.target, drive, self.rule.collisions(spec.motion))
+        collides_with = self.rule.collisions(spec.motion)
+        force_w = self._fields.write_world(i, spec.motion, spec.target, spec.horizon_frames, collides_with)
+        self._physics.drive(i, force_w)
         if isinstance(spec.motion, PrescribedMotion):
             self._fields.turn_target(i, spec.yaw_rad, spec.spin_rad_s)
         self._fields.write_appearance(i, spec.appearance)
@@ -322,7 +323,6 @@ class WorldBatch:
         self._pending[:, i] = rest
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
-        self._physics.drive(i, drive)
         self.specs[i] = spec
 
     def _update_kinematics(self, ids: np.ndarray | None = None) -> None:

@@ -9,7 +9,7 @@ from dynahoi_lerobot.core.conventions import PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
 from dynahoi_lerobot.scene.scene import Scene
-from dynahoi_lerobot.scene.world_fields import TargetDrive, WorldFields
+from dynahoi_lerobot.scene.world_fields import WorldFields
 
 CONTROL_SPEC = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
@@ -33,9 +33,9 @@ class Physics:
         self.contacts: TargetContacts = no_contacts(batch.nsim)
         self._force_w: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * batch.nsim
 
-    def drive(self, i: int, drive: TargetDrive) -> None:
-        """Begin to drive the target of world ``i``."""
-        self._force_w[i], self.released[i] = drive.force_w, False
+    def drive(self, i: int, force_w: np.ndarray) -> None:
+        """Begin to drive the target of world ``i`` by (F, 25, 3) force [N], world, in each physics step of F frames."""
+        self._force_w[i], self.released[i] = force_w, False
 
     def reset(self, ids: np.ndarray, palm_distance: np.ndarray) -> None:
         """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance`` (n,) [m] from their targets."""
