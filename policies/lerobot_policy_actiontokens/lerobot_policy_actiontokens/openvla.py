@@ -220,10 +220,10 @@ class Scale(nn.Module):
 def _projector(vision: int, text: int, fused: bool) -> nn.Sequential:
     """Return the MLP from features of size ``vision`` to embeddings of size ``text``; three layers for two towers."""
     wide = 4 * vision if fused else text
-    layers = OrderedDict(fc1=nn.Linear(vision, wide), gelu1=nn.GELU(), fc2=nn.Linear(wide, text))
+    layers: dict[str, nn.Module] = {"fc1": nn.Linear(vision, wide), "gelu1": nn.GELU(), "fc2": nn.Linear(wide, text)}
     if fused:
         layers |= {"gelu2": nn.GELU(), "fc3": nn.Linear(text, text)}
-    return nn.Sequential(layers)
+    return nn.Sequential(OrderedDict(layers))
 
 
 def _tower(name: str, size: int, activation: str | None) -> Any:
