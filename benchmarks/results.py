@@ -23,8 +23,7 @@ from typing import Any
 import yaml
 from support.options import benchmark_parser, write_numbers
 
-from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
-from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.results import METRICS_FILE, read_results
 from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, metrics_table
 
 REPOSITORY = Path(__file__).parents[1]

@@ -1,7 +1,5 @@
 """``dynahoi doctor``: check every part of this machine, and whether it reproduces our episodes."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import importlib
@@ -14,7 +12,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, distributions, entry_points, requires, version
+from importlib.metadata import distributions, entry_points, requires, version
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -30,7 +28,7 @@ from dynahoi_lerobot.dataset.video import CODECS
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.fingerprint import LIBRARIES
+from dynahoi_lerobot.sampling.fingerprint import LIBRARIES, installed_version
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -199,14 +197,6 @@ def versions() -> Iterator[Fact]:
             if found is None or not wanted.specifier.contains(found, prereleases=True):
                 follows = f"{distribution} needs {wanted}: pip install {str(wanted)!r}"
                 yield Fact(wanted.name, found or "none", follows, problem=True)
-
-
-def installed_version(name: str) -> str | None:
-    """Return the version of an installed distribution; None if there is none of that name."""
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
 
 
 LEROBOT_PREFIXES = ("lerobot_env_", "lerobot_policy_", "lerobot_robot_", "lerobot_teleoperator_", "lerobot_camera_")

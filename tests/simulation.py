@@ -14,7 +14,7 @@ from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.sampling.oracle_path import PARKED_PALM_W
 from dynahoi_lerobot.scene.model import ENVIRONMENT
 from dynahoi_lerobot.scene.scene import compile_scene
-from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
+from dynahoi_lerobot.scene.world_fields import WorldFields
 
 
 @dataclass(frozen=True)
@@ -41,13 +41,12 @@ def simulate(motion: Motion, target: TargetObject, seconds: float, driven_frames
     batch = Batch(scene.model, nsim=1, nthread=1)
     rows, one = WorldFields(batch, scene), np.array([0])
     frames = int(np.ceil(seconds * 20))
-    drive = drive_for(motion, target, frames)
     rows.reset(one)
-    rows.write_world(0, motion, target, drive, ENVIRONMENT)
+    force_w = rows.write_world(0, motion, target, frames, ENVIRONMENT)
     rows.qpos[:, scene.hand_qpos] = batch.bind("ctrl")[:] = np.concatenate([PARKED_PALM_W, scene.hand.open_joints()])
     rows.finish(one)
     force = np.zeros((1, frames * SUBSTEPS, scene.model.nv))
-    force[0, :, scene.target_dof : scene.target_dof + 3] = drive.force_w.reshape(-1, 3)
+    force[0, :, scene.target_dof : scene.target_dof + 3] = force_w.reshape(-1, 3)
     force[0, frames * SUBSTEPS if driven_frames is None else driven_frames * SUBSTEPS :] = 0.0
     first_qpos, first_qvel = rows.qpos[0].copy(), rows.qvel[0].copy()
     applied = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value

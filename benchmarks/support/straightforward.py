@@ -59,7 +59,7 @@ class StraightforwardEnv(gym.Env):
         self._writer._batch.get_model(0, self.model)
         self._writer._batch.get_data(0, self.data)
         mujoco.mj_forward(self.model, self.data)
-        self._force = drive_for(spec.motion, spec.target, spec.horizon_frames).force_w
+        self._force = drive_for(spec.motion, spec.target, spec.horizon_frames)[2]
         self.origin = np.concatenate([spec.home_pos_w, np.zeros(FINGER_DOF)])  # of the home frame, world
         self.executed = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
         return self._observe()

@@ -1,7 +1,5 @@
 """``dynahoi list``: the registries as tables, generated from the code."""
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import json

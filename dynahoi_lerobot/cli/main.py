@@ -1,7 +1,5 @@
 """``dynahoi <command>``: the commands that LeRobot does not have."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import logging
@@ -20,7 +18,7 @@ COMMANDS = {
     "filter": ("dynahoi_lerobot.verify.filter", "copy a dataset without outliers as the paper defines them"),
     "pretrain": ("dynahoi_lerobot.pretrain.command", "pretrain an image encoder on random poses"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
-    "report": ("dynahoi_lerobot.report.command", "write an HTML report of result folders"),
+    "report": ("dynahoi_lerobot.report.page", "write an HTML report of result folders"),
     "push": ("dynahoi_lerobot.hub", "upload a dataset, a checkpoint, results or the environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or HTML"),
     "doctor": ("dynahoi_lerobot.doctor", "check this machine and installation"),

@@ -4,8 +4,6 @@ generate -> lerobot-train (ObAct) -> lerobot-eval -> privileged baselines -> rep
 product exists, so an interrupted quickstart resumes.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import os
@@ -16,7 +14,6 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -54,36 +51,22 @@ POLICY = "obact"
 """Name of the trained policy's results."""
 
 
-@dataclass(frozen=True)
-class Size:
-    """Size of a quickstart.
-
-    Attributes:
-        episodes: of the dataset.
-        steps: of training, a multiple of ``LOG_STEPS``.
-        per_kind: evaluation episodes per kind of motion.
-        kinds: how many of ``KINDS`` are evaluated, from the first.
-    """
-
-    episodes: int = 800
-    steps: int = 600
-    per_kind: int = 2
-    kinds: int = len(KINDS)
-
-
-FULL = Size()
-TINY = Size(episodes=2, steps=LOG_STEPS, per_kind=1, kinds=2)
+Size = dict[str, int]
+"""Of a quickstart: ``episodes`` of the dataset; ``steps`` of training, a multiple of ``LOG_STEPS``; evaluation episodes
+``per_kind`` of motion; and how many of ``KINDS`` are evaluated, from the first."""
+FULL: Size = {"episodes": 800, "steps": 600, "per_kind": 2, "kinds": len(KINDS)}
+TINY: Size = {"episodes": 2, "steps": LOG_STEPS, "per_kind": 1, "kinds": 2}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi quickstart``."""
     parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="output folder")
-    parser.add_argument("--episodes", type=whole(1, 10**6), default=FULL.episodes, help="dataset episodes")
-    parser.add_argument("--steps", type=whole(1, 10**6), default=FULL.steps, help="training steps")
+    parser.add_argument("--episodes", type=whole(1, 10**6), default=FULL["episodes"], help="dataset episodes")
+    parser.add_argument("--steps", type=whole(1, 10**6), default=FULL["steps"], help="training steps")
     parser.add_argument(
         "--evaluation-episodes",
         type=whole(1, 1000),
-        default=FULL.per_kind,
+        default=FULL["per_kind"],
         help="evaluation episodes per kind of motion",
     )
     parser.add_argument("--tiny", action="store_true", help="smoke test with meaningless scores")
@@ -103,9 +86,10 @@ def run(args: argparse.Namespace) -> int:
             "./policies/lerobot_policy_obact, in a checkout"
         )
     out = args.out.resolve()
-    size = TINY if args.tiny else Size(args.episodes, args.steps, args.evaluation_episodes)
+    chosen = {"episodes": args.episodes, "steps": args.steps, "per_kind": args.evaluation_episodes}
+    size = TINY if args.tiny else FULL | chosen
     start = time.monotonic()
-    with working_folder(out, {"quickstart": asdict(size)}):
+    with working_folder(out, {"quickstart": size}):
         _run_stages(out, size, start)
     _conclude(out, start, show=args.open)
     return 0
@@ -127,7 +111,7 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
 
 
 def _generate(out: Path, size: Size) -> None:
-    arguments = ["--root", str(out / "dataset"), "--episodes", str(size.episodes), "--image-size", str(IMAGE_SIZE)]
+    arguments = ["--root", str(out / "dataset"), "--episodes", str(size["episodes"]), "--image-size", str(IMAGE_SIZE)]
     if cli.main(["generate", *arguments, "--workers", str(cores())]):
         raise CommandError("generation failed; see the message above")
 
@@ -144,11 +128,11 @@ def _train(out: Path, size: Size) -> None:
         f"--dataset.root={out / 'dataset'}",
         f"--output_dir={partial / 'run'}",
         f"--policy.device={_device()}",
-        f"--steps={size.steps}",
-        f"--save_freq={size.steps}",
+        f"--steps={size['steps']}",
+        f"--save_freq={size['steps']}",
         f"--log_freq={LOG_STEPS}",
     ]
-    bar = {"total": size.steps // LOG_STEPS, "desc": "encoding and training", "bar_format": BAR}
+    bar = {"total": size["steps"] // LOG_STEPS, "desc": "encoding and training", "bar_format": BAR}
     with _run_into("train", arguments, out, partial, STEPS_DONE, **bar):
         checkpoint.parent.mkdir(exist_ok=True)
         (partial / "run" / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)
@@ -156,7 +140,7 @@ def _train(out: Path, size: Size) -> None:
 
 def _evaluate(out: Path, size: Size) -> None:
     """Evaluate; keep the results only once every kind of motion has been played."""
-    kinds, results, partial = KINDS[: size.kinds], out / "results" / POLICY, out / "results" / f"{POLICY}.partial"
+    kinds, results, partial = KINDS[: size["kinds"]], out / "results" / POLICY, out / "results" / f"{POLICY}.partial"
     arguments = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
@@ -165,8 +149,8 @@ def _evaluate(out: Path, size: Size) -> None:
         f"--env.split={SMALL_TEST}",
         f"--env.image_size={IMAGE_SIZE}",
         f"--env.results_dir={partial / results.name}",
-        f"--eval.n_episodes={size.per_kind}",
-        f"--eval.batch_size={size.per_kind}",
+        f"--eval.n_episodes={size['per_kind']}",
+        f"--eval.batch_size={size['per_kind']}",
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     ]

@@ -1,7 +1,5 @@
 """``dynahoi view --sample``: a few episodes of every kind of motion on one page, with what they hold frame by frame."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
@@ -45,7 +43,7 @@ def write_sample(out: Path, dataset: Any, key: str, per_kind: int) -> int:
     text = template.render(
         title=f"{len(chosen)} of the {dataset.num_episodes} episodes of {dataset.root}",
         has_target=any("target" in episode for episode in episodes),
-        data=_script_json(data),
+        data=Markup(json.dumps(data).replace("<", "\\u003c")),  # so that it cannot end the script element
     )
     write_atomically({out: lambda draft: draft.write_text(text, encoding="utf-8")})
     return len(chosen)
@@ -115,8 +113,3 @@ def _sheet(images: list[np.ndarray]) -> str:
         sheet.paste(Image.fromarray(image), (i % SHEET_COLUMNS * width, i // SHEET_COLUMNS * height))
     sheet.save(buffer := io.BytesIO(), "JPEG", quality=JPEG_QUALITY)
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def _script_json(data: dict[str, Any]) -> Markup:
-    """Return JSON that cannot end the script element that holds it."""
-    return Markup(json.dumps(data).replace("<", "\\u003c"))

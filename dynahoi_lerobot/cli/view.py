@@ -3,8 +3,6 @@
 With ``--sample`` a page of several episodes of a dataset.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import html
@@ -22,6 +20,7 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.dataset.store import frame_column
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
@@ -182,8 +181,6 @@ def _camera_key(args: argparse.Namespace, dataset: Any) -> str:
 
 def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:
     """Return the phase of each frame, None if the dataset lacks it."""
-    from dynahoi_lerobot.dataset import frame_column
-
     frames = [int(item["index"]) for item in items]
     try:
         phase, localized = (frame_column(args.dataset, key)[frames] for key in ("observation.phase", "localized"))
@@ -239,10 +236,6 @@ def _gif(clip: Clip) -> bytes:
     return encode_gif(clip.frames, fps=clip.fps, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX)
 
 
-def _write_gif(path: Path, clip: Clip) -> None:
-    path.write_bytes(_gif(clip))
-
-
 def _write_html(path: Path, clip: Clip) -> None:
     data = base64.b64encode(_gif(clip)).decode()
     path.write_text(PAGE.format(caption=html.escape(clip.caption), data=data), encoding="utf-8")
@@ -262,5 +255,5 @@ def _write_mp4(path: Path, clip: Clip) -> None:
         video.mux(stream.encode())
 
 
-WRITERS = {".gif": _write_gif, ".mp4": _write_mp4, ".html": _write_html}
+WRITERS = {".gif": lambda path, clip: path.write_bytes(_gif(clip)), ".mp4": _write_mp4, ".html": _write_html}
 """Function that writes a clip to a path, by the suffix of the file."""

@@ -1,18 +1,15 @@
 """Who moves the hand. A learned agent sees an Observation; an expert sees the WorldState; the types keep them apart."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from dynahoi_lerobot.core.rules import ControlClass
-    from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.core.rules import ControlClass
+from dynahoi_lerobot.core.spec import EpisodeSpec
 
 
 @dataclass(frozen=True, eq=False)

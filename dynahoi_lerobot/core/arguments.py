@@ -1,7 +1,5 @@
 """What commands share: their failure, types of arguments, and options derived from a dataclass."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
@@ -69,10 +67,11 @@ def add_field_arguments(parser: ArgumentParser, cls: type, fields: Iterable[str]
     for name in fields:
         option, text = "--" + name.replace("_", "-"), "; ".join(filter(None, (docs[name], notes.get(name))))
         text = text.replace("%", "%%")
-        if hints[name] is bool:
+        if (hint := hints[name]) is bool:
             parser.add_argument(option, action="store_true", default=None, help=text)
         else:
-            parser.add_argument(option, type=_parser_of(hints[name]), help=text)
+            plain = (kind for kind in (int, float, str) if hint in (kind, kind | None))
+            parser.add_argument(option, type=names if hint == tuple[str, ...] else next(plain), help=text)
 
 
 def given_fields(args: Namespace, fields: Iterable[str]) -> dict[str, Any]:
@@ -85,10 +84,3 @@ def field_docs(cls: type) -> dict[str, str]:
     section = (inspect.getdoc(cls) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
     entries = re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", section, re.MULTILINE)
     return {name: " ".join(text.replace("``", "").split()).removesuffix(".") for name, text in entries}
-
-
-def _parser_of(hint: Any) -> Callable[[str], Any]:
-    """Return what turns the text of an option into a value of a field's type."""
-    if hint == tuple[str, ...]:
-        return names
-    return next(kind for kind in (int, float, str) if hint in (kind, kind | None))

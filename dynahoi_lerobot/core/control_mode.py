@@ -1,7 +1,5 @@
 """What an action is: the paper's 18 numbers, or four of a grasp, which the world maps to 18."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import HAND_DOF, HAND_NAMES, PALM_DOF

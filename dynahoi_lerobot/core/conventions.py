@@ -5,8 +5,6 @@ drawn and simulated, and in ``_h`` in the home frame, in which they are played a
 where the palm's centre waits in this episode.
 """
 
-from __future__ import annotations
-
 CONTROL_HZ = 20
 """Control and frame rate [Hz] (Appendix "Data collection": ``sendInterval = 0.05 s``)."""
 

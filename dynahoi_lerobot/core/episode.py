@@ -1,10 +1,6 @@
 """Episode: the narrow waist. The expert writes it, the dataset stores it, metrics read it."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -54,65 +50,33 @@ class EpisodeMeta:
     fingerprint: str
     benchmark: str
 
-    @property
-    def motion_parameters(self) -> dict[str, Any]:
-        """The motion's parameters as a dictionary."""
-        return json.loads(self.parameters)
-
 
 @dataclass(frozen=True, eq=False)
 class Episode:
     """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
 
-    Home frame, SI units; `features.py` has shapes, units and names of all arrays. ``state[t]`` is measured at time
-    t * 0.05 s, ``executed_action[t]`` is the command executed from then until frame t + 1. The window is frames
-    ``[0, window_frames)``; control starts at frame ``window_frames``.
+    Home frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``executed_action[t]`` is the command executed
+    from then until frame t + 1. The window is frames ``[0, window_frames)``; control starts at frame ``window_frames``.
+
+    `features.py` has shape, unit, element type and meaning of every array, and so does ``dynahoi list features``: one
+    row per frame, (T, ...), where it says nothing else.
 
     Attributes:
         meta: one value per episode.
         images: (T, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
-        state: (T, 18) float32, palm centre position [m] and 15 joint angles [rad].
-        fingertips: (T, 30) float32, 5 x (position [m], rotation vector [rad]), which follow from ``state``.
-        phase: (T, 2) float32, [1, 0] observing, [0, 1] acting.
-        action: (T, 18) float32, palm position [m] and joint angles [rad]. In recordings for learning the teacher's
-            goal, which may lie beyond the reach of one frame, also in the window, where commands are void; elsewhere
-            ``executed_action``. (T, 4) where the control mode is ``grasp``.
-        executed_action: (T, 18) float32, the commands for the next frame that were executed, within the limits of the
-            hand and with what perturbed them.
-        target_pose: (T, 7) float32, position [m] and quaternion wxyz of the target.
-        target_velocity: (T, 6) float32, linear [m/s] and angular [rad/s] velocity of the target.
-        target_path: (F, 3) float32 [m], where the target would be in every frame had nothing touched it. F = window +
-            L + 1, as long as an evaluation may last, so it extends beyond the end of a recorded catch.
-        target_contacts: (T, 5) float32, 1 where the finger touches the target.
-        palm_distance: (T,) float32 [m], palm centre to target centre, the least within the control step that ends
-            at the frame (so a fast target cannot pass between two frames unseen).
-        fingertip_distance: (T,) float32 [m], least distance of the five fingertips to the target's surface, 0 inside.
-        localized: (T,) bool, the target is (or has been) localised and, under ``attach``, is welded to the hand.
-        captured: (T,) bool, the capture rule regards the target as captured at this frame.
-        intercept_position: (3,) float32 [m], the oracle intercept.
-        intercept_time: the oracle intercept's time [s] from the episode's start.
-        home_position: (3,) float32 [m], the home frame's origin, world.
-        open_joints: (15,) float32 [rad], joint angles of the open hand.
-        reference_joints: (15,) float32 [rad], joint angles of the reference grasp of this object.
-        succeeded: (T,) bool, the frames up to the one that ``action[t]`` leads to make the episode a success.
-        object_primitives: (S, 11) float32, the object's solids, see ``objects.primitives.as_table``.
-        object_size: (3,) float32 [m], extent of the object along its own axes.
-        object_mass: of the object [kg].
-        object_inertia: (3,) float32 [kg m^2], its moments of inertia about its own axes.
-        object_friction: (2,) float32, its sliding friction coefficients against the hand and against surfaces.
-        object_restitution: rebound speed over impact speed of the impacts of its motion; 0 if it has none.
-        ego_camera: (7,) float32, position [m] and quaternion wxyz of the hand's camera from the palm centre.
-        side_camera: (7,) float32, likewise of the side camera, home frame.
-        ego_intrinsics, side_intrinsics: (4,) float32 [px], focal lengths fx and fy, principal point cx and cy.
-        hand_limits: (3,) float32, speed limits of palm [m/s] and joints [rad/s], latency [ms].
-        first_plan: (2,) float32, planned speed [m/s] and lead time [s] at control start; 0 if the actor plans none.
+        action: in recordings for learning the teacher's goal, which may lie beyond the reach of one frame, also in the
+            window, where commands are void; elsewhere ``executed_action``. (T, 4) where the control mode is ``grasp``.
+        target_path: (F, 3), F = window + L + 1, as long as an evaluation may last, so it extends beyond the end of a
+            recorded catch.
+        palm_distance: the least within the control step that ends at the frame, so that a fast target cannot pass
+            between two frames unseen.
+        localized: under ``attach``, the target is also welded to the hand.
+        object_primitives: (S, 11), one row per solid, see ``objects.primitives.as_table``.
         success: the capture rule's verdict on the whole episode.
         stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or ``missed``, ``touched``,
             ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
-        touch: (T, 5) float32 [N], mean force of each finger on the target in the control step that ends at the frame;
-            None unless the capture rule ``uses_contact_sensors``.
-        sighting: (T, 14) float32 [m], where the eye saw the target; None unless the recipe's ``environment_state`` is
-            ``eye``.
+        touch: None unless the capture rule ``uses_contact_sensors``.
+        sighting: None unless the recipe's ``environment_state`` is ``eye``.
     """
 
     meta: EpisodeMeta

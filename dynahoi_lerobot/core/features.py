@@ -9,21 +9,17 @@ rollout records (`rollout/recorder.py`), the dataset's columns and reader (`data
 ``Observation`` where policies may see it), and what computes it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF, FINGERS, HAND_DOF, HAND_NAMES, JOINT_NAMES
 from dynahoi_lerobot.core.rules import PHASES
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.core.agent import Observation
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""

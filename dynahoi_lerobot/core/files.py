@@ -1,7 +1,5 @@
 """Files and text: unwritable places refused before the work starts, what is written whole, YAML, hashes."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import tempfile
@@ -73,18 +71,22 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def read_yaml(path: Path) -> Any:
-    """Return what a YAML file holds.
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Return the mapping that a YAML file holds; nothing but comments is an empty one.
 
     Raises:
-        ValueError: in one sentence that names the file, if it cannot be read or is not YAML in UTF-8 or repeats a key.
+        ValueError: in one sentence that names the file, if it cannot be read, is not YAML in UTF-8, repeats a key or is
+            no mapping.
     """
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+        values = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise ValueError(f"{path} cannot be read: {error.strerror}") from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(values, dict | None):
+        raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
+    return values or {}
 
 
 def printable(text: str) -> str:

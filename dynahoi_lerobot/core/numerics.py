@@ -5,8 +5,6 @@ processor to the next. What decides an episode is computed by NumPy's plain loop
 angles take long doubles, of which there is one variant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -7,8 +7,6 @@ such a distribution::
     spiral = "my_package.spiral"
 """
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import pkgutil

@@ -4,8 +4,6 @@ Control classes say how fast a hand may move and how late its commands take effe
 protocols say what the hand may see, and when.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import ceil
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.numerics import norm
 
 if TYPE_CHECKING:
@@ -63,11 +62,6 @@ class EpisodeSpec:
     spin_rad_s: float
     oracle_path: np.ndarray = field(repr=False)
     fingerprint: str
-
-    @property
-    def intercept_time_s(self) -> float:
-        """Time of the intercept from the start of the episode [s]."""
-        return self.intercept_frame * CONTROL_DT
 
     @property
     def travel_m(self) -> float:

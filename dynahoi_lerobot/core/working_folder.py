@@ -1,7 +1,5 @@
 """Working folders: made, claimed by one process for one task, and resumed by the same task."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

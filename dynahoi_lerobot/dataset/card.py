@@ -1,8 +1,7 @@
 """The dataset card, ``README.md``, and its histograms. The same dataset gives the same bytes."""
 
-from __future__ import annotations
-
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -104,13 +103,11 @@ def _cells(key: str, dtype: str, shape: Sequence[object], unit: str, meaning: st
 
 def _size_category(rows: int) -> str:
     """Return the Hub's name for this number of rows, such as ``10K<n<100K``."""
-    bounds = [(10**3, "1K"), (10**4, "10K"), (10**5, "100K"), (10**6, "1M"), (10**7, "10M"), (10**8, "100M")]
-    below = "n"
-    for bound, name in bounds:
-        if rows < bound:
-            return f"{below}<{name}" if below == "n" else f"{below}<n<{name}"
-        below = name
-    return f"n>{below}"
+    names = ("1K", "10K", "100K", "1M", "10M", "100M")
+    place = bisect_right([1000 * 10**power for power in range(len(names))], rows)
+    if place == len(names):
+        return f"n>{names[-1]}"
+    return f"{names[place - 1]}<n<{names[place]}" if place else f"n<{names[0]}"
 
 
 COLUMNS, WIDTH, HEIGHT, TOP, BOTTOM, GAP = 6, 130, 60, 16, 14, 10

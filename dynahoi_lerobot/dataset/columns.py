@@ -1,7 +1,5 @@
 """The frame table: LeRobot's description of its columns, their arrow types, its rows, and reading them back."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Container, Sequence
@@ -73,7 +71,7 @@ def image_keys(features: Features) -> list[str]:
 
 def numeric_keys(features: Features) -> list[str]:
     """Return the keys of all columns that hold numbers, in the dataset's order."""
-    return [key for key, entry in features.items() if entry["dtype"] in _SCALARS]
+    return [key for key, entry in features.items() if entry["dtype"] in SCALARS]
 
 
 def content_arrays(episode: Episode, features: Sequence[Feature]) -> dict[str, np.ndarray]:
@@ -114,10 +112,9 @@ def bookkeeping_arrays(frames: int, episode_index: int, first_index: int, task_i
 
 def arrow_schema(features: Features) -> pa.Schema:
     """Return the schema of the data files, with the note from which ``datasets`` reads its feature types."""
-    stored = {key: feature for key, feature in features.items() if feature["dtype"] != "video"}
-    note = {"info": {"features": {key: _hf_type(feature) for key, feature in stored.items()}}}
-    fields = [pa.field(key, _arrow_type(feature)) for key, feature in stored.items()]
-    return pa.schema(fields, metadata={"huggingface": json.dumps(note)})
+    kinds = {key: _arrow_type(feature) for key, feature in features.items() if feature["dtype"] != "video"}
+    note = {"info": {"features": {key: _hf_type(kind) for key, kind in kinds.items()}}}
+    return pa.schema(kinds, metadata={"huggingface": json.dumps(note)})
 
 
 def frame_columns(episode: Episode, arrays: dict[str, np.ndarray], schema: pa.Schema) -> dict[str, pa.Array]:
@@ -186,7 +183,8 @@ def read_png(cell: dict[str, Any]) -> np.ndarray:
 
 
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-_SCALARS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+SCALARS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+"""Element types of columns of numbers."""
 _LANGUAGE = pa.list_(
     pa.struct(
         [
@@ -198,22 +196,20 @@ _LANGUAGE = pa.list_(
 
 
 def _arrow_type(feature: dict[str, Any]) -> pa.DataType:
-    if feature["dtype"] == "image":
-        return _IMAGE
-    if feature["dtype"] == "language":
-        return _LANGUAGE
-    scalar, width = _SCALARS[feature["dtype"]], feature["shape"][0]
+    if (kind := {"image": _IMAGE, "language": _LANGUAGE}.get(feature["dtype"])) is not None:
+        return kind
+    scalar, width = SCALARS[feature["dtype"]], feature["shape"][0]
     return scalar if width == 1 else pa.list_(scalar, width)
 
 
-def _hf_type(feature: dict[str, Any]) -> dict[str, Any]:
+def _hf_type(kind: pa.DataType) -> dict[str, Any]:
     """Return the type that ``datasets`` reads from the note in the parquet files."""
-    if feature["dtype"] == "image":
+    if kind == _IMAGE:
         return {"_type": "Image"}
-    if feature["dtype"] == "language":
-        text = {"dtype": "string", "_type": "Value"}
-        struct = dict.fromkeys(("role", "content", "style"), text)
-        struct |= {"timestamp": {"dtype": "float32", "_type": "Value"}, "camera": text}
-        return {"feature": struct | {"tool_calls": {"feature": text, "_type": "List"}}, "_type": "List"}
-    scalar, width = {"dtype": feature["dtype"], "_type": "Value"}, feature["shape"][0]
-    return scalar if width == 1 else {"feature": scalar, "length": width, "_type": "List"}
+    if pa.types.is_struct(kind):
+        return {field.name: _hf_type(field.type) for field in kind}
+    if pa.types.is_fixed_size_list(kind):
+        return {"feature": _hf_type(kind.value_type), "length": kind.list_size, "_type": "List"}
+    if pa.types.is_list(kind):
+        return {"feature": _hf_type(kind.value_type), "_type": "List"}
+    return {"dtype": "float32" if kind == pa.float32() else str(kind), "_type": "Value"}

@@ -5,8 +5,6 @@ Facts are read by ``LeRobotDataset(..., episode_filter=lambda ep: ep["motion"] =
 anything there; ``dataset.frame_column`` reads them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, fields
 from typing import Any
@@ -16,15 +14,14 @@ import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.features import Feature, episode_features
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, Features, bookkeeping_arrays, image_keys, numeric_keys
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, SCALARS, Features, bookkeeping_arrays, image_keys, numeric_keys
 from dynahoi_lerobot.dataset.statistics import NAMES, Stats, table_stats
 
 EpisodeRow = dict[str, Any]
 
-FACTS = {field.name: pa.string() if field.type == "str" else pa.int64() for field in fields(EpisodeMeta)}
+FACTS = {field.name: pa.string() if field.type is str else pa.int64() for field in fields(EpisodeMeta)}
 FACTS |= {"success": pa.bool_(), "stage": pa.string()}
 """Our columns that hold one value."""
-_SCALARS = {"float32": pa.float32(), "bool": pa.bool_()}
 
 
 def own_columns(episode: Episode, features: Iterable[Feature]) -> EpisodeRow:
@@ -109,7 +106,7 @@ def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
 
 
 def _type(feature: Feature) -> pa.DataType:
-    scalar = _SCALARS[feature.dtype]
+    scalar = SCALARS[feature.dtype]
     return scalar if feature.constant and not feature.shape else pa.list_(scalar)
 
 

@@ -1,13 +1,11 @@
 """``meta/manifest.json``: hashes, seeds and provenance of a dataset, by which it is checked, resumed and merged."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from dynahoi_lerobot.core.files import sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
@@ -57,7 +55,7 @@ class Manifest:
         write_json(self._content() | {"sha256": self.digest}, root / MANIFEST_PATH)
 
     @classmethod
-    def read(cls, root: Path) -> Manifest:
+    def read(cls, root: Path) -> Self:
         """Read it from below ``root``.
 
         Raises:

@@ -5,8 +5,6 @@ videos, of which its reader reads the whole index for every sample, and rewrites
 ``delete_episodes`` re-encodes videos and drops our columns of the episode table.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from itertools import dropwhile, islice

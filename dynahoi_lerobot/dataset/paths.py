@@ -1,7 +1,5 @@
 """Where the parts of a LeRobotDataset v3.0 lie on disk, and how large they may grow."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager

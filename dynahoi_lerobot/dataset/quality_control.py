@@ -4,9 +4,8 @@ Each rule looks at one episode and returns a sentence about what is wrong, or No
 again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DO
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.core.registry import known
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, ControlClass, is_acting, one_hot_phase
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting, one_hot_phase
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 
 FASTEST = CONTROL_CLASSES["unlimited"]
@@ -59,16 +58,7 @@ class TrajectoryLimits:
     frozen_frames: int = 2
     frozen_gap_m: float = 0.005
 
-    @classmethod
-    def of_class(cls, control: ControlClass, palm_speed_m_s: float) -> TrajectoryLimits:
-        """Return the limits of a control class, under whose capture rule the palm has this speed [m/s]."""
-        return cls(
-            palm_step_m=CATCH_UP * palm_speed_m_s * CONTROL_DT,
-            joint_step_rad=OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT,
-            frozen_frames=cls.frozen_frames + control.latency_frames,
-        )
-
-    def seen_from(self, home_pos_w: np.ndarray) -> TrajectoryLimits:
+    def seen_from(self, home_pos_w: np.ndarray) -> Self:
         """Return the limits in the frame whose origin is at (3,) [m], world."""
         moved = np.array(self.palm_range_m) - np.asarray(home_pos_w, float)[:, None]  # (3, 2)
         return replace(self, palm_range_m=tuple((float(low), float(high)) for low, high in moved))
@@ -83,7 +73,11 @@ def limits_of(capture: str, control_class: str) -> TrajectoryLimits:
     from dynahoi_lerobot.captures import CAPTURES  # imports MuJoCo, which reading a dataset does not need
 
     control = known("control class", control_class, CONTROL_CLASSES)
-    return TrajectoryLimits.of_class(control, CAPTURES[capture].palm_speed_m_s(control))
+    return TrajectoryLimits(
+        palm_step_m=CATCH_UP * CAPTURES[capture].palm_speed_m_s(control) * CONTROL_DT,
+        joint_step_rad=OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT,
+        frozen_frames=TrajectoryLimits.frozen_frames + control.latency_frames,
+    )
 
 
 def trajectory_problems(episode: Episode, limits: TrajectoryLimits | None = None) -> list[str]:

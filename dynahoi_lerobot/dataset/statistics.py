@@ -4,8 +4,6 @@ LeRobot averages the quantiles of episodes, so its ``q01`` of a column depends o
 of all frames: the smallest value with at least a share q of all values at or below it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A dataset on disk, read without LeRobot."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from functools import cached_property
@@ -65,8 +63,7 @@ def episode_column(root: Path, key: str) -> list[np.ndarray]:
     ``target_path``: the target's untouched path, beyond the end of the recording.
 
     Args:
-        root: the dataset's folder, ``meta.root`` of LeRobot's metadata.
-        key: name of the column, with or without its prefix ``stats/``.
+        root, key: as ``frame_column`` takes them.
 
     Returns:
         Per episode (D,) what is constant, else (rows, D), in the column's unit, of its element type.

@@ -4,8 +4,6 @@ Each episode is encoded on its own, from a new encoder, so its packets are a fun
 alone: they are the same wherever in a file the episode lies, and a replay can compare them byte by byte.
 """
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress

@@ -3,14 +3,12 @@
 The same episodes give the same bytes, in whatever pieces they were made.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -20,43 +18,13 @@ from av.packet import Packet
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
+from dynahoi_lerobot.dataset import columns as frame_table
+from dynahoi_lerobot.dataset import episode_table, paths
 from dynahoi_lerobot.dataset.card import write_card
-from dynahoi_lerobot.dataset.columns import (
-    Features,
-    arrow_schema,
-    bookkeeping_arrays,
-    column_array,
-    content_arrays,
-    dataset_features,
-    flat_array,
-    frame_columns,
-    image_keys,
-    info_features,
-    numeric_keys,
-)
-from dynahoi_lerobot.dataset.episode_table import (
-    EpisodeRow,
-    own_columns,
-    place_row,
-    row_schema,
-    row_stats,
-    stats_columns,
-    video_columns,
-    without_place,
-)
+from dynahoi_lerobot.dataset.columns import Features
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
-from dynahoi_lerobot.dataset.paths import (
-    CODEBASE_VERSION,
-    DATA_PATH,
-    EPISODES_PATH,
-    INFO_PATH,
-    ROBOT_TYPE,
-    STATS_PATH,
-    TASKS_PATH,
-    VIDEO_PATH,
-    FileLimits,
-    write_json,
-)
+from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
@@ -118,14 +86,14 @@ class DatasetWriter:
         root.mkdir()
         self.root, self.limits, self.features = root, limits, features
         self.episodes = self.frames = 0
-        self._schema = arrow_schema(features)
-        self._data = _Tables(root, DATA_PATH, self._schema, limits)
-        self._rows = _Tables(root, EPISODES_PATH, row_schema(features, columns), limits)
+        self._schema = frame_table.arrow_schema(features)
+        self._data = _Tables(root, paths.DATA_PATH, self._schema, limits)
+        self._rows = _Tables(root, paths.EPISODES_PATH, episode_table.row_schema(features, columns), limits)
         self._pending: list[EpisodeRow] = []
         self._tasks: dict[str, int] = {}
         self._benchmarks: set[str] = set()
         self._seeds: list[int] = []
-        self._image_keys = image_keys(features)
+        self._image_keys = frame_table.image_keys(features)
         self._image_stats: dict[str, list[Stats]] = {key: [] for key in self._image_keys}
         self._videos: dict[str, VideoFile] = {}
         """The file of each view that is being written; all of them begin and end with the same episodes."""
@@ -141,7 +109,7 @@ class DatasetWriter:
         limits: FileLimits | None = None,
         *,
         subtasks: bool = False,
-    ) -> DatasetWriter:
+    ) -> Self:
         """Return a writer of new episodes.
 
         Args:
@@ -159,7 +127,7 @@ class DatasetWriter:
         size = max((feature.shape[0] for feature in features if feature.is_image), default=0)
         if encoding.is_video and size % 2:
             raise ValueError(f"image size is {size} pixels; video needs an even number")
-        table = info_features(features, encoding, subtasks=subtasks)
+        table = frame_table.info_features(features, encoding, subtasks=subtasks)
         writer = cls(root, table, features, limits or FileLimits())
         writer._encoding = encoding
         return writer
@@ -172,13 +140,14 @@ class DatasetWriter:
         """
         check_fits(episode, self._columns)
         images = {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
-        arrays = content_arrays(episode, self._columns)
-        row = own_columns(episode, self._columns) | {"tasks": [episode.meta.task], "length": len(episode)}
-        row |= stats_columns(table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys})
+        arrays = frame_table.content_arrays(episode, self._columns)
+        row = episode_table.own_columns(episode, self._columns) | {"tasks": [episode.meta.task], "length": len(episode)}
+        stats = table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys}
+        row |= episode_table.stats_columns(stats)
         packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
         size = max((frames.shape[1] for frames in images.values()), default=0)
         stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
-        self._append(row, frame_columns(episode, arrays, self._schema), packets, lambda _: stream)
+        self._append(row, frame_table.frame_columns(episode, arrays, self._schema), packets, lambda _: stream)
 
     def copy(self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]) -> None:
         """Append one episode that another dataset holds, without decoding or encoding images.
@@ -190,9 +159,8 @@ class DatasetWriter:
             packets: its packets of each view; none without video.
         """
         columns = {name: table[name].combine_chunks() for name in table.column_names}
-        self._append(
-            without_place(row), columns, packets, lambda key: partial(copied_stream, path=store.video_path(row, key))
-        )
+        own = episode_table.without_place(row)
+        self._append(own, columns, packets, lambda key: partial(copied_stream, path=store.video_path(row, key)))
 
     def finish(self, provenance: dict[str, Any] | None = None, yields: dict[str, int] | None = None) -> Manifest:
         """Close every file, write the tables under ``meta/`` and the card, and return the manifest, also written.
@@ -206,11 +174,11 @@ class DatasetWriter:
         self._close_videos()
         self._flush_rows()
         self._rows.close()
-        _write_tasks(list(self._tasks), self.root / TASKS_PATH)
-        write_json(self._info(), self.root / INFO_PATH)
+        _write_tasks(list(self._tasks), self.root / paths.TASKS_PATH)
+        paths.write_json(self._info(), self.root / paths.INFO_PATH)
         stats = self._stats()
         as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
-        write_json(as_lists, self.root / STATS_PATH)
+        paths.write_json(as_lists, self.root / paths.STATS_PATH)
         facts = Manifest(self.episodes, self.frames, {}, self._seeds, provenance or {}, yields or {}, self.benchmark)
         write_card(Store(self.root), facts)
         manifest = replace(facts, files=hash_files(self.root))
@@ -236,18 +204,18 @@ class DatasetWriter:
     ) -> None:
         """Append an episode: its row and its columns without place, its packets, and what opens a video for a view."""
         place = (self.episodes, self.frames, self._tasks.setdefault(row["tasks"][0], len(self._tasks)))
-        for key, values in bookkeeping_arrays(row["length"], *place).items():
-            columns[key] = flat_array(values, self._schema.field(key).type)
+        for key, values in frame_table.bookkeeping_arrays(row["length"], *place).items():
+            columns[key] = frame_table.flat_array(values, self._schema.field(key).type)
         table = pa.table(
             [columns[key].cast(self._schema.field(key).type) for key in self._schema.names], schema=self._schema
         )
         chunk, file = self._data.place_for(table)
         self._data.append(table)
-        row = place_row(row, *place) | {"data/chunk_index": chunk, "data/file_index": file}
+        row = episode_table.place_row(row, *place) | {"data/chunk_index": chunk, "data/file_index": file}
         if packets:
             row |= self._append_videos(row["length"], packets, stream)
         for key in self._image_keys:
-            self._image_stats[key].append(row_stats(row, key))
+            self._image_stats[key].append(episode_table.row_stats(row, key))
         self._seeds.append(row["seed"])
         self._benchmarks.add(row["benchmark"])
         self.episodes += 1
@@ -262,7 +230,7 @@ class DatasetWriter:
             self._close_videos()
         if not self._videos:
             for key in packets:
-                path = self.limits.path(self.root, VIDEO_PATH, self._n_videos, video_key=key)
+                path = self.limits.path(self.root, paths.VIDEO_PATH, self._n_videos, video_key=key)
                 self._videos[key] = VideoFile(path, stream(key))
             self._n_videos += 1
         start = self._videos[next(iter(packets))].frames
@@ -270,7 +238,7 @@ class DatasetWriter:
             video.append(packets[key])
         chunk, file = self.limits.place(self._n_videos - 1)
         times = {"from_timestamp": start / CONTROL_HZ, "to_timestamp": (start + length) / CONTROL_HZ}
-        return video_columns(packets, {"chunk_index": chunk, "file_index": file} | times)
+        return episode_table.video_columns(packets, {"chunk_index": chunk, "file_index": file} | times)
 
     def _fits(self, video: VideoFile, packets: list[Packet]) -> bool:
         size_bytes = video.size_bytes + sum(packet.size for packet in packets)
@@ -296,16 +264,17 @@ class DatasetWriter:
     def _stats(self) -> dict[str, Stats]:
         """Return the dataset's statistics by key: of images from those of episodes, of columns from all frames."""
         stats = {key: pooled(found) for key, found in self._image_stats.items()}
-        paths = sorted((self.root / "data").glob("*/*.parquet"))
-        for key in numeric_keys(self.features):
-            values = np.concatenate([column_array(pq.read_table(path, columns=[key]), key) for path in paths])
+        files = sorted((self.root / "data").glob("*/*.parquet"))
+        for key in frame_table.numeric_keys(self.features):
+            tables = (pq.read_table(file, columns=[key]) for file in files)
+            values = np.concatenate([frame_table.column_array(table, key) for table in tables])
             stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
         return stats
 
     def _info(self) -> dict[str, Any]:
         has_video = any(feature["dtype"] == "video" for feature in self.features.values())
         return {
-            "codebase_version": CODEBASE_VERSION,
+            "codebase_version": paths.CODEBASE_VERSION,
             "fps": CONTROL_HZ,
             "features": self.features,
             "total_episodes": self.episodes,
@@ -314,9 +283,9 @@ class DatasetWriter:
             "chunks_size": self.limits.chunk_files,
             "data_files_size_in_mb": self.limits.data_mb,
             "video_files_size_in_mb": self.limits.video_mb,
-            "data_path": DATA_PATH,
-            "video_path": VIDEO_PATH if has_video else None,
-            "robot_type": ROBOT_TYPE,
+            "data_path": paths.DATA_PATH,
+            "video_path": paths.VIDEO_PATH if has_video else None,
+            "robot_type": paths.ROBOT_TYPE,
             "splits": {"train": f"0:{self.episodes}"},
         }
 
@@ -328,7 +297,7 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
         ValueError: naming the column, what a frame of the episode has and what the dataset needs.
     """
     wanted = {feature.key: feature.shape for feature in features if not feature.recipe_decides}
-    found = {feature.key: feature.shape for feature in dataset_features(episode)}
+    found = {feature.key: feature.shape for feature in frame_table.dataset_features(episode)}
     for key in (*wanted, *found):
         if wanted.get(key) != found.get(key):
             raise ValueError(

@@ -1,21 +1,12 @@
 """One world as a ``gymnasium.Env``: a vector environment of one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.env.vector_env import (
-    ONE_EPISODE_OPTION,
-    RANDOM_SEED_LIMIT,
-    RENDER_MODES,
-    DynahoiVectorEnv,
-    check_open,
-    check_seed,
-)
+from dynahoi_lerobot.env import vector_env
 
 
 class DynahoiEnv(gym.Env):
@@ -26,7 +17,7 @@ class DynahoiEnv(gym.Env):
     constructor arguments and begin before their first reset.
     """
 
-    metadata = {"render_modes": list(RENDER_MODES), "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
+    metadata = {"render_modes": list(vector_env.RENDER_MODES), "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         """Take the keyword arguments of ``DynahoiVectorEnv`` besides ``num_envs``.
@@ -35,7 +26,7 @@ class DynahoiEnv(gym.Env):
             ValueError: for an unknown render mode or an unknown name, naming those there are.
         """
         self._options = {"render_mode": render_mode, **options}
-        self._vector = DynahoiVectorEnv(1, **self._options)
+        self._vector = vector_env.DynahoiVectorEnv(1, **self._options)
         self.render_mode = render_mode
         self.observation_space = self._vector.single_observation_space
         self.action_space = self._vector.single_action_space
@@ -53,12 +44,12 @@ class DynahoiEnv(gym.Env):
             ValueError: for a seed that is not such an integer.
             ClosedEnvironmentError: after ``close``.
         """
-        check_open(self._vector.closed)
-        number = None if seed is None else check_seed(seed)
+        vector_env.check_open(self._vector.closed)
+        number = None if seed is None else vector_env.check_seed(seed)
         super().reset(seed=number)
         if number is None:
-            number = int(self.np_random.integers(0, RANDOM_SEED_LIMIT))
-        observation, infos = self._vector.reset(seed=[number], options={ONE_EPISODE_OPTION: True})
+            number = int(self.np_random.integers(0, vector_env.RANDOM_SEED_LIMIT))
+        observation, infos = self._vector.reset(seed=[number], options={vector_env.ONE_EPISODE_OPTION: True})
         return _first(observation), _first(infos)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:

@@ -1,7 +1,5 @@
 """N worlds as a native ``gymnasium.vector.VectorEnv`` over one ``WorldBatch``."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -26,6 +24,7 @@ from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed
+from dynahoi_lerobot.scene.servo import check_command
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DEFAULT_RECIPE = Recipe(split="test")
@@ -80,12 +79,8 @@ class DynahoiVectorEnv(VectorEnv):
     Options:
         ``reset(options={"lerobot_new_rollout": True})`` plays one episode in every world, then waits for a reset.
 
-    Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset.
-
-    Attributes:
-        recipe: rules of the episodes.
-        kind: the only kind of motion played; None for all.
-        reward: one of ``REWARDS``.
+    Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset. Attributes are
+    ``recipe``, ``kind`` and ``reward``.
     """
 
     metadata = {  # noqa: RUF012 - gymnasium's own convention
@@ -188,7 +183,7 @@ class DynahoiVectorEnv(VectorEnv):
         if np.shape(actions)[1:] != self.single_action_space.shape:
             raise ValueError(f"action must have shape {self.action_space.shape}, got {np.shape(actions)}")
         if self._inference is not None:
-            actions = self._batch.check(actions)
+            actions = check_command(actions, self.num_envs)
             commands = self._inference.answer(actions, before.state.astype(np.float64))
             if commands is None:
                 terminated, truncated = np.zeros((2, self.num_envs), bool)

@@ -9,8 +9,6 @@ With ``inference: async``, ``latency_ms: 150`` and the server's ``n_action_steps
 infers, one inference at a time. What the requests really take counts in vla-eval's own live mode, with ``hz: 20``.
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The arguments of commands that play: who moves the hand, and under which rules."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from typing import Any
@@ -135,9 +133,7 @@ def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --inference async or rtc: inference time [ms], or measured for the time on this machine",
     )
     parser.add_argument("--model", help="with --policy vlm: model name at the endpoint")
-    parser.add_argument(
-        "--prompt", default=DEFAULT_PROMPT.name, help=f"with --policy vlm: prompt, {' or '.join(PROMPTS)}"
-    )
+    parser.add_argument("--prompt", default=DEFAULT_PROMPT, help=f"with --policy vlm: prompt, {' or '.join(PROMPTS)}")
     parser.add_argument(
         "--base-url",
         help="with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from OPENAI_API_KEY",

@@ -4,8 +4,6 @@ LeRobot calls whatever importable object a processor step names, ``subprocess.Po
 random weights where a checkpoint has none. ``docs/notes/trust.md`` says what is refused here, and why.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator
@@ -40,7 +38,6 @@ from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import split_seeds, stream_label, without_salt
-from dynahoi_lerobot.vlm.prompt import Prompt
 from dynahoi_lerobot.world.batch import WorldBatch
 
 __all__ = ["add_arguments", "run"]
@@ -60,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
         return replay_results.run(args)
     inference = Inference(args.inference, args.inference_ms)
     actor = _real_time(_actor(args), inference)
-    recipe = _recipe(args, actor)
+    rules = playing_rules(given_fields(args, RECIPE_OPTIONS), actor)
+    recipe = Recipe(split=args.split, views=actor.views, **rules)
     if inference.mode != SYNC and recipe.control_mode != JOINTS:
         raise ValueError(f"--inference {inference.mode} needs control_mode {JOINTS!r}, got {recipe.control_mode!r}")
     info = RunInfo(
@@ -150,20 +148,15 @@ def _vlm(args: argparse.Namespace) -> Agent:
     if args.protocol and known("protocol", args.protocol, PROTOCOLS).blind_control:
         raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {args.protocol}")
     control = known("control class", args.control_class or Recipe.control_class, CONTROL_CLASSES)
-    prompt = Prompt(args.prompt, CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control))
     client = VlmClient(
         args.model,
         args.base_url,
         timeout_s=args.request_timeout,
-        prompt=prompt,
+        prompt=args.prompt,
+        palm_speed_m_s=CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control),
         log=args.out / "vlm.jsonl" if args.out else None,
     )
     return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
-
-
-def _recipe(args: argparse.Namespace, actor: Actor) -> Recipe:
-    given = given_fields(args, RECIPE_OPTIONS)
-    return Recipe(split=args.split, views=actor.views, **playing_rules(given, actor))
 
 
 def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) -> list[EpisodeSpec]:

@@ -1,7 +1,5 @@
 """Paired comparison of two evaluations on the same episodes: difference, confidence interval and p-value."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Nothing here imports torch or LeRobot before a policy is loaded.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -15,14 +13,8 @@ import numpy as np
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, TRUTH, as_gym, environment_state_of
-from dynahoi_lerobot.evaluate.checkpoint import (
-    PolicyError,
-    checked_folder,
-    folder_weights,
-    load_policy,
-    reason,
-    trained_for,
-)
+from dynahoi_lerobot.evaluate import checkpoint
+from dynahoi_lerobot.evaluate.checkpoint import PolicyError
 from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 
 
@@ -36,7 +28,7 @@ def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
         except PolicyError:
             raise
         except Exception as error:
-            raise PolicyError(f"the policy cannot play: {reason(error)}") from error
+            raise PolicyError(f"the policy cannot play: {checkpoint.reason(error)}") from error
 
     return call
 
@@ -60,14 +52,13 @@ class PolicyAgent(ChunkAgent):
             trust: load it even if that can run code of its own.
 
         Raises:
-            PolicyError: if there is no such policy, its config cannot be changed so, or loading it could run code of
-                its own, unless ``trust`` allows that.
+            PolicyError: as ``checked_folder`` and ``load_policy``.
         """
         self.name = path
-        folder = checked_folder(path, trust=trust)
+        folder = checkpoint.checked_folder(path, trust=trust)
         _register_plugins()
-        self._policy, self._before, self._after = load_policy(folder, device, settings)
-        self.weights, self.trained_for = folder_weights(folder), trained_for(folder)
+        self._policy, self._before, self._after = checkpoint.load_policy(folder, device, settings)
+        self.weights, self.trained_for = checkpoint.folder_weights(folder), checkpoint.trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
         inputs = self._policy.config.input_features

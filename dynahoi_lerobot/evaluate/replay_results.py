@@ -5,8 +5,6 @@ show who or what gave the commands, from which observations, or how long that to
 another name replays, too.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import reprlib
@@ -22,8 +20,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.files import sha256
-from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE
-from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import replay

@@ -1,29 +1,43 @@
-"""The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and ``actions.npz``."""
+"""The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and ``actions.npz``.
 
-from __future__ import annotations
+Whatever is damaged in it is one ``ResultsError``.
+"""
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import draccus
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.files import printable
-from dynahoi_lerobot.evaluate import result_files
-from dynahoi_lerobot.evaluate.result_files import ACTIONS_FILE, EPISODES_FILE, ResultsError
-from dynahoi_lerobot.evaluate.rows import Row, episode_row
+from dynahoi_lerobot.core.files import printable, write_atomically
+from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.replay import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 
-__all__ = ["Results", "ResultsError", "ResultsRecorder", "RunInfo", "read_results", "write_results"]
+METRICS_FILE = "metrics.json"
+EPISODES_FILE = "episodes.parquet"
+ACTIONS_FILE = "actions.npz"
 
+HEAD_TYPES = (
+    {"n": int}
+    | dict.fromkeys(("split", "policy", "capture", "fingerprint", "benchmark", "command"), str)
+    | dict.fromkeys(("metrics", "per_kind", "extra"), dict)
+)
+"""Keys of ``metrics.json`` with the types of their values; ``extra`` may be missing."""
+
+UNIFORM = ("capture", "benchmark", "protocol", "control_class")
+"""Columns with one value in all rows; the first two have that of ``metrics.json``."""
+
+REMEDY = "run `dynahoi evaluate` with this folder as --out"
 RULES = {
     "protocol": "protocol",
     "capture": "capture",
@@ -36,6 +50,10 @@ RULES = {
 
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
+
+
+class ResultsError(ValueError):
+    """A result folder is missing, incomplete or damaged; the message says which and how to get a good one."""
 
 
 def command_line(words: Sequence[str]) -> str:
@@ -199,7 +217,7 @@ class ResultsRecorder:
         self._actions = list(actions)
 
     @classmethod
-    def resume(cls, folder: Path) -> ResultsRecorder:
+    def resume(cls, folder: Path) -> Self:
         """Return a recorder that resumes what an interrupted run of the same task has saved in ``folder``.
 
         It may have ended before its first save, or between the renaming of two files, so that one of them holds more
@@ -210,7 +228,7 @@ class ResultsRecorder:
         """
         if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
             return cls()
-        rows, actions = result_files.read_saved(folder)
+        rows, actions = _read_saved(folder)
         return cls(rows[: len(actions)], actions[: len(rows)])
 
     @property
@@ -231,7 +249,7 @@ class ResultsRecorder:
             ValueError: if nothing was recorded.
         """
         results = self.results(info, Path(folder))
-        result_files.write(results.folder, results.as_json(), results.rows, results.actions)
+        write_files(results.folder, results.as_json(), results.rows, results.actions)
         return results
 
     def results(self, info: RunInfo, folder: Path = Path()) -> Results:
@@ -246,12 +264,7 @@ class ResultsRecorder:
 
 
 def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:
-    """Write the result folder of ``episodes``, which may be a generator, and return what it holds.
-
-    Args:
-        folder: made if it does not exist; earlier results in it are replaced.
-        episodes: the played episodes; their images are not kept.
-        info: what was evaluated and how.
+    """Write the result folder of ``episodes``, which may be a generator, in place of earlier results; return it.
 
     Raises:
         ValueError: if there is no episode.
@@ -268,7 +281,14 @@ def read_results(folder: Path) -> Results:
         ResultsError: one sentence that says what is missing or damaged.
     """
     folder = Path(folder)
-    head, rows, actions = result_files.read(folder)
+    head = _load(folder / METRICS_FILE, _read_head)
+    rows, actions = _read_saved(folder)
+    if not head["n"] == len(rows) == len(actions) > 0:
+        counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
+        raise ResultsError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
+    for name in UNIFORM:
+        if len(found := sorted({row[name] for row in rows} | {head[name] for name in [name] if name in head})) > 1:
+            raise ResultsError(f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}")
     names = ("policy", "split", "capture", "command", "fingerprint", "extra", "benchmark")
     info = RunInfo(**{name: head[name] for name in names})
     return Results(folder, info, tuple(rows), tuple(actions), head)
@@ -276,3 +296,95 @@ def read_results(folder: Path) -> Results:
 
 def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
     return {name: asdict(estimate) for name, estimate in summary.items()}
+
+
+# -- the three files --------------------------------------------------------------------------------------------------
+
+
+def write_files(folder: Path, head: dict[str, Any], rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
+    """Write the three files; ``metrics.json`` is renamed last, so it is there only if the others are.
+
+    Args:
+        folder: made if it does not exist.
+        head: the content of ``metrics.json``.
+        rows: one row an episode.
+        actions: one (T, 18) float32 array an episode.
+    """
+    text = json.dumps(head, indent=2, allow_nan=False) + "\n"
+    write_atomically(
+        {
+            folder / EPISODES_FILE: lambda path: _write_rows(path, rows),
+            folder / ACTIONS_FILE: lambda path: _write_actions(path, rows, actions),
+            folder / METRICS_FILE: lambda path: path.write_text(text, encoding="utf-8"),
+        }
+    )
+
+
+def _read_saved(folder: Path) -> tuple[list[Row], list[np.ndarray]]:
+    """Return the rows and actions of a folder, whose numbers differ if its last save ended between two files.
+
+    Raises:
+        ResultsError: one sentence that says what is missing or damaged.
+    """
+    rows = _load(folder / EPISODES_FILE, _read_rows)
+    return rows, _load(folder / ACTIONS_FILE, lambda path: _read_actions(path, rows))
+
+
+def _load[T](path: Path, reader: Callable[[Path], T]) -> T:
+    if not path.parent.is_dir():
+        raise ResultsError(f"there is no result folder {path.parent}; {REMEDY}")
+    if not path.is_file():
+        raise ResultsError(f"{path.parent} holds no results: {path.name} is missing; {REMEDY}")
+    try:
+        return reader(path)
+    except Exception as error:  # whatever a damaged file makes its reader raise, the remedy is the same
+        reason = printable(" ".join(f"{type(error).__name__}: {error}".split()))
+        raise ResultsError(f"{path} is damaged ({reason}); {REMEDY}") from error
+
+
+def _read_head(path: Path) -> dict[str, Any]:
+    head = {"extra": {}} | json.loads(path.read_text(encoding="utf-8"))
+    for key, wanted in HEAD_TYPES.items():
+        if not isinstance(value := head[key], wanted):
+            raise TypeError(f"{key} must be of type {wanted.__name__}, got {type(value).__name__}")
+    return head
+
+
+def _write_rows(path: Path, rows: Sequence[Row]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.Table.from_pylist(list(rows), schema=pa.schema(COLUMNS)), path, compression="none")
+
+
+def _read_rows(path: Path) -> list[Row]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pq.ParquetFile(path).read()
+    if differing := set(table.schema) ^ set(pa.schema(COLUMNS)):
+        name = min(field.name for field in differing)
+        raise TypeError(f"its column {name} is missing, surplus or of another type")
+    return table.select(list(COLUMNS)).to_pylist()
+
+
+def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
+    with path.open("wb") as file:  # an open file, because numpy appends .npz to a path
+        np.savez(
+            file,
+            action=np.concatenate(list(actions)).reshape(-1, HAND_DOF),
+            offsets=np.cumsum([0, *map(len, actions)]),
+            seed=np.array([row["seed"] for row in rows], np.int64),
+            window_frames=np.array([row["window_frames"] for row in rows], np.int64),
+        )
+
+
+def _read_actions(path: Path, rows: Sequence[Row]) -> list[np.ndarray]:
+    """Return the (T, 18) actions of all episodes, of which the first are those of ``rows``."""
+    with np.load(path, allow_pickle=False) as archive:
+        actions, offsets, seeds = archive["action"], archive["offsets"], archive["seed"]
+    if actions.shape[1:] != (HAND_DOF,) or offsets[-1] != len(actions):
+        raise ValueError(f"its actions must not be of shape {actions.shape}")
+    if any(row["seed"] != seed for row, seed in zip(rows, seeds.tolist(), strict=False)):
+        raise ValueError(f"its seeds are not those of {EPISODES_FILE}")
+    return np.split(actions, offsets[1:-1])

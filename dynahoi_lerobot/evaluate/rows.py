@@ -1,12 +1,10 @@
 """One episode as one row of ``episodes.parquet``: what was played, the groups it counts in, every metric; no arrays."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +12,6 @@ from dynahoi_lerobot.core.conventions import UNIT_M
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.motions.base import CATEGORIES
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 Row = dict[str, Any]
 
@@ -97,19 +92,15 @@ TEXTS = ("split", "agent", "capture", "protocol", "control_class", "fingerprint"
 COUNTS = ("seed", "length_frames", "window_frames", "intercept_frame", "attempts")
 """Columns copied from ``EpisodeMeta``."""
 
-COLUMNS = {
-    **dict.fromkeys(TEXTS, "string"),
-    **dict.fromkeys(COUNTS, "int64"),
-    "travel_u": "double",
-    "grasp_rad": "double",
-    "first_localized": "int64",
-    "stage": "string",
-    "success": "bool",
-    **dict.fromkeys(STRATA, "string"),
-    **dict.fromkeys(METRICS.names(), "double"),
-}
-"""All columns with their types. ``travel_u`` is in u (0.1 m), ``grasp_rad`` the mean rotation of a joint from the open
-hand to the reference grasp, ``first_localized`` a frame or null."""
+COLUMNS = (
+    dict.fromkeys(TEXTS, "string")
+    | dict.fromkeys(COUNTS, "int64")
+    | {"travel_u": "double", "grasp_rad": "double", "first_localized": "int64", "stage": "string", "success": "bool"}
+    | dict.fromkeys(STRATA, "string")
+    | dict.fromkeys(METRICS.names(), "double")
+)
+"""Arrow's type of every column; explicit, because a column may hold nothing but nulls. ``travel_u`` is in u (0.1 m),
+``grasp_rad`` the mean rotation of a joint from the open hand to the reference grasp, ``first_localized`` a frame."""
 
 IDENTITY = ("split", "seed", "kind", "object", "length_frames")
 """Columns that tell whether two rows are runs of the same episode."""
@@ -127,10 +118,3 @@ def episode_row(episode: Episode) -> Row:
         **{name: stratum.label(episode) for name, stratum in STRATA.items()},
         **measure(episode),
     }
-
-
-def row_schema() -> pa.Schema:
-    """Return the columns of ``episodes.parquet``; explicit, because a column may hold nothing but nulls."""
-    import pyarrow as pa
-
-    return pa.schema(list(COLUMNS.items()))

@@ -1,7 +1,5 @@
 """Every metric with its 95 % interval, over all episodes or by group: Wilson's for rates, the bootstrap's for means."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

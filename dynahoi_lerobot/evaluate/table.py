@@ -1,13 +1,11 @@
 """Results as tables, which the terminal prints and the report shows."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dynahoi_lerobot.evaluate.results import RULES, Results
-from dynahoi_lerobot.evaluate.summary import Estimate, Summary
+from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.metrics import METRICS
 
 MAIN_COLUMNS = ("S_loc", "S_joint", "S_gra_two_sided", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
@@ -85,7 +83,11 @@ def stratum_table(
     """Return one row per label of ``stratum``, each metric with its interval."""
     columns = columns or columns_for([results])
     rows = tuple(
-        (Cell(label), _count(sum(row[stratum] == label for row in results.rows)), *_cells(summary, columns))
+        (
+            Cell(label),
+            _count(sum(row[stratum] == label for row in results.rows)),
+            *(metric_cell(summary[name]) for name in columns),
+        )
         for label, summary in results.by(stratum).items()
     )
     return Table(caption, (stratum, "n", *map(heading, columns)), rows)
@@ -137,10 +139,6 @@ def _winners(values: dict[int, float | None], name: str) -> list[int]:
         return []
     top = max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
     return [place for place, value in known.items() if value == top]
-
-
-def _cells(summary: Summary, columns: Sequence[str]) -> list[Cell]:
-    return [metric_cell(summary[name]) for name in columns]
 
 
 def _condition(title: str, value: str) -> Cell:

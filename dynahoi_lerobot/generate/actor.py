@@ -3,8 +3,6 @@
 Nothing here imports torch before a policy is loaded.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 With ``--actor`` a policy moves the hand, and the expert labels its states.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -3,8 +3,6 @@
 The extra ``scale`` brings datatrove and Ray.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

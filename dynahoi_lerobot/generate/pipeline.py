@@ -116,7 +116,7 @@ def _run_pool(maker: ShardMaker, workers: int, progress: Progress) -> None:
     counter = context.Value("q", maker.done_episodes())
     count = max(1, min(workers, maker.plan.shards - len(maker.finished())))
     with ProcessPoolExecutor(count, context, initializer=_enter, initargs=(counter, os.getpid())) as pool:
-        futures = (pool.submit(_make_shard, maker, shard) for shard in maker.missing())
+        futures = (pool.submit(maker.make, shard, _count) for shard in maker.missing())
         try:
             _watch(futures, 2 * count, lambda: progress(counter.value))
         except BaseException:
@@ -124,7 +124,7 @@ def _run_pool(maker: ShardMaker, workers: int, progress: Progress) -> None:
             raise
 
 
-def _watch(futures: Iterator[Future[None]], ahead: int, show: Callable[[], object]) -> None:
+def _watch(futures: Iterator[Future[Path]], ahead: int, show: Callable[[], object]) -> None:
     """Keep ``ahead`` shards submitted and report progress until all are done; raise what the first failure raised."""
     pending = set(islice(futures, ahead))
     while pending:
@@ -143,10 +143,6 @@ def _enter(counter: Synchronized[int], parent: int) -> None:
     global _counter  # noqa: PLW0603 - a process pool offers its workers no other memory
     _counter = counter
     exit_with_parent(parent)
-
-
-def _make_shard(maker: ShardMaker, shard: int) -> None:
-    maker.make(shard, _count)
 
 
 def _count() -> None:

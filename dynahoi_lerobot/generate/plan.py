@@ -1,7 +1,5 @@
 """The generation plan: which seeds go into which shard. A dataset is a function of (recipe, seed, code)."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field

@@ -1,7 +1,5 @@
 """Shards: fixed lists of seeds, each written beside its place, renamed when complete, and checked before merging."""
 
-from __future__ import annotations
-
 import logging
 import shutil
 from collections import Counter

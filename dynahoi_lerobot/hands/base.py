@@ -1,18 +1,14 @@
 """The base class of hands: a palm on three slides, fifteen flexion joints, five fingertip sites and a camera."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.registry import Registry
-
-HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")
 
 PALM_SITE = "palm_center"
 PALM_BODY = "palm"
@@ -53,9 +49,9 @@ class Hand(ABC):
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add the hand to ``spec``."""
 
-    @abstractmethod
     def open_joints(self) -> np.ndarray:
-        """Return (15,) joint angles [rad] of the open hand, in which it waits."""
+        """Return (15,) joint angles [rad] of the open hand, in which it waits: straight fingers by default."""
+        return np.zeros(FINGER_DOF)
 
     @abstractmethod
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
@@ -64,3 +60,6 @@ class Hand(ABC):
     def closed_joints(self) -> np.ndarray:
         """Return (15,) joint angles [rad] of the closed hand, one pose for all objects."""
         return self.reference_joints(CLOSED_RADIUS_M)
+
+
+HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")

@@ -4,8 +4,6 @@ Lengths follow an adult hand; the palm hangs on a three-axis gantry. The palm ce
 surface, in the middle of what the fingers enclose. Every joint is a position servo with a force limit.
 """
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import ClassVar
@@ -93,10 +91,6 @@ class CapsuleHand(Hand):
             self._add_finger(spec, palm, name, self.fingers[name])
         add_skin(palm, {name: finger.base for name, finger in self.fingers.items()})
 
-    def open_joints(self) -> np.ndarray:
-        """Return (15,) zeros: straight fingers."""
-        return np.zeros(FINGER_DOF)
-
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
         """Return (15,) angles [rad] at which each fingertip pad is ``grasp_radius_m`` away from the palm's axis.
 
@@ -109,19 +103,16 @@ class CapsuleHand(Hand):
     @classmethod
     @functools.cache
     def _closure_table(cls) -> tuple[np.ndarray, np.ndarray]:
-        """Closure fractions (K,) and, per finger, the pad's distance (5, K) [m] from the middle of the grasp volume."""
-        closure = np.linspace(0.0, 1.0, 101)
-        distance = np.array([[cls._pad_distance(name, c) for c in closure] for name in FINGERS])
-        return closure, np.minimum.accumulate(distance, axis=1)
+        """Closure fractions (K,) and, per finger, the pad's distance (5, K) [m] from the middle of the grasp volume.
 
-    @classmethod
-    def _pad_distance(cls, name: str, closure: float) -> float:
-        """Distance [m] to the axis through the palm centre, along z: fingers close around an upright object.
-
-        The thumb's is to the palm centre itself, as it comes from above.
+        That is the axis through the palm centre, along z: fingers close around an upright object. The thumb's is the
+        distance to the palm centre itself, as it comes from above.
         """
-        pad = pad_position(cls.fingers[name], closure)
-        return norm(pad if name == "thumb" else pad[:2])
+        closure, distance = np.linspace(0.0, 1.0, 101), np.zeros((len(FINGERS), 101))
+        for i, name in enumerate(FINGERS):
+            pads = [pad_position(cls.fingers[name], share) for share in closure]
+            distance[i] = [norm(pad if name == "thumb" else pad[:2]) for pad in pads]
+        return closure, np.minimum.accumulate(distance, axis=1)
 
     def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, finger: Finger) -> None:
         parent, pos = palm, np.asarray(finger.base)

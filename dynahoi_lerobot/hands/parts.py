@@ -1,7 +1,5 @@
 """What hands are built from: a palm on three driven slides with a camera, servos, drawn skin, and how fingers close."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import mujoco

@@ -5,8 +5,6 @@ eighteen degrees of freedom as the bundled hands. What collides is also what is 
 cylinders, and the boxes around its palm's convex pieces; so no mesh has to be rendered.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 from pathlib import Path
@@ -14,7 +12,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import FINGER_DOF, FINGERS, JOINT_NAMES
+from dynahoi_lerobot.core.conventions import FINGERS, JOINT_NAMES
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
 from dynahoi_lerobot.hands.parts import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, close_around, quat_z_to
@@ -75,10 +73,6 @@ class SharpaHand(Hand):
             source = model.joint(SIDE + joint)
             inertia = float(model.dof_armature[source.dofadr[0]])
             add_servo(spec, name, inertia, FINGER_BANDWIDTH_RAD_S, float(model.jnt_actfrcrange[source.id, 1]))
-
-    def open_joints(self) -> np.ndarray:
-        """Return (15,) zeros: straight fingers."""
-        return np.zeros(FINGER_DOF)
 
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
         """Return (15,) angles [rad] at which each fingertip is ``grasp_radius_m`` away from the middle of the grasp.

@@ -1,7 +1,5 @@
 """The interface of a metric: a pure function of an Episode, with its unit, direction, bounds and condition."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass

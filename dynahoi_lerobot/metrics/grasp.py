@@ -1,17 +1,8 @@
 """Whether the hand is in the reference grasp, or holds the target."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import (
-    CONTROL_HZ,
-    FINGERS,
-    GRASP_FRACTION,
-    JOINTS_PER_FINGER,
-    LARGEST_GRASP_FRACTION,
-    UNIT_M,
-)
+from dynahoi_lerobot.core import conventions
 from dynahoi_lerobot.core.episode import Episode, joints_reached
 from dynahoi_lerobot.metrics.base import FRACTION, UNIT, metric
 
@@ -19,7 +10,7 @@ from dynahoi_lerobot.metrics.base import FRACTION, UNIT, metric
 def share_of_frames(episode: Episode, min_fingers: int) -> float:
     """Return the share of control frames, 0 to 1, in which at least ``min_fingers`` match the reference grasp."""
     reached = joints_reached(episode.joints[episode.control], episode.open_joints, episode.reference_joints)
-    by_finger = reached.reshape(-1, len(FINGERS), JOINTS_PER_FINGER)  # (T, 15) -> (T, 5, 3)
+    by_finger = reached.reshape(-1, len(conventions.FINGERS), conventions.JOINTS_PER_FINGER)  # (T, 15) -> (T, 5, 3)
     return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= min_fingers))
 
 
@@ -63,7 +54,7 @@ def s_gra_window(episode: Episode) -> bool | None:
     Fraction of localised episodes, higher is better. Ours: S_gra judges a single frame, so a hand that closes 50 ms
     late fails it.
     """
-    return grasps_within(episode, 1 + round(WINDOW_S * CONTROL_HZ))
+    return grasps_within(episode, 1 + round(WINDOW_S * conventions.CONTROL_HZ))
 
 
 @metric("S_gra_two_sided", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
@@ -82,7 +73,8 @@ def s_gra_two_sided(episode: Episode) -> bool | None:
     wanted = episode.reference_joints - episode.open_joints
     turns = np.abs(wanted) > 1e-6  # (15,) joints that the reference grasp turns
     share = (episode.joints[first] - episode.open_joints)[turns] / wanted[turns]
-    return bool(((share >= GRASP_FRACTION - 1e-6) & (share <= LARGEST_GRASP_FRACTION + 1e-6)).all())
+    least, most = conventions.GRASP_FRACTION - 1e-6, conventions.LARGEST_GRASP_FRACTION + 1e-6
+    return bool(((share >= least) & (share <= most)).all())
 
 
 @metric("S_joint", unit=FRACTION, direction="higher", aggregation="rate")
@@ -129,7 +121,7 @@ def e_gra(episode: Episode) -> float:
 
     In u (0.1 m), lower is better. Paper: Section "Evaluation metrics".
     """
-    return float(episode.fingertip_distance[episode.control].min()) / UNIT_M
+    return float(episode.fingertip_distance[episode.control].min()) / conventions.UNIT_M
 
 
 @metric("grasp_loose", unit=FRACTION, direction="higher", aggregation="mean")

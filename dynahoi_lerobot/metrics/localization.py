@@ -1,7 +1,5 @@
 """Whether, where and when the palm reaches the target."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, CONTROL_HZ, LENIENT_RADIUS_M, LOCALIZATION_RADIUS_M, UNIT_M

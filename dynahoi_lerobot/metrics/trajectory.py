@@ -1,7 +1,5 @@
 """Quality of the palm's path, from control start to the first localised frame."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import PALM_DOF, UNIT_M

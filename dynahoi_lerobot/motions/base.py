@@ -3,21 +3,17 @@
 The paper names three tiers and eight categories (Section 3.2); the 22 kinds and their ranges are ours.
 """
 
-from __future__ import annotations
-
 import json
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.core.numerics import arcsin
 from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.motions.launch import Launch, Vector, as_vector, heading
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.objects import ObjectType, TargetObject
+from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 MEETING_CENTER_W = np.array([0.0, 0.0, 1.1])
 """Middle of the region in which hand and target meet [m], world."""
@@ -77,8 +73,6 @@ class Draw:
         return heading(self.angle(), self.uniform(-steepest, steepest))
 
 
-MOTIONS: Registry[type[Motion]] = Registry("motion", "dynahoi_lerobot.motions")
-
 CATEGORIES: dict[str, tuple[str, str]] = {
     "straight_line": ("kinematic", "linear"),
     "simple_harmonic": ("kinematic", "periodic"),
@@ -126,6 +120,9 @@ class Motion(ABC):
     def parameters(self) -> str:
         """Return the parameters as JSON, SI units."""
         return json.dumps(asdict(self), sort_keys=True)  # type: ignore[call-overload]
+
+
+MOTIONS: Registry[type[Motion]] = Registry("motion", "dynahoi_lerobot.motions")
 
 
 class PrescribedMotion(Motion):

@@ -1,7 +1,5 @@
 """Circles at constant angular speed, a helix, and an arc swung to and fro."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -53,7 +51,6 @@ class CircularMotion(PrescribedMotion):
 
 
 @MOTIONS.register("horizontal_circle")
-@dataclass(frozen=True)
 class HorizontalCircle(CircularMotion):
     """Constant angular speed about the vertical."""
 
@@ -61,7 +58,6 @@ class HorizontalCircle(CircularMotion):
 
 
 @MOTIONS.register("vertical_circle")
-@dataclass(frozen=True)
 class VerticalCircle(CircularMotion):
     """Constant angular speed about a horizontal axis."""
 

@@ -1,7 +1,5 @@
 """Motions that combine several primitives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

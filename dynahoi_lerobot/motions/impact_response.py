@@ -1,17 +1,13 @@
 """Targets on a level table of low friction that are struck or rebound from a wall."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Vector, as_vector, heading, yaw_quat
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.objects import ObjectType, TargetObject
+from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 TABLE_HALF_M = (1.1, 0.9, 0.02)
 
@@ -71,7 +67,6 @@ STRIKER_RADIUS_M = 0.02
 
 
 @MOTIONS.register("struck")
-@dataclass(frozen=True)
 class Struck(TabletopMotion):
     """Striker of equal mass at 0.6 to 1.2 m/s, restitution 0.5 to 0.85, table friction 0.02 to 0.06."""
 
@@ -105,7 +100,6 @@ WALL_HALF_M = (0.02, 0.3, 0.05)
 
 
 @MOTIONS.register("wall_rebound")
-@dataclass(frozen=True)
 class WallRebound(TabletopMotion):
     """Meets the wall at 0.5 to 1.1 m/s, restitution 0.6 to 0.9, table friction 0.01 to 0.04."""
 

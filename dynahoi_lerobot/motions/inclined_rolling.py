@@ -1,9 +1,7 @@
 """Round targets that roll down a plank without slipping."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -21,9 +19,7 @@ from dynahoi_lerobot.motions.launch import (
     yaw_pitch_quat,
     yaw_quat,
 )
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.objects import ObjectType, TargetObject
+from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 PLANK_HALF_THICKNESS_M = 0.012
 PLANK_HALF_WIDTH_M = 0.07
@@ -109,7 +105,6 @@ def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
 
 
 @MOTIONS.register("ramp")
-@dataclass(frozen=True)
 class Ramp(RollingMotion):
     """Intercepted after 0.15 to 0.6 m of slope."""
 
@@ -125,7 +120,6 @@ RUNOUT_HALF_M = 0.6
 
 
 @MOTIONS.register("ramp_and_runout")
-@dataclass(frozen=True)
 class RampAndRunout(RollingMotion):
     """Rolls down 0.1 to 0.4 m of slope and is intercepted on level ground 0.15 to 0.5 s later."""
 

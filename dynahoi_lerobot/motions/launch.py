@@ -1,7 +1,5 @@
 """How a target starts: position, velocity, release, and the fixtures around it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,17 +58,6 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Tether:
-    """A massless rigid string on which the target hangs.
-
-    Attributes:
-        anchor: its upper end [m], world; the lower one is the target's centre.
-    """
-
-    anchor: Vector
-
-
-@dataclass(frozen=True)
 class Striker:
     """A ball without weight that flies in a straight line and hits the target.
 
@@ -100,7 +87,7 @@ class Launch:
         spin: its angular velocity [rad/s], target frame.
         release_s: the target is held still at ``pos`` until this time [s], and leaves with ``velocity``.
         boxes: up to two static boxes.
-        tether: the string on which it hangs, if any.
+        tether: where the string on which it hangs is fixed, massless, rigid and as long as it must be [m], world.
         striker: the ball that hits it, if any.
         restitution: of its contacts with anything but the hand, rebound speed over impact speed, 0 to 1.
         friction: sliding friction coefficient against surfaces; None for the object's own.
@@ -113,7 +100,7 @@ class Launch:
     spin: Vector = (0.0, 0.0, 0.0)
     release_s: float = 0.0
     boxes: tuple[Box, ...] = ()
-    tether: Tether | None = None
+    tether: Vector | None = None
     striker: Striker | None = None
     restitution: float = 0.0
     friction: float | None = None

@@ -1,18 +1,14 @@
 """Targets that hang from a rigid massless string."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.core.numerics import cos, product, sin
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Tether, Vector, as_vector
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.objects import TargetObject
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Vector, as_vector
+from dynahoi_lerobot.objects import TargetObject
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,7 @@ class SuspendedMotion(PhysicalMotion):
             quat=quat,
             velocity=as_vector(np.cross(rate_w, self.length_m * down)),
             spin=as_vector(_into_frame(rate_w, axis, self.angle_rad)),
-            tether=Tether(self.anchor),
+            tether=self.anchor,
             drag_kg_s=self.drag_1_s * target.mass_kg,
         )
 
@@ -75,7 +71,6 @@ def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarra
 
 
 @MOTIONS.register("planar")
-@dataclass(frozen=True)
 class PlanarPendulum(SuspendedMotion):
     """Released at rest at 12 to 40 degrees."""
 
@@ -88,7 +83,6 @@ class PlanarPendulum(SuspendedMotion):
 
 
 @MOTIONS.register("conical")
-@dataclass(frozen=True)
 class ConicalPendulum(SuspendedMotion):
     """Steady precession at 12 to 32 degrees, started at exactly the speed that keeps the angle."""
 
@@ -107,7 +101,6 @@ class ConicalPendulum(SuspendedMotion):
 
 
 @MOTIONS.register("damped")
-@dataclass(frozen=True)
 class DampedPendulum(SuspendedMotion):
     """Released at rest at 20 to 45 degrees; drag over mass 0.15 to 0.5 per second."""
 

@@ -1,17 +1,13 @@
 """Thrown and bouncing targets."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Launch, Vector, as_vector, ballistic_velocity, heading
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.objects import ObjectType, TargetObject
+from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 LANDING_RESTITUTION = 0.1
 """Of the floor, where a target that was missed lands."""
@@ -60,7 +56,6 @@ class ThrowMotion(PhysicalMotion):
 
 
 @MOTIONS.register("lob")
-@dataclass(frozen=True)
 class Lob(ThrowMotion):
     """From 0.8 to 1.5 m in front, 0.5 to 0.85 s before the meeting, released 0.2 to 0.6 m below it."""
 
@@ -74,7 +69,6 @@ class Lob(ThrowMotion):
 
 
 @MOTIONS.register("cross_throw")
-@dataclass(frozen=True)
 class CrossThrow(ThrowMotion):
     """From 0.4 to 0.8 m away, 40 to 66 degrees in front of the side, 0.45 to 0.75 s before the meeting."""
 

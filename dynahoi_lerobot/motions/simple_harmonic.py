@@ -1,7 +1,5 @@
 """Simple harmonic motion along one axis."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -53,7 +51,6 @@ class HarmonicMotion(PrescribedMotion):
 
 
 @MOTIONS.register("lateral")
-@dataclass(frozen=True)
 class Lateral(HarmonicMotion):
     """Harmonic along y, across the view."""
 
@@ -62,7 +59,6 @@ class Lateral(HarmonicMotion):
 
 
 @MOTIONS.register("depth")
-@dataclass(frozen=True)
 class Depth(HarmonicMotion):
     """Harmonic along x, the direction that the palm faces."""
 
@@ -71,7 +67,6 @@ class Depth(HarmonicMotion):
 
 
 @MOTIONS.register("vertical")
-@dataclass(frozen=True)
 class Vertical(HarmonicMotion):
     """Harmonic along z."""
 

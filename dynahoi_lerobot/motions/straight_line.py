@@ -1,7 +1,5 @@
 """Straight lines at constant acceleration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -49,7 +47,6 @@ class StraightMotion(PrescribedMotion):
 
 
 @MOTIONS.register("constant")
-@dataclass(frozen=True)
 class Constant(StraightMotion):
     """Constant speed of 0.2 to 0.9 m/s."""
 
@@ -59,12 +56,10 @@ class Constant(StraightMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw a speed and a direction that stays off the floor."""
         speed = draw.sample_speed(0.2, 0.9)
-        direction = draw.level_heading(RISE_M, speed * draw.horizon_s)
-        return cls(draw.meeting_point(), direction, draw.intercept_s, speed, 0.0)
+        return cls.between(draw, (speed, speed))
 
 
 @MOTIONS.register("accelerating")
-@dataclass(frozen=True)
 class Accelerating(StraightMotion):
     """Speed rises linearly from 0.03 to 0.15 m/s at the start to 0.6 to 1.4 m/s at the horizon."""
 
@@ -77,7 +72,6 @@ class Accelerating(StraightMotion):
 
 
 @MOTIONS.register("decelerating")
-@dataclass(frozen=True)
 class Decelerating(StraightMotion):
     """Speed falls linearly from 0.6 to 1.4 m/s at the start to 0.03 to 0.12 m/s at the horizon."""
 

@@ -1,7 +1,5 @@
 """What an object is: a few solids of sampled size, with a mass, a friction and the ways they may move."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 `ObjectGeometry` takes the solids, then the grasp radius, the rest height and, of objects that roll, the roll radius.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dynahoi_lerobot.core.numerics import cos, sin, tan

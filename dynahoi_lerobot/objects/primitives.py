@@ -1,7 +1,5 @@
 """The solids that objects are made of, and the inertia of several of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

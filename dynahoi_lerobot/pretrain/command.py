@@ -1,7 +1,5 @@
 """``dynahoi pretrain``: train an eye on images of random configurations, as a recipe says."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

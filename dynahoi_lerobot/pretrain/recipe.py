@@ -1,7 +1,5 @@
 """What is pretrained and how, as a YAML file that draccus reads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -70,10 +68,7 @@ def read_recipe(path: Path, **changes: Any) -> PretrainRecipe:
     Raises:
         ValueError: if the file is refused by ``read_yaml``, or holds an unknown key or value.
     """
-    values = read_yaml(path)
-    if not isinstance(values, dict):
-        raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
     try:
-        return draccus.decode(PretrainRecipe, values | changes)
+        return draccus.decode(PretrainRecipe, read_yaml(path) | changes)
     except draccus.utils.DraccusException as error:
         raise ValueError(f"{path}: {error.__cause__ or error}") from error

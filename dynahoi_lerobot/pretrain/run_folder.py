@@ -1,7 +1,5 @@
 """The folder of a training run: its log, and what a killed run resumes from."""
 
-from __future__ import annotations
-
 import json
 import weakref
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Images of random configurations, posed without physics, with where the target is: what an eye learns from."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,17 +1,13 @@
 """The interface of a renderer: images, geom ids and depth of chosen worlds of a batch, from one camera."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.registry import Registry
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.scene.scene import Scene
 
-RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")
 DEFAULT_RENDERER = "tiles"
 
 
@@ -28,15 +24,8 @@ class Renderer(ABC):
         camera: id of the camera in the model.
     """
 
-    def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA) -> None:
-        """Prepare to render.
-
-        Args:
-            scene: the compiled scene.
-            batch: worlds of ``scene.model``.
-            image_size: side of the square images [px].
-            camera: name of the camera in the model.
-        """
+    def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
+        """Prepare to render ``batch``, of ``scene.model``, from the model's camera of that name; see the attributes."""
         self.scene, self.batch, self.image_size = scene, batch, image_size
         self.camera = scene.model.camera(camera).id
 
@@ -51,3 +40,6 @@ class Renderer(ABC):
     @abstractmethod
     def depth(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
+
+
+RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")

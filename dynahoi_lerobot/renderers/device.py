@@ -1,7 +1,5 @@
 """Warp, started without its notice of a missing CUDA driver, and device copies of a batch's per-world fields."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -5,8 +5,6 @@ image tiles that its bounds overlap. A pixel then tests the shapes of its tile a
 that lie between something its tile shows and the light.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import mujoco
@@ -14,7 +12,6 @@ import numpy as np
 import warp as wp
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.device import Mirror, default_device, world_fields
 from dynahoi_lerobot.renderers.raycast.pipeline import Pipeline
@@ -51,14 +48,8 @@ class TileRenderer(Renderer):
 
     soft: ClassVar[bool] = True
 
-    def __init__(
-        self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA, device: str | None = None
-    ) -> None:
-        """Compile the kernels (once per machine) and allocate device arrays.
-
-        Args:
-            scene, batch, image_size, camera: as ``Renderer`` takes them.
-            device: warp's name of the device, ``cpu`` or ``cuda``; CUDA if there is one by default.
+    def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
+        """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is any.
 
         Raises:
             ValueError: if the scene holds shapes, textures or lights that this renderer does not know.
@@ -66,7 +57,7 @@ class TileRenderer(Renderer):
         super().__init__(scene, batch, image_size, camera)
         shown = np.flatnonzero(np.isin(scene.model.geom_group, SHOWN_GROUPS)).astype(np.int32)
         _check_model(scene.model, shown)
-        device = device or default_device()
+        device = default_device()
         casting = ~np.isin(shown, [scene.floor_geom, *scene.wall_geoms])
         sources, types = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS), APPEARANCE_FIELDS | POSE_FIELDS
         with wp.ScopedDevice(device):

@@ -4,8 +4,6 @@
 Depth and segmentation are encoded as RGB too, so that every policy can take them and every video codec can store them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,13 +1,10 @@
 """Ray casting with mujoco_warp, which supports every geom, texture and light of MuJoCo, on the CPU or on CUDA."""
 
-from __future__ import annotations
-
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.device import Mirror, default_device, world_fields
 from dynahoi_lerobot.scene.model import SHOWN_GROUPS
@@ -27,17 +24,10 @@ class WarpRenderer(Renderer):
     not depend on its row.
     """
 
-    def __init__(
-        self, scene: Scene, batch: Batch, image_size: int, camera: str = EGO_CAMERA, device: str | None = None
-    ) -> None:
-        """Compile the kernels (once per machine) and allocate device arrays.
-
-        Args:
-            scene, batch, image_size, camera: as ``Renderer`` takes them.
-            device: warp's name of the device, ``cpu`` or ``cuda``; CUDA if there is one by default.
-        """
+    def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
+        """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is any."""
         super().__init__(scene, batch, image_size, camera)
-        self._device, size = device or default_device(), image_size
+        self._device = default_device()
         with wp.ScopedDevice(self._device):
             self._model, self._data = mjw.put_model(scene.model), mjw.make_data(scene.model, nworld=batch.nsim)
             for name in APPEARANCE_FIELDS:
@@ -46,8 +36,8 @@ class WarpRenderer(Renderer):
             self._context = mjw.create_render_context(
                 scene.model,
                 nworld=batch.nsim,
-                cam_res=(size, size),
-                cam_active=[scene.model.camera(self.camera).name],
+                cam_res=(image_size, image_size),
+                cam_active=[camera],
                 enabled_geom_groups=list(SHOWN_GROUPS),
                 use_textures=True,
                 use_shadows=False,

@@ -1,7 +1,5 @@
 """The evaluations of one report, each with a short unique label and a colour."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,24 +1,27 @@
-"""``render_report``: one self-contained HTML page from any number of result folders."""
+"""``dynahoi report`` and ``render_report``: one self-contained HTML page from any number of result folders."""
 
-from __future__ import annotations
-
+import argparse
 import base64
 from collections.abc import Collection, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.core.files import printable, write_atomically
-from dynahoi_lerobot.evaluate.compare import COMMANDS, compare, unequal_conditions
+from dynahoi_lerobot.evaluate import table
+from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, unequal_conditions
 from dynahoi_lerobot.evaluate.summary import Estimate
-from dynahoi_lerobot.evaluate.table import Cell, Table, columns_for, heading, metric_cell, metrics_table, stratum_table
+from dynahoi_lerobot.evaluate.table import Cell, Table
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
+from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
 
 FILE_NAME = "report.html"
 
 COMPARED = {
-    **{name: f"{heading(name)}: row minus column." for name in ("S_hold", "S_loc", "S_joint", "E_loc")},
+    **{name: f"{table.heading(name)}: row minus column." for name in ("S_hold", "S_loc", "S_joint", "E_loc")},
     COMMANDS: "Mean distance of the palm positions that they commanded in the same frames [cm].",
 }
 """What paired evaluations are compared by, with the captions; metrics without pairs are omitted."""
@@ -27,6 +30,47 @@ MOST_CLIPS = 12
 """Clips shown per folder, the first by name; more would make the page too large."""
 LARGEST_CLIP_BYTES = 5_000_000
 GIF_HEADERS = (b"GIF87a", b"GIF89a")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi report``."""
+    parser.add_argument("folders", type=path, nargs="+", help="result folders of `dynahoi evaluate`")
+    parser.add_argument(ALLOW_MISMATCH, action="store_true", help="accept results of different benchmark versions")
+    parser.add_argument(
+        "--across",
+        action="append",
+        choices=CROSSABLE,
+        default=[],
+        help="also pair evaluations that differ in this condition; may be repeated",
+    )
+    parser.add_argument("--out", type=path, default=Path("report.html"), help="output file")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page and print the tables; return the exit code."""
+    entries = read_entries(args.folders, allow_version_mismatch=args.allow_version_mismatch)
+    page = write_page(entries, args.out, args.across)
+    print(table.results_table([entry.results for entry in entries]))
+    pairs = list(combinations(entries, 2))
+    for name in CROSSABLE:
+        if any(name in unequal_conditions(a.results, b.results, args.across) for a, b in pairs):
+            print(f"evaluations with different {name} are not paired; --across {name} pairs them")
+    for a, b in pairs if args.across else []:
+        if not unequal_conditions(a.results, b.results, args.across):
+            print(_difference(a, b, args.across))
+    print(f"report: {page}")
+    return 0
+
+
+def _difference(a: Entry, b: Entry, across: list[str]) -> str:
+    loc, apart = (
+        compare(a.results, b.results, name, across=across, allow_version_mismatch=True) for name in ("S_loc", COMMANDS)
+    )
+    if loc is None or apart is None:
+        return f"{a.label} and {b.label} share no episode"
+    points = f"S_loc {100 * loc.difference:+.1f} [{100 * loc.low:+.1f}, {100 * loc.high:+.1f}] points"
+    commands = f"commands {apart.difference:.2f} [{apart.low:.2f}, {apart.high:.2f}] cm apart"
+    return f"{a.label} minus {b.label}, {loc.n} episodes: {points}, {commands}"
 
 
 def render_report(
@@ -68,18 +112,18 @@ def write_page(entries: Sequence[Entry], out: Path, across: Collection[str] = ()
 def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict[str, Any]:
     """Return the template's variables."""
     labels, results = [entry.label for entry in entries], [entry.results for entry in entries]
-    main = columns_for(results)
+    main = table.columns_for(results)
     other = [name for name in METRICS.names() if name not in main]
     drawn = [(figure, figure.render(entries)) for figure in figures.FIGURES]
     clips = [(entry.label, *clips_of(entry.results.folder)) for entry in entries]
     return {
         "entries": entries,
         "episodes": len(distinct_episodes(entries)),
-        "main_metrics": metrics_table(labels, results, main),
-        "other_metrics": metrics_table(labels, results, other),
+        "main_metrics": table.metrics_table(labels, results, main),
+        "other_metrics": table.metrics_table(labels, results, other),
         "comparisons": comparison_tables(entries, across),
         "figures": [(figure, address) for figure, address in drawn if address],
-        "per_kind": [stratum_table(entry.results, "kind", caption=entry.label) for entry in entries],
+        "per_kind": [table.stratum_table(entry.results, "kind", caption=entry.label) for entry in entries],
         "glossary": glossary(),
         "clips": [(label, shown, left_out) for label, shown, left_out in clips if shown],
     }
@@ -116,7 +160,7 @@ def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> 
     if row is column or result is None:
         return Cell("–")
     unit = "cm" if name == COMMANDS else METRICS[name].unit
-    cell = metric_cell(Estimate(result.difference, result.low, result.high, unit, result.n))
+    cell = table.metric_cell(Estimate(result.difference, result.low, result.high, unit, result.n))
     if result.p_value is None:
         return Cell(cell.text, f"{cell.detail} n = {result.n}", cell.key)
     p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"

@@ -7,13 +7,11 @@ continues. The next inference begins when the last has ended. Until the first ch
 after the last action of a chunk, where that led.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass
 from math import ceil
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -67,7 +65,7 @@ class Inference:
         return f"{self.mode} {latency}"
 
     @classmethod
-    def from_label(cls, label: str) -> Inference:
+    def from_label(cls, label: str) -> Self:
         """Return the timing that has this ``label``.
 
         Raises:
@@ -229,12 +227,31 @@ class StepwiseInference:
         """Give ``policy`` the timing ``inference``.
 
         Raises:
-            ValueError: if the mode or the latency is impossible with one action a call, or with this policy.
+            ValueError: if the mode or the latency is impossible with one action a call, or if the policy has no actions
+                left when a chunk is ready, or would see a frame twice.
         """
-        latency_ms = _declared_ms(inference)
+        if inference.mode != ASYNC:
+            raise ValueError(
+                f"inference mode {inference.mode} needs whole chunks, and here the policy is asked for one action a "
+                f"call; use async, or dynahoi evaluate --inference {inference.mode}"
+            )
+        if (latency_ms := inference.latency_ms) is None:
+            raise ValueError(
+                "a measured latency would count what happens between two calls, such as writing videos; "
+                "declare it in ms, or use dynahoi evaluate --inference-ms measured"
+            )
         self.policy, self._delay = policy, frames_of(latency_ms / 1000)
         self._period = max(1, self._delay)
-        _check_policy(policy, self._delay, f"after {latency_ms:g} ms ({self._delay} frames)")
+        if (least := self._delay + 1) > policy.n_action_steps:
+            raise ValueError(
+                f"{policy.name!r} executes {policy.n_action_steps} actions of a chunk, all of them past when it is "
+                f"ready after {latency_ms:g} ms ({self._delay} frames); n_action_steps must be at least {least}"
+            )
+        if policy.lookback_frames > self._delay and policy.n_action_steps > self._period:
+            raise ValueError(
+                f"{policy.name!r} looks back {policy.lookback_frames} frames and would see some twice, because the "
+                "world stands still while its queue is read; use dynahoi evaluate --inference async"
+            )
         self.reset()
 
     def reset(self) -> None:
@@ -272,33 +289,3 @@ class StepwiseInference:
         """Go on with the chunk that has been read; its successor is inferred next."""
         self._running = Chunk(np.stack(self._read), self._begun, self._begun + self._delay)
         self._read, self._begun = [], self._begun + self._period
-
-
-def _declared_ms(inference: Inference) -> float:
-    """Return the latency; raise ValueError for a timing that is impossible with one action a call."""
-    if inference.mode != ASYNC:
-        raise ValueError(
-            f"inference mode {inference.mode} needs whole chunks, and here the policy is asked for one action a call; "
-            f"use async, or dynahoi evaluate --inference {inference.mode}"
-        )
-    if inference.latency_ms is None:
-        raise ValueError(
-            "a measured latency would count what happens between two calls, such as writing videos; "
-            "declare it in ms, or use dynahoi evaluate --inference-ms measured"
-        )
-    return inference.latency_ms
-
-
-def _check_policy(policy: QueuedPolicy, delay: int, after: str) -> None:
-    """Raise ValueError unless the policy has actions left when a chunk is ready, and sees every frame once."""
-    n, period = policy.n_action_steps, max(1, delay)
-    if (least := delay + 1) > n:
-        raise ValueError(
-            f"{policy.name!r} executes {n} actions of a chunk, all of them past when it is ready {after}; "
-            f"n_action_steps must be at least {least}"
-        )
-    if policy.lookback_frames > delay and n > period:
-        raise ValueError(
-            f"{policy.name!r} looks back {policy.lookback_frames} frames and would see some twice, because the world "
-            "stands still while its queue is read; use dynahoi evaluate --inference async"
-        )

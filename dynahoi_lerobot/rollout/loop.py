@@ -3,8 +3,6 @@
 Generation, evaluation and the environments all play here, so that they cannot drift apart.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -85,7 +83,7 @@ class Session:
             recorder.add_frame(columns, i, images)
         self.batch.step(checked[ids], ids)
         if labels is not None:
-            labels = self.batch.as_actions(self.batch.within_workspace(labels), self.observation)
+            labels = self.batch.as_labels(labels, self.observation)
         for i, recorder in self._recorders.items():
             recorder.add_action(self.batch.commanded[i], None if labels is None else labels[i])
         terminated, full = np.zeros((2, self.batch.size), bool)

@@ -1,10 +1,8 @@
 """Recording one world: copying its frames while it is played, freezing them into an Episode when it ends."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -45,7 +43,7 @@ class Job:
     stop_settled: bool = False
 
     @classmethod
-    def evaluation(cls, index: int, spec: EpisodeSpec) -> Job:
+    def evaluation(cls, index: int, spec: EpisodeSpec) -> Self:
         """Return the job of an evaluation: the window, up to L control steps, and the frame the last of them led to."""
         return cls(index, spec, spec.window_frames + spec.length_frames + 1, stop_settled=True)
 
@@ -126,11 +124,13 @@ class WorldRecorder:
         """Return the recording as an Episode of ``actor``, which planned ``meeting`` at control start."""
         spec, rule, columns = self.job.spec, batch.rule, self._columns()
         track = self._track(columns)
-        columns |= episode_constants(batch, spec, meeting) | self._commands()
+        columns |= episode_constants(batch, spec, meeting)
         columns |= {
+            "action": np.stack(self.labels),
+            "executed_action": np.stack(self.actions),
             "captured": self._padded(rule.captured(track)),
             "succeeded": next_frames(self._padded(rule.succeeded(track))),
-            "intercept_time": spec.intercept_time_s,
+            "intercept_time": spec.intercept_frame * CONTROL_DT,
         }
         return Episode(
             meta=_meta(self.job, rule.name, batch.control.name, actor),
@@ -147,10 +147,6 @@ class WorldRecorder:
     def _columns(self) -> dict[str, np.ndarray]:
         """Everything measured besides images, (T, ...) each."""
         return {name: np.stack([frame[name] for frame in self.frames]) for name in self.frames[0]}
-
-    def _commands(self) -> dict[str, np.ndarray]:
-        """The commands and what a teacher wanted, (T, 18) each."""
-        return {"action": np.stack(self.labels), "executed_action": np.stack(self.actions)}
 
     def _track(self, columns: dict[str, np.ndarray]) -> Track:
         """What the capture rule judges: the control phase."""

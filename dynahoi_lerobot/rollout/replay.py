@@ -1,7 +1,5 @@
 """Make an episode again: from its seed alone, or by stored actions in the world that the seed describes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

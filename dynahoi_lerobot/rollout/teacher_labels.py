@@ -5,10 +5,9 @@ frames at a time, and jittering. A policy trained only on undisturbed approaches
 mistake (DART; Laskey et al., 2017). The executed commands are recorded beside the labels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -36,6 +35,57 @@ STREAM = 0xD157
 def labels(teacher: Expert, world: WorldState) -> np.ndarray:
     """Return (N, 18) a `Teacher`'s goals, or the next commands of any other expert: [m], home frame, and [rad]."""
     return teacher.goals(world) if isinstance(teacher, Teacher) else teacher.act(world)
+
+
+@dataclass
+class Perturbation:
+    """Pulls and tremor of the palm in one attempt at an episode, determined by seed and attempt.
+
+    Attributes:
+        spec: the episode.
+        attempt: from 1.
+        pull_begin: (F,) int, the frame in which the pull of each frame began, -1 for frames without one.
+        pull_m: (F, 3) destination of a pull that begins in each frame, from the palm's position then [m].
+        tremor_m: (F, 3) added to the commands of frames without a pull [m].
+        destinations: (3,) of each pull [m], home frame, by the frame in which it began.
+    """
+
+    spec: EpisodeSpec
+    attempt: int
+    pull_begin: np.ndarray
+    pull_m: np.ndarray
+    tremor_m: np.ndarray
+    destinations: dict[int, np.ndarray] = field(default_factory=dict)
+
+    @classmethod
+    def drawn(cls, spec: EpisodeSpec, attempt: int, share: float) -> Self:
+        """Draw it; only a ``share`` (0 to 1) of the episodes is perturbed, and those in ``PERTURBED_ATTEMPTS`` only."""
+        rng, frames = np.random.default_rng([STREAM, spec.seed, attempt]), spec.horizon_frames
+        perturbed = np.random.default_rng([STREAM, spec.seed]).random() < share and attempt <= PERTURBED_ATTEMPTS
+        begins = rng.random(frames) < PULL_ODDS
+        lengths = rng.integers(PULL_FRAMES[0], PULL_FRAMES[1] + 1, frames)
+        pull_m = rng.normal(0.0, PULL_M, (frames, PALM_DOF))
+        tremor_m = rng.normal(0.0, TREMOR_M, (frames, PALM_DOF)) * (rng.random((frames, 1)) < TREMOR_ODDS)
+        pull_begin = np.full(frames, -1)
+        for frame in np.flatnonzero(begins & perturbed):
+            if pull_begin[frame] < 0:
+                pull_begin[frame : frame + lengths[frame]] = frame
+        return cls(spec, attempt, pull_begin, pull_m, tremor_m * perturbed)
+
+    def __call__(self, frame: int, palm_h: np.ndarray, wanted_h: np.ndarray) -> np.ndarray:
+        """Return (3,) the palm's command in a frame [m], home frame.
+
+        Args:
+            frame: of the episode.
+            palm_h: (3,) where the palm will be when the command takes effect [m].
+            wanted_h: (3,) the expert's command [m].
+        """
+        begin = int(self.pull_begin[frame])
+        if begin < 0:
+            return wanted_h + self.tremor_m[frame]
+        if begin not in self.destinations:
+            self.destinations[begin] = palm_h + self.pull_m[begin]
+        return self.destinations[begin]
 
 
 class Demonstrator(Expert):
@@ -70,57 +120,6 @@ class Demonstrator(Expert):
         if known is None or known.spec is not spec or known.attempt != attempt:
             known = self._perturbations[i] = Perturbation.drawn(spec, attempt, self._share)
         return known
-
-
-@dataclass
-class Perturbation:
-    """Pulls and tremor of the palm in one attempt at an episode, determined by seed and attempt.
-
-    Attributes:
-        spec: the episode.
-        attempt: from 1.
-        pull_begin: (F,) int, the frame in which the pull of each frame began, -1 for frames without one.
-        pull_m: (F, 3) destination of a pull that begins in each frame, from the palm's position then [m].
-        tremor_m: (F, 3) added to the commands of frames without a pull [m].
-        destinations: (3,) of each pull [m], home frame, by the frame in which it began.
-    """
-
-    spec: EpisodeSpec
-    attempt: int
-    pull_begin: np.ndarray
-    pull_m: np.ndarray
-    tremor_m: np.ndarray
-    destinations: dict[int, np.ndarray] = field(default_factory=dict)
-
-    @classmethod
-    def drawn(cls, spec: EpisodeSpec, attempt: int, share: float) -> Perturbation:
-        """Draw it; only a ``share`` (0 to 1) of the episodes is perturbed, and those in ``PERTURBED_ATTEMPTS`` only."""
-        rng, frames = np.random.default_rng([STREAM, spec.seed, attempt]), spec.horizon_frames
-        perturbed = np.random.default_rng([STREAM, spec.seed]).random() < share and attempt <= PERTURBED_ATTEMPTS
-        begins = rng.random(frames) < PULL_ODDS
-        lengths = rng.integers(PULL_FRAMES[0], PULL_FRAMES[1] + 1, frames)
-        pull_m = rng.normal(0.0, PULL_M, (frames, PALM_DOF))
-        tremor_m = rng.normal(0.0, TREMOR_M, (frames, PALM_DOF)) * (rng.random((frames, 1)) < TREMOR_ODDS)
-        pull_begin = np.full(frames, -1)
-        for frame in np.flatnonzero(begins & perturbed):
-            if pull_begin[frame] < 0:
-                pull_begin[frame : frame + lengths[frame]] = frame
-        return cls(spec, attempt, pull_begin, pull_m, tremor_m * perturbed)
-
-    def __call__(self, frame: int, palm_h: np.ndarray, wanted_h: np.ndarray) -> np.ndarray:
-        """Return (3,) the palm's command in a frame [m], home frame.
-
-        Args:
-            frame: of the episode.
-            palm_h: (3,) where the palm will be when the command takes effect [m].
-            wanted_h: (3,) the expert's command [m].
-        """
-        begin = int(self.pull_begin[frame])
-        if begin < 0:
-            return wanted_h + self.tremor_m[frame]
-        if begin not in self.destinations:
-            self.destinations[begin] = palm_h + self.pull_m[begin]
-        return self.destinations[begin]
 
 
 class LabelledAgent(Agent):

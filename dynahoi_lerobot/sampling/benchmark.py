@@ -6,22 +6,11 @@ A change to this file, or to what it refers to, is a new version of the benchmar
 compares it, the episodes of all splits and some images with the digests that are committed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
-from dynahoi_lerobot.core.conventions import (
-    CONTROL_HZ,
-    GRASP_FRACTION,
-    HAND_SPEED_M_S,
-    LENIENT_RADIUS_M,
-    LOCALIZATION_RADIUS_M,
-    MIN_WINDOW_FRAMES,
-    PHYSICS_HZ,
-    UNIT_M,
-    WINDOW_FRACTION,
-)
+from dynahoi_lerobot.core import conventions
+from dynahoi_lerobot.core.conventions import LOCALIZATION_RADIUS_M, UNIT_M
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 
 HOLD_CLEARANCE_M = LOCALIZATION_RADIUS_M + 0.005
@@ -85,14 +74,14 @@ class Histogram:
 
 
 RULES = {
-    "physics_hz": PHYSICS_HZ,
-    "control_hz": CONTROL_HZ,
-    "window_fraction": WINDOW_FRACTION,
-    "min_window_frames": MIN_WINDOW_FRAMES,
-    "intercept_speed_m_s": HAND_SPEED_M_S,
+    "physics_hz": conventions.PHYSICS_HZ,
+    "control_hz": conventions.CONTROL_HZ,
+    "window_fraction": conventions.WINDOW_FRACTION,
+    "min_window_frames": conventions.MIN_WINDOW_FRAMES,
+    "intercept_speed_m_s": conventions.HAND_SPEED_M_S,
     "localization_radius_m": LOCALIZATION_RADIUS_M,
-    "lenient_radius_m": LENIENT_RADIUS_M,
-    "grasp_fraction": GRASP_FRACTION,
+    "lenient_radius_m": conventions.LENIENT_RADIUS_M,
+    "grasp_fraction": conventions.GRASP_FRACTION,
     "control_classes": tuple(CONTROL_CLASSES.values()),
 }
 """What is the same for whoever is evaluated, so that a change to it is a new version; `conventions` says what it is."""

@@ -1,7 +1,5 @@
 """The code fingerprint: a hash of the sources and library versions that decide the bytes of a dataset."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import platform
@@ -53,7 +51,7 @@ def code_fingerprint() -> str:
 
 def surroundings() -> dict[str, str]:
     """Return what beside the sources is in the code fingerprint: the kind of processor, and versions by library."""
-    return {"processor": platform.machine(), **{library: _version(library) for library in LIBRARIES}}
+    return {"processor": platform.machine(), **{name: installed_version(name) or "absent" for name in LIBRARIES}}
 
 
 def extension_fingerprint(entries: Iterable[object]) -> str:
@@ -71,18 +69,18 @@ def _module_hash(module: str) -> str:
 
 def hash_sources(package: Path) -> bytes:
     """Return the sha256 of the names and contents of the deciding sources below ``package``."""
-    digest = hashlib.sha256()
-    for path in sorted(deciding_sources(package)):
-        digest.update(path.relative_to(package).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.digest()
+    return _hash((path.relative_to(package).as_posix(), path) for path in sorted(deciding_sources(package)))
 
 
 def hash_packages(names: Iterable[str]) -> bytes:
     """Return the sha256 of the names and contents of the modules of top-level packages; those not found are none."""
+    return _hash((path.name, path) for path in sorted({path for name in names for path in _package_sources(name)}))
+
+
+def _hash(files: Iterable[tuple[str, Path]]) -> bytes:
     digest = hashlib.sha256()
-    for path in sorted({path for name in names for path in _package_sources(name)}):
-        digest.update(path.name.encode())
+    for name, path in files:
+        digest.update(name.encode())
         digest.update(path.read_bytes())
     return digest.digest()
 
@@ -104,8 +102,9 @@ def deciding_sources(package: Path) -> Iterator[Path]:
         yield from (path for path in package.glob(pattern) if path.parent != package or path.name not in NOT_DECIDING)
 
 
-def _version(library: str) -> str:
+def installed_version(name: str) -> str | None:
+    """Return the version of an installed distribution; None if there is none of that name."""
     try:
-        return version(library)
+        return version(name)
     except PackageNotFoundError:
-        return "absent"
+        return None

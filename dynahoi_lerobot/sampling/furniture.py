@@ -4,15 +4,13 @@ A box around everything that matters - the target's path, the hand's home, the s
 It is convex, so nothing outside it comes between a camera and a target inside it.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dynahoi_lerobot.core.numerics import product, quat_to_matrix
 from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.motions.launch import as_vector
 from dynahoi_lerobot.scene.appearance import Solid, hsv
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS, SIDE_CAMERA_POS_M
 
@@ -26,18 +24,9 @@ Part = tuple[tuple[float, float, float], tuple[float, float, float], Color]
 """Lower corner and extent of a box [m], from the middle of the piece's back on the floor; its colour."""
 
 
-@dataclass(frozen=True)
-class Palette:
-    """Colours of the pieces of one episode."""
-
-    wood: Color
-    pale: Color
-    accent: Color
-
-
-def _cabinet(rng: np.random.Generator, colors: Palette) -> list[Part]:
+def _cabinet(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     width, depth, height = rng.uniform(0.5, 1.6), rng.uniform(0.35, 0.6), rng.uniform(0.4, 1.5)
-    body, front = (colors.wood, colors.pale) if rng.random() < 0.5 else (colors.accent, colors.wood)
+    body, front = (wood, pale) if rng.random() < 0.5 else (accent, wood)
     door = (0.02, 0.46 * width, height - 0.14)
     return [
         ((0.0, -width / 2, 0.0), (depth, width, height), body),
@@ -46,73 +35,67 @@ def _cabinet(rng: np.random.Generator, colors: Palette) -> list[Part]:
     ]
 
 
-def _shelf(rng: np.random.Generator, colors: Palette) -> list[Part]:
+def _shelf(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     width, depth, height = rng.uniform(0.6, 1.3), rng.uniform(0.25, 0.4), rng.uniform(1.0, 1.9)
-    boards = [((0.0, -width / 2, z), (depth, width, 0.04), colors.wood) for z in np.linspace(0.05, height - 0.04, 3)]
-    books = ((0.05, -0.4 * width, boards[1][0][2] + 0.04), (0.6 * depth, 0.4 * width, 0.22), colors.accent)
-    sides = [((0.0, y, 0.0), (depth, 0.04, height), colors.wood) for y in (-width / 2, width / 2 - 0.04)]
+    boards = [((0.0, -width / 2, z), (depth, width, 0.04), wood) for z in np.linspace(0.05, height - 0.04, 3)]
+    books = ((0.05, -0.4 * width, boards[1][0][2] + 0.04), (0.6 * depth, 0.4 * width, 0.22), accent)
+    sides = [((0.0, y, 0.0), (depth, 0.04, height), wood) for y in (-width / 2, width / 2 - 0.04)]
     return [*boards, *sides, books]
 
 
-def _table(rng: np.random.Generator, colors: Palette) -> list[Part]:
+def _table(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     width, depth, height = rng.uniform(0.8, 1.6), rng.uniform(0.5, 0.9), rng.uniform(0.45, 0.8)
     legs = [
-        ((x, y, 0.0), (0.06, 0.06, height), colors.pale)
+        ((x, y, 0.0), (0.06, 0.06, height), pale)
         for x in (0.03, depth - 0.09)
         for y in (-width / 2 + 0.03, width / 2 - 0.09)
     ]
-    return [*legs, ((0.0, -width / 2, height), (depth, width, 0.05), colors.wood)]
+    return [*legs, ((0.0, -width / 2, height), (depth, width, 0.05), wood)]
 
 
-def _crate(rng: np.random.Generator, colors: Palette) -> list[Part]:
+def _crate(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     size = rng.uniform(0.25, 0.6)
-    color = colors.accent if rng.random() < 0.6 else colors.pale
+    color = accent if rng.random() < 0.6 else pale
     return [((0.0, -size / 2, 0.0), (rng.uniform(0.25, 0.6), size, rng.uniform(0.2, 0.6)), color)]
 
 
-def _picture(rng: np.random.Generator, colors: Palette) -> list[Part]:
+def _picture(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     width, height, low = rng.uniform(0.5, 1.5), rng.uniform(0.4, 1.0), rng.uniform(0.9, 1.5)
-    frame = ((0.0, -width / 2, low), (0.04, width, height), colors.wood)
-    return [frame, ((0.04, 0.06 - width / 2, low + 0.06), (0.01, width - 0.12, height - 0.12), colors.accent)]
+    frame = ((0.0, -width / 2, low), (0.04, width, height), wood)
+    return [frame, ((0.04, 0.06 - width / 2, low + 0.06), (0.01, width - 0.12, height - 0.12), accent)]
 
 
-def _rug(rng: np.random.Generator, colors: Palette) -> list[Part]:
+def _rug(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     width, depth = rng.uniform(1.2, 2.6), rng.uniform(1.0, 2.0)
-    color = colors.accent if rng.random() < 0.5 else colors.pale
+    color = accent if rng.random() < 0.5 else pale
     return [((0.0, -width / 2, 0.0), (depth, width, 0.012), color)]
 
 
-PIECES: tuple[Callable[[np.random.Generator, Palette], list[Part]], ...] = (
-    _cabinet,
-    _shelf,
-    _table,
-    _crate,
-    _picture,
-    _rug,
-)
+PIECES = (_cabinet, _shelf, _table, _crate, _picture, _rug)
+"""Each draws one piece in the colours of the episode's wood, of what is pale and of what stands out."""
 ON_THE_WALL = (_picture,)
 
 
 def furnish(spec: EpisodeSpec) -> EpisodeSpec:
     """Return the episode with furniture and a sleeve, drawn from random numbers of its own."""
     rng = np.random.default_rng([SEED_PREFIX, spec.seed])
-    colors = Palette(
-        wood=hsv(rng.uniform(0.04, 0.11), rng.uniform(0.3, 0.65), rng.uniform(0.25, 0.75)),
-        pale=hsv(rng.random(), rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.95)),
-        accent=hsv(rng.random(), rng.uniform(0.3, 0.9), rng.uniform(0.35, 0.9)),
-    )
+    wood = hsv(rng.uniform(0.04, 0.11), rng.uniform(0.3, 0.65), rng.uniform(0.25, 0.75))
+    pale = hsv(rng.random(), rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.95))
+    accent = hsv(rng.random(), rng.uniform(0.3, 0.9), rng.uniform(0.35, 0.9))
     sleeve_rgb = hsv(rng.random(), rng.uniform(0.0, 0.6), rng.uniform(0.15, 0.7))
-    furniture = _place_pieces(rng, colors, _kept_free(spec))
+    furniture = _place_pieces(rng, (wood, pale, accent), _kept_free(spec))
     return replace(spec, appearance=replace(spec.appearance, furniture=furniture, sleeve_rgb=sleeve_rgb))
 
 
-def _place_pieces(rng: np.random.Generator, colors: Palette, free: list[np.ndarray]) -> tuple[Solid, ...]:
+def _place_pieces(
+    rng: np.random.Generator, colors: tuple[Color, Color, Color], free: list[np.ndarray]
+) -> tuple[Solid, ...]:
     """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other."""
     placed: list[Solid] = []
     taken = list(free)
     for _ in range(ATTEMPTS):
         piece = PIECES[rng.integers(len(PIECES))]
-        parts = _place(piece(rng, colors), rng, on_wall=piece in ON_THE_WALL)
+        parts = _place(piece(rng, *colors), rng, on_wall=piece in ON_THE_WALL)
         low = np.min([one.pos_w - np.asarray(one.half_size) for one in parts], axis=0)
         high = np.max([one.pos_w + np.asarray(one.half_size) for one in parts], axis=0)
         inside = (np.abs([low[:2], high[:2]]) <= ARENA_HALF_M + 1e-6).all()
@@ -137,9 +120,7 @@ def _place(parts: list[Part], rng: np.random.Generator, *, on_wall: bool) -> lis
         else:
             side = 1.0 if wall == 1 else -1.0
             pos, size = (along + y, side * (ARENA_HALF_M - away - x), z), half[[1, 0, 2]]
-        solids.append(
-            Solid("box", tuple(float(one) for one in size), (float(pos[0]), float(pos[1]), float(pos[2])), rgb)
-        )
+        solids.append(Solid("box", as_vector(size), as_vector(np.array(pos)), rgb))
     return solids
 
 

@@ -9,8 +9,6 @@ hide differs. The hand does not collide with fixtures, so nothing else would sto
 its camera sees what no real one could.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Where a target goes if nobody touches it: roll the untouched world ahead."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Sequence
 
@@ -14,7 +12,7 @@ from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.model import ENVIRONMENT
 from dynahoi_lerobot.scene.scene import compile_scene
-from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
+from dynahoi_lerobot.scene.world_fields import WorldFields
 
 LIKE_LENGTH_FRAMES = 16
 """Paths whose lengths differ by less roll together; a throw must not wait for a pendulum ten times as long."""
@@ -69,15 +67,13 @@ def _simulate(
     batch = Batch(scene.model, nsim=len(motions), nthread=threads)
     rows, ids = WorldFields(batch, scene), np.arange(len(motions))
     rows.reset(ids)
-    drives = [drive_for(motion, target, frames - 1) for motion, target in zip(motions, targets, strict=True)]
-    for i, drive in enumerate(drives):
-        rows.write_world(i, motions[i], targets[i], drive, ENVIRONMENT)
+    forces = [rows.write_world(i, motion, targets[i], frames - 1, ENVIRONMENT) for i, motion in enumerate(motions)]
     parked = np.concatenate([PARKED_PALM_W, scene.hand.open_joints()])
     rows.qpos[:, scene.hand_qpos] = batch.bind("ctrl")[:] = parked
     rows.finish(ids)
     start = rows.qpos[:, scene.target_qpos : scene.target_qpos + 3].copy()
     control = np.zeros((len(motions), (frames - 1) * SUBSTEPS, scene.model.nv))
-    control[..., scene.target_dof : scene.target_dof + 3] = [d.force_w.reshape(-1, 3) for d in drives]
+    control[..., scene.target_dof : scene.target_dof + 3] = [force.reshape(-1, 3) for force in forces]
     record = batch.rollout(control.shape[1], control, CONTROL_SPEC.value, record=("qpos",))
     path = record["qpos"][:, SUBSTEPS - 1 :: SUBSTEPS, scene.target_qpos : scene.target_qpos + 3]
     return np.concatenate([start[:, None], path], axis=1)

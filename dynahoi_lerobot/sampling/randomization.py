@@ -4,8 +4,6 @@ Each draws from random numbers of its own, seeded with the episode, so the episo
 what the other randomisations drew. They address the first limitation that the paper names, that its scenes look alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

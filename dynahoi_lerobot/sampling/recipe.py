@@ -1,7 +1,5 @@
 """Recipe: everything besides the seed that decides what an episode is; as a YAML file, read by draccus."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -9,7 +7,7 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import draccus
 
@@ -137,7 +135,10 @@ class Recipe:
             raise ValueError(f"perturbed_share must be 0 to 1, got {self.perturbed_share}")
         if not 0 <= self.render_noise <= MAX_RENDER_NOISE:
             raise ValueError(f"render_noise must be 0 to {MAX_RENDER_NOISE} levels of 255, got {self.render_noise}")
-        self._check_actor()
+        if self.actor and not ACTOR.fullmatch(self.actor):
+            raise ValueError(f"actor must be as `dynahoi generate --actor` writes it, TYPE@HASH, got {self.actor!r}")
+        if self.actor:
+            self.teacher()
 
     @property
     def stream(self) -> str:
@@ -176,7 +177,7 @@ class Recipe:
         """Return the values as datasets and results hold them: of the salt only a hash."""
         return sealed(dataclasses.asdict(self))
 
-    def changed(self, **changes: Any) -> Recipe:
+    def changed(self, **changes: Any) -> Self:
         """Return the recipe with other values; with another capture rule come its hand and expert.
 
         Raises:
@@ -217,13 +218,6 @@ class Recipe:
     def _split(self) -> Split:
         return BENCHMARK.splits[self.split]
 
-    def _check_actor(self) -> None:
-        """Refuse an actor that is no name of one, and one whose states nobody can label."""
-        if self.actor and not ACTOR.fullmatch(self.actor):
-            raise ValueError(f"actor must be as `dynahoi generate --actor` writes it, TYPE@HASH, got {self.actor!r}")
-        if self.actor:
-            self.teacher()
-
     def _check_split_of(self, noun: str, name: str) -> None:
         """Refuse what the benchmark holds out for another split, and what an ``ood_`` split holds none of."""
         splits = BENCHMARK.splits_with(noun, name)
@@ -262,10 +256,6 @@ def load_recipe(path: Path | None) -> Recipe:
     if not os.path.isfile(path):  # unlike Path.is_file, False for names that no file can have
         raise ValueError(f"there is no recipe at {path}")
     values = read_yaml(path)
-    if values is None:  # nothing but comments
-        return Recipe()
-    if not isinstance(values, dict):
-        raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
     for name, value in values.items():
         if value is None or (isinstance(value, list) and None in value):
             raise ValueError(f"{path}: {name} must not be null; leave it out for its default")

@@ -1,7 +1,5 @@
 """EpisodeSpecs from a recipe and seeds: candidates are redrawn until the hand can observe and reach the target."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

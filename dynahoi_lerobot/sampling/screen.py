@@ -5,11 +5,10 @@ target from home and from the straight way of a hand that meets it as early as i
 keep clear of it nevertheless.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -78,7 +77,7 @@ class Sight:
     window_frames: int
 
     @classmethod
-    def until(cls, spec: EpisodeSpec, meeting: int) -> Sight:
+    def until(cls, spec: EpisodeSpec, meeting: int) -> Self:
         """Return the sight of an episode until frame ``meeting``, which lies in its control phase."""
         share = (np.arange(meeting) - spec.window_frames) / (meeting - spec.window_frames)
         way = np.maximum(share, 0.0)[:, None] * (spec.oracle_path[meeting] - spec.home_pos_w)
@@ -246,7 +245,7 @@ def _clear_of_string(panel: Box, launch: Launch, path_w: np.ndarray) -> bool:
     if launch.tether is None:
         return True
     share = np.linspace(0.0, 1.0, STRING_POINTS)[:, None]
-    string = path_w[:, None] + share * (np.asarray(launch.tether.anchor) - path_w[:, None])  # (F, P, 3)
+    string = path_w[:, None] + share * (np.asarray(launch.tether) - path_w[:, None])  # (F, P, 3)
     return bool(box_distance(string, panel).min() > FIXTURE_CLEARANCE_M)
 
 

@@ -5,8 +5,6 @@ kind, duration bin and travel bin is the one closest to independence whose three
 (iterative proportional fitting).
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 from dataclasses import dataclass

@@ -1,9 +1,8 @@
 """Appearance of an episode: procedural patterns, colours, light and furniture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -133,7 +132,7 @@ class Appearance:
     screen: Solid | None = None
 
     @classmethod
-    def sample(cls, rng: np.random.Generator) -> Appearance:
+    def sample(cls, rng: np.random.Generator) -> Self:
         """Draw patterns, colours and light; hues and saturations of target and surroundings overlap."""
         patterns = rng.choice(list(PATTERNS), size=4)
         hue = rng.random()

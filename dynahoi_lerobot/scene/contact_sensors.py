@@ -1,8 +1,7 @@
 """Contact sensors on the target, and how to read them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -33,9 +32,9 @@ class TargetContacts:
     palm_force_n: np.ndarray
     others: np.ndarray
 
-    def __getitem__(self, part: slice) -> TargetContacts:
+    def __getitem__(self, part: slice) -> Self:
         """Return those of some rows of the first axis."""
-        return TargetContacts(self.finger_force_n[part], self.palm_force_n[part], self.others[part])
+        return type(self)(self.finger_force_n[part], self.palm_force_n[part], self.others[part])
 
     @property
     def by_hand(self) -> np.ndarray:

@@ -5,8 +5,6 @@ registered by somebody else has more primitives of a shape. A world fills the sl
 So any mix of motions and objects shares a batch, and nothing is ever recompiled.
 """
 
-from __future__ import annotations
-
 import functools
 from collections import Counter
 from collections.abc import Mapping
@@ -18,16 +16,11 @@ from dynahoi_lerobot.core.conventions import PHYSICS_DT, ROLLING_FRICTION_M, TOR
 from dynahoi_lerobot.hands import Hand
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HIDDEN_GROUP, PALM_BODY, SHOWN_GROUP, SKIN_GROUP, camera_quat
 from dynahoi_lerobot.objects import OBJECTS, ObjectType
+from dynahoi_lerobot.objects.primitives import GEOM_TYPES
 from dynahoi_lerobot.scene.appearance import PATTERNS, texture_pixels
 from dynahoi_lerobot.scene.contact_sensors import add_contact_sensors
 
-SHAPES = {
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-}
+SHAPES = {shape: mujoco.mjtGeom(code) for shape, code in GEOM_TYPES.items()}
 TARGET_SLOTS = {"box": 1, "capsule": 8, "cylinder": 6, "ellipsoid": 1, "sphere": 2}
 """Geoms of each shape that the target body always carries: what the benchmark's objects need, held-out ones included.
 

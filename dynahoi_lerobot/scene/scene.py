@@ -1,7 +1,5 @@
 """The compiled scene: the MuJoCo model and the addresses of hand, target, fixtures and surroundings."""
 
-from __future__ import annotations
-
 import functools
 from collections import Counter
 from collections.abc import Mapping

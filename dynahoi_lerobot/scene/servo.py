@@ -1,7 +1,5 @@
 """From commands at 20 Hz to servo set-points at 500 Hz, within the limits of the hand."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Distance from fingertips to the target's surface: signed distances of the primitives, for all worlds at once."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,8 +1,5 @@
 """Writing one episode into one row of a batch: geometry, masses, fixtures, state and appearance."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from itertools import zip_longest
 
 import mujoco
@@ -12,7 +9,7 @@ from mujoco.batch import Batch
 from dynahoi_lerobot.core.conventions import PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.core.numerics import arctan2, norm
 from dynahoi_lerobot.motions import Motion, PrescribedMotion
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Tether, yaw_quat
+from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Vector, yaw_quat
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.appearance import Appearance, Solid
 from dynahoi_lerobot.scene.model import HIDDEN_POS, impact_solref
@@ -42,26 +39,6 @@ FIELDS = (
 GRAVITY_W = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 
-@dataclass(frozen=True, eq=False)
-class TargetDrive:
-    """The force that keeps a target on its path: discrete inverse dynamics, exact at every physics step.
-
-    A prescribed target is an ordinary free body under an applied force. Semi-implicit Euler advances
-    v' = v + h (F / m + g), x' = x + h v', so F = m ((x'' - 2 x' + x) / h^2 - g) reproduces the path to rounding error.
-    To let go of the target is to stop applying the force: no jump in position or velocity.
-
-    Attributes:
-        start_pos_w: (3,) position at t = 0 [m].
-        start_velocity_w: (3,) velocity at t = 0 [m/s].
-        force_w: (F, 25, 3) applied force [N] in every physics step of every frame; zero where the target is
-            free, apart from the impulse that releases it.
-    """
-
-    start_pos_w: np.ndarray
-    start_velocity_w: np.ndarray
-    force_w: np.ndarray
-
-
 class WorldFields:
     """The per-world fields of a batch, by name, and how to fill them."""
 
@@ -84,27 +61,31 @@ class WorldFields:
         self.fields["eq_data"][ids, self._scene.tether_eq, :6] = self._anchors[ids]  # set_const moved the anchors
         self._batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_POS.value)
 
-    def write_world(self, i: int, motion: Motion, target: TargetObject, drive: TargetDrive, collides_with: int) -> None:
+    def write_world(self, i: int, motion: Motion, target: TargetObject, frames: int, collides_with: int) -> np.ndarray:
         """Fill row ``i`` with a target about to move; the row must have been reset.
 
         Args:
             i: the world.
             motion: how the target moves.
             target: the object.
-            drive: where it starts.
+            frames: for which it is driven, F.
             collides_with: collision bits the target asks for.
+
+        Returns:
+            (F, 25, 3) force [N] that drives it, see ``drive_for``.
         """
-        launch = motion.launch(target)
+        launch, (start_pos_w, start_velocity_w, force_w) = motion.launch(target), drive_for(motion, target, frames)
         self._write_target(i, target, launch, collides_with)
         for slot in range(len(self._scene.box_geoms)):
             self._write_box(i, slot, launch.boxes[slot] if slot < len(launch.boxes) else None)
         self._write_tether(i, launch.tether, np.asarray(launch.pos))
         self._write_striker(i, launch.striker)
         qpos, dof = self._scene.target_qpos, self._scene.target_dof
-        self.qpos[i, qpos : qpos + 3], self.qpos[i, qpos + 3 : qpos + 7] = drive.start_pos_w, launch.quat
-        self.qvel[i, dof : dof + 3] = drive.start_velocity_w
+        self.qpos[i, qpos : qpos + 3], self.qpos[i, qpos + 3 : qpos + 7] = start_pos_w, launch.quat
+        self.qvel[i, dof : dof + 3] = start_velocity_w
         self.qvel[i, dof + 3 : dof + 6] = launch.spin
         self.fields["dof_damping"][i, dof : dof + 3] = launch.drag_kg_s
+        return force_w
 
     def turn_target(self, i: int, yaw_rad: float, spin_rad_s: float) -> None:
         """Give a prescribed target its initial turn about the vertical and its spin about its own axis."""
@@ -186,14 +167,14 @@ class WorldFields:
             self.fields["geom_friction"][i, geom, 0] = box.friction
         self.fields["geom_rgba"][i, geom, 3] = float(box is not None)
 
-    def _write_tether(self, i: int, tether: Tether | None, start: np.ndarray) -> None:
+    def _write_tether(self, i: int, anchor: Vector | None, start: np.ndarray) -> None:
         geom, eq = self._scene.tether_geom, self._scene.tether_eq
-        self.eq_active[i, eq] = tether is not None
-        self.fields["geom_rgba"][i, geom, 3] = float(tether is not None)
-        length = 0.0 if tether is None else norm(np.asarray(tether.anchor) - start)
+        self.eq_active[i, eq] = anchor is not None
+        self.fields["geom_rgba"][i, geom, 3] = float(anchor is not None)
+        length = 0.0 if anchor is None else norm(np.asarray(anchor) - start)
         self.fields["geom_pos"][i, geom], self.fields["geom_quat"][i, geom] = (0, 0, length / 2), (1, 0, 0, 0)
         self.fields["geom_size"][i, geom, 1] = max(length / 2, 1e-4)
-        self._anchors[i] = np.zeros(6) if tether is None else (0.0, 0.0, length, *tether.anchor)
+        self._anchors[i] = np.zeros(6) if anchor is None else (0.0, 0.0, length, *anchor)
 
     def _write_striker(self, i: int, striker: Striker | None) -> None:
         body, geom = self._scene.striker_body, self._scene.striker_geom
@@ -210,24 +191,30 @@ class WorldFields:
         self.qvel[i, self._scene.striker_dof] = norm(velocity)
 
 
-def drive_for(motion: Motion, target: TargetObject, frames: int) -> TargetDrive:
-    """Return the drive that makes ``target`` perform ``motion`` for ``frames`` frames."""
+def drive_for(motion: Motion, target: TargetObject, frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how ``target`` starts, and the force that keeps it on the path of ``motion`` for F frames.
+
+    This is discrete inverse dynamics, exact at every physics step. A prescribed target is an ordinary free body under
+    an applied force. Semi-implicit Euler advances v' = v + h (F / m + g), x' = x + h v', so
+    F = m ((x'' - 2 x' + x) / h^2 - g) reproduces the path to rounding error. To let go of the target is to stop
+    applying the force: no jump in position or velocity.
+
+    Returns:
+        (3,) position [m] and (3,) velocity [m/s] at t = 0, world; and (F, 25, 3) applied force [N], world, in every
+        physics step of every frame, zero where the target is free, apart from the impulse that releases it.
+    """
     if isinstance(motion, PrescribedMotion):
-        times = np.arange(-1, frames * SUBSTEPS + 1) * PHYSICS_DT
-        return _follow(motion.position(times), target.mass_kg, frames)
+        times = np.arange(-1, frames * SUBSTEPS + 1) * PHYSICS_DT  # from one physics step before the start
+        path = motion.position(times)
+        velocities = np.diff(path, axis=0) / PHYSICS_DT
+        force = target.mass_kg * (np.diff(velocities, axis=0) / PHYSICS_DT - GRAVITY_W)
+        return path[1], velocities[0], force.reshape(frames, SUBSTEPS, 3)
     launch = motion.launch(target)
     start, velocity = np.asarray(launch.pos), np.asarray(launch.velocity)
     held = min(round(launch.release_s / PHYSICS_DT), frames * SUBSTEPS)
     if held == 0:
-        return TargetDrive(start, velocity, np.zeros((frames, SUBSTEPS, 3)))
+        return start, velocity, np.zeros((frames, SUBSTEPS, 3))
     force = np.zeros((frames * SUBSTEPS, 3))
     force[:held] = -target.mass_kg * GRAVITY_W
     force[held : held + 1] = target.mass_kg * velocity / PHYSICS_DT  # the impulse of letting go, in the first free step
-    return TargetDrive(start, np.zeros(3), force.reshape(frames, SUBSTEPS, 3))
-
-
-def _follow(path: np.ndarray, mass_kg: float, frames: int) -> TargetDrive:
-    """Drive along ``path``, (frames * 25 + 2, 3) positions from one physics step before the start."""
-    velocity = np.diff(path, axis=0) / PHYSICS_DT
-    force = mass_kg * (np.diff(velocity, axis=0) / PHYSICS_DT - GRAVITY_W)
-    return TargetDrive(path[1], velocity[0], force.reshape(frames, SUBSTEPS, 3))
+    return start, np.zeros(3), force.reshape(frames, SUBSTEPS, 3)

@@ -1,7 +1,5 @@
 """``dynahoi verify``: run every check on a dataset on disk and print the findings."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections import Counter
@@ -14,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import path, whole
+from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -40,8 +39,7 @@ class Finding:
 
     def __str__(self) -> str:
         """Return both on one line, with what cannot be printed escaped: it may come from a hostile dataset."""
-        line = f"{self.check}: {self.message}"
-        return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in line[:LONGEST])
+        return printable(f"{self.check}: {self.message}"[:LONGEST])
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

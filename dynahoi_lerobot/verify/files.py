@@ -1,7 +1,5 @@
 """First claim: the files are the ones that were made, and LeRobot can read them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Appendix "Post-processing": an episode is an outlier if it leaves the robust range of a column of the whole dataset.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Third claim: episodes follow from their seeds. They are made again, and every column and image is compared."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial

@@ -4,8 +4,6 @@ States give fingertips; poses and solids give distances; distances give localisa
 rule give the verdict. Metrics are computed from these columns whenever they are asked for, so nothing else is stored.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import cache
 
@@ -59,7 +57,8 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
     tips = tip_distances(episode)  # (T, 5)
     yield from filter(None, (_palm(episode), _tips(episode, tips), _contacts(episode, rule, tips)))
     track = _track(episode)
-    localized = np.maximum.accumulate((episode.palm_distance < rule.localization_radius_m) & _commanded(episode))
+    commanded = np.concatenate([[False], is_acting(episode.phase)[:-1]])  # (T,) in the step that ends at the frame
+    localized = np.maximum.accumulate((episode.palm_distance < rule.localization_radius_m) & commanded)
     before = np.zeros(episode.meta.window_frames, bool)
     flags = {
         "localized": localized,
@@ -95,11 +94,6 @@ def derived_problems(episode: Episode, row: EpisodeRow, table: pa.Table) -> Iter
             yield f"{LANGUAGE} is not what phase and localisation say"
     if row["stats/attempt_success"] != episode.attempt_success.tolist():
         yield f"attempt_success is {row['stats/attempt_success']}; success and attempts say otherwise"
-
-
-def _commanded(episode: Episode) -> np.ndarray:
-    """(T,) bool, the step that ends at the frame was a step of the control phase."""
-    return np.concatenate([[False], is_acting(episode.phase)[:-1]])
 
 
 def _fingertips(episode: Episode, hand: str) -> str | None:

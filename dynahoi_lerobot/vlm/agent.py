@@ -1,7 +1,5 @@
 """A vision-language model as an agent: one decision per world for every ten frames of the control phase."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
@@ -41,7 +39,8 @@ class VlmAgent(ChunkAgent):
         Returns:
             (N, 18) palm centre position [m], home frame, and joint angles [rad].
         """
-        due = [i for i, queue in enumerate(self._planned) if not queue and self._in_play(observation, i)]
+        in_play = is_acting(observation.phase) & observation.images[EGO_VIEW].any(axis=(1, 2, 3))  # others are black
+        due = [i for i, queue in enumerate(self._planned) if not queue and in_play[i]]
         states = observation.state.astype(np.float64)
         chunks, _ = self.plan(observation, np.array(due, int))
         for i, commands in zip(due, chunks, strict=True):
@@ -79,8 +78,3 @@ class VlmAgent(ChunkAgent):
     def report(self) -> dict[str, Any]:
         """Return the account of the client under ``vlm``."""
         return {"vlm": self._client.report()}
-
-    @staticmethod
-    def _in_play(observation: Observation, i: int) -> bool:
-        """Return whether world ``i`` is in the control phase of an episode; the images of idle worlds are black."""
-        return bool(is_acting(observation.phase[i]) and observation.images[EGO_VIEW][i].any())

@@ -3,8 +3,6 @@
 What a server says may repeat the API key, so nothing of it is stored but valid answers and token counts.
 """
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os
@@ -18,7 +16,9 @@ from typing import Any
 import numpy as np
 import openai
 
-from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, Prompt
+from dynahoi_lerobot.core.registry import known
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS, messages
 from dynahoi_lerobot.vlm.reply import Answer, ReplyError, parse_reply
 
 MAX_TOKENS = 4096
@@ -43,7 +43,8 @@ class VlmClient:
         base_url: str | None = None,
         *,
         timeout_s: float = 60.0,
-        prompt: Prompt = DEFAULT_PROMPT,
+        prompt: str = DEFAULT_PROMPT,
+        palm_speed_m_s: float = CONTROL_CLASSES[DEFAULT_CONTROL_CLASS].palm_speed_m_s,
         log: Path | None = None,
     ) -> None:
         """Prepare requests to ``base_url``; the API key is read from the environment variable ``OPENAI_API_KEY``.
@@ -52,13 +53,15 @@ class VlmClient:
             model: its name at the endpoint.
             base_url: of the endpoint, usually ending in ``/v1``; None is OpenAI's.
             timeout_s: for one decision [s], all its requests included.
-            prompt: what is asked.
+            prompt, palm_speed_m_s: what is asked, see ``prompt.messages``.
             log: a JSON-lines file to which a line is appended for every answer, or failure to get one.
 
         Raises:
-            ValueError: for an invalid URL, or if the endpoint is OpenAI's and there is no key.
+            ValueError: for an unknown prompt or an invalid URL, or if the endpoint is OpenAI's and there is no key.
         """
-        self._model, self._timeout_s, self._prompt, self._log = model, timeout_s, prompt, log
+        known("prompt", prompt, PROMPTS)
+        self._model, self._timeout_s, self._log = model, timeout_s, log
+        self._prompt, self._palm_speed_m_s = prompt, palm_speed_m_s
         self._structured = True
         self._totals = dict.fromkeys(("decisions", "failed", "answers", "prompt_tokens", "completion_tokens"), 0)
         self._problems: Counter[str] = Counter()
@@ -78,8 +81,8 @@ class VlmClient:
         Returns:
             (10, 18) palm centre position [m], home frame, and joint angles [rad], one row for each frame of 0.05 s.
         """
-        messages = self._prompt.messages(task, state, image)
-        return asyncio.run_coroutine_threadsafe(self._decide(task, messages), self._loop).result()
+        asked = messages(self._prompt, self._palm_speed_m_s, task, state, image)
+        return asyncio.run_coroutine_threadsafe(self._decide(task, asked), self._loop).result()
 
     def report(self) -> dict[str, Any]:
         """Return the names of model and prompt and the account so far, as JSON values.
@@ -89,7 +92,7 @@ class VlmClient:
         """
         return {
             "model": self._model,
-            "prompt": self._prompt.name,
+            "prompt": self._prompt,
             "structured_output": self._structured,
             **self._totals,
             "seconds": self._seconds,

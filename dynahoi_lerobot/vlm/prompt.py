@@ -1,9 +1,6 @@
 """The prompts for a vision-language model (appendix "Details for Evaluating VLMs")."""
 
-from __future__ import annotations
-
 import base64
-from dataclasses import dataclass
 from string import Template
 from typing import Any
 
@@ -11,7 +8,6 @@ import cv2
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_NAMES
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 
 HORIZON = 10
 """T, the number of frames of 0.05 s that one answer commands."""
@@ -67,48 +63,31 @@ The paper gives ``terminate_if`` no grammar, and says that the simulator receive
 value there; as the skills themselves, it changes no command."""
 
 
-@dataclass(frozen=True)
-class Prompt:
-    """What a model is asked.
+DEFAULT_PROMPT = "extended"
 
-    Attributes:
-        name: one of ``PROMPTS``.
+
+def messages(
+    prompt: str, palm_speed_m_s: float, task: str, state: np.ndarray, image: np.ndarray
+) -> list[dict[str, Any]]:
+    """Return the chat messages of one request: system, then user with text and a JPEG image.
+
+    Args:
+        prompt: one of ``PROMPTS``.
         palm_speed_m_s: the palm's greatest speed in the episodes [m/s], which ``extended`` tells.
+        task: the instruction.
+        state: (18,) palm centre position [m], home frame, and joint angles [rad].
+        image: (H, W, 3) uint8 RGB of the hand's camera.
     """
-
-    name: str = "extended"
-    palm_speed_m_s: float = CONTROL_CLASSES[DEFAULT_CONTROL_CLASS].palm_speed_m_s
-
-    def __post_init__(self) -> None:
-        """Check the name.
-
-        Raises:
-            ValueError: naming the prompts there are, if it is none.
-        """
-        if self.name not in PROMPTS:
-            raise ValueError(f"unknown prompt {self.name!r}; known: {', '.join(PROMPTS)}")
-
-    def messages(self, task: str, state: np.ndarray, image: np.ndarray) -> list[dict[str, Any]]:
-        """Return the chat messages of one request: system, then user with text and a JPEG image.
-
-        Args:
-            task: the instruction.
-            state: (18,) palm centre position [m], home frame, and joint angles [rad].
-            image: (H, W, 3) uint8 RGB of the hand's camera.
-        """
-        text = PROMPTS[self.name].substitute(
-            task=task,
-            state=np.round(state.astype(float), 4).tolist(),
-            names=", ".join(HAND_NAMES[3:]),
-            skills=", ".join(SKILLS),
-            horizon=HORIZON,
-            palm_step=f"{self.palm_speed_m_s * CONTROL_DT:.4g}",
-        )
-        content = [{"type": "text", "text": text}, {"type": "image_url", "image_url": {"url": _data_url(image)}}]
-        return [{"role": "system", "content": SYSTEM}, {"role": "user", "content": content}]
-
-
-DEFAULT_PROMPT = Prompt()
+    text = PROMPTS[prompt].substitute(
+        task=task,
+        state=np.round(state.astype(float), 4).tolist(),
+        names=", ".join(HAND_NAMES[3:]),
+        skills=", ".join(SKILLS),
+        horizon=HORIZON,
+        palm_step=f"{palm_speed_m_s * CONTROL_DT:.4g}",
+    )
+    content = [{"type": "text", "text": text}, {"type": "image_url", "image_url": {"url": _data_url(image)}}]
+    return [{"role": "system", "content": SYSTEM}, {"role": "user", "content": content}]
 
 
 def _data_url(image: np.ndarray) -> str:

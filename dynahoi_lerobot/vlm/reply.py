@@ -1,7 +1,5 @@
 """The model's answer as pydantic reads it: anything that differs from the requested format is refused."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np

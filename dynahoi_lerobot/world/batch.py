@@ -19,11 +19,10 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers.views import MOTION_VIEW
-from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.servo import Servo, check_command
-from dynahoi_lerobot.scene.world_fields import WorldFields, drive_for
-from dynahoi_lerobot.world.physics import Physics, Targets
+from dynahoi_lerobot.scene.world_fields import WorldFields
+from dynahoi_lerobot.world.physics import Physics
 from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, camera_pose, intrinsics, with_render_noise
 
 if TYPE_CHECKING:
@@ -46,8 +45,7 @@ class WorldBatch:
     underneath keeps the world frame; this class converts.
 
     Attributes:
-        recipe: rules of the episodes.
-        size: N.
+        recipe, size: as given.
         scene: the compiled model and where things are in it.
         rule: the capture rule.
         cameras: renders the worlds.
@@ -59,13 +57,14 @@ class WorldBatch:
         servo: what holds them to it.
         commanded: (N, 18) the command last given, cut to what a hand can meet when it takes effect.
         executed: (N, 18) what the servos were last told: the command that was due, cut to the speed limits.
+        localized, palm_distance, contacts: what `Physics` keeps of the last control step.
     """
 
     def __init__(self, recipe: Recipe, size: int, threads: int = 0) -> None:
         """Allocate ``size`` worlds.
 
         Args:
-            recipe: rules of the episodes that are played; their motions, objects and seeds do not matter here.
+            recipe: rules of the episodes; their motions, objects and seeds do not matter here.
             size: N.
             threads: for physics, 0 for all cores; without influence on the result.
 
@@ -84,8 +83,9 @@ class WorldBatch:
         by_axis = self.rule.gantry_speed_m_s is not None
         self.servo = Servo(self.scene.model, self.palm_speed_m_s, self.control.joint_speed_rad_s, by_axis=by_axis)
         self._pending = np.zeros((self.control.latency_frames, size, HAND_DOF))  # commands on their way, oldest first
-        self._targets = Targets(self.scene, self._fields, size)
-        self._physics = Physics(self.scene, self._batch, self._targets, self.rule)
+        self._physics = Physics(self.scene, self._batch, self._fields, self.rule)
+        self.localized, self.palm_distance = self._physics.localized, self._physics.palm_distance
+        self.contacts = self._physics.contacts
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
         image_size = recipe.image_size or (DETECTOR_IMAGE_SIZE_PX if recipe.environment_state == EYE else 0)
         self.cameras = Cameras(self.scene, self._batch, image_size, recipe.renderer, self._update_kinematics)
@@ -152,9 +152,8 @@ class WorldBatch:
         commanded = self._accepted(wanted, chosen)
         due = self._exchange(chosen, commanded)
         executed = self.servo.within_reach(due, previous, origin)
-        force_w = np.stack([self._targets.force(int(i), int(self.frame[i])) for i in chosen])  # (n, 25, 3)
-        control = self._physics.control(self.servo.set_points(executed, previous) + origin[:, None], force_w)
-        self._physics.advance(chosen, control, acting)
+        set_points = self.servo.set_points(executed, previous) + origin[:, None]  # (n, 25, 18)
+        self._physics.advance(chosen, set_points, self.frame[chosen], acting)
         self.commanded[chosen], self.executed[chosen] = commanded, executed
         self.frame[chosen] += 1
         self._update_kinematics(chosen)
@@ -171,12 +170,18 @@ class WorldBatch:
         """
         actions = np.asarray(actions)
         if self.recipe.control_mode == JOINTS or actions.shape[1:] == (HAND_DOF,):
-            return self.check(actions)
+            return check_command(actions, self.size)
         given = check_command(actions, self.size, len(CONTROL_MODES[GRASP]))
         return from_grasp(given, observation.state.astype(np.float64), *self._open_and_closed)
 
-    def as_actions(self, commands: np.ndarray, observation: Observation) -> np.ndarray:
-        """Return (N, 18) or (N, 4) the actions, in the recipe's control mode, of commands (N, 18)."""
+    def as_labels(self, goals: np.ndarray, observation: Observation) -> np.ndarray:
+        """Return (N, 18) or (N, 4) the actions, in the recipe's control mode, of a teacher's goals on an observation.
+
+        Args:
+            goals: (N, 18) palm positions [m], home frame, and joint angles [rad]; cut to slides and joint ranges.
+            observation: as for ``as_commands``.
+        """
+        commands = np.clip(goals, self.servo.low - self._origin, self.servo.high - self._origin)
         if self.recipe.control_mode == JOINTS:
             return commands
         return to_grasp(commands, observation.state.astype(np.float64), *self._open_and_closed)
@@ -185,17 +190,6 @@ class WorldBatch:
     def _open_and_closed(self) -> tuple[np.ndarray, np.ndarray]:
         """(15,) joint angles of the open and of the closed hand [rad]."""
         return self.scene.hand.open_joints(), self.scene.hand.closed_joints()
-
-    def within_workspace(self, commands: np.ndarray) -> np.ndarray:
-        """Return (N, 18) commands to all worlds, cut to their slides and joint ranges, however far away, [m] and [rad].
-
-        Positions are in the home frame.
-        """
-        return np.clip(commands, self.servo.low - self._origin, self.servo.high - self._origin)
-
-    def check(self, commands: np.ndarray) -> np.ndarray:
-        """Return (N, 18) float64 commands for all worlds; raise ValueError as ``step`` would."""
-        return check_command(commands, self.size)
 
     def action_limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (18,) or (4,) least and greatest actions in the recipe's control mode, as ``command_limits``."""
@@ -237,29 +231,14 @@ class WorldBatch:
     @property
     def target_pose(self) -> np.ndarray:
         """(N, 7) position [m], home frame, and quaternion wxyz."""
-        pose = self._targets.pose
+        pose = self._physics.target_pose
         pose[:, :PALM_DOF] -= self.home_pos_w
         return pose
 
     @property
     def target_velocity(self) -> np.ndarray:
         """(N, 6) linear [m/s] and angular [rad/s] velocity, along the world's axes."""
-        return self._targets.velocity
-
-    @property
-    def localized(self) -> np.ndarray:
-        """(N,) bool, the target has been localised in the control phase."""
-        return self._physics.localized
-
-    @property
-    def palm_distance(self) -> np.ndarray:
-        """(N,) [m], least distance of palm and target centre during the last control step."""
-        return self._physics.palm_distance
-
-    @property
-    def contacts(self) -> TargetContacts:
-        """What touched the target during the last control step, mean of its physics steps, of shape (N,)."""
-        return self._physics.contacts
+        return self._physics.target_velocity
 
     def tip_distance(self) -> np.ndarray:
         """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
@@ -291,7 +270,9 @@ class WorldBatch:
             phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
             touch=self.contacts.finger_force_n.astype(np.float32) if sensed else None,
-            environment_state=self._truth() if self.recipe.environment_state == TRUTH else None,
+            environment_state=np.concatenate([self.target_pose, self.target_velocity], axis=1).astype(np.float32)
+            if self.recipe.environment_state == TRUTH
+            else None,
             sighting=self._sighting(self._detector, shown, state, ids) if self._detector else None,
         )
 
@@ -329,8 +310,9 @@ class WorldBatch:
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
         """Fill row ``i`` with an episode that is about to begin."""
-        drive = drive_for(spec.motion, spec.target, spec.horizon_frames)
-        self._fields.write_world(i, spec.motion, spec.target, drive, self.rule.collisions(spec.motion))
+        collides_with = self.rule.collisions(spec.motion)
+        force_w = self._fields.write_world(i, spec.motion, spec.target, spec.horizon_frames, collides_with)
+        self._physics.drive(i, force_w)
         if isinstance(spec.motion, PrescribedMotion):
             self._fields.turn_target(i, spec.yaw_rad, spec.spin_rad_s)
         self._fields.write_appearance(i, spec.appearance)
@@ -341,7 +323,6 @@ class WorldBatch:
         self._pending[:, i] = rest
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
-        self._targets.reset(i, drive)
         self.specs[i] = spec
 
     def _update_kinematics(self, ids: np.ndarray | None = None) -> None:
@@ -395,10 +376,6 @@ class WorldBatch:
         """(N, 14) float32 where the eye sees the targets of worlds ``ids`` (default: all), in what is shown or not."""
         images = shown[EGO_VIEW] if shown else self._render(EGO_VIEW, self._seeing(ids))
         return detector.see(images, state[:, :PALM_DOF], np.arange(self.size) if ids is None else ids, self.frame)
-
-    def _truth(self) -> np.ndarray:
-        """(N, 13) float32 pose [m, 1] and velocity [m/s, rad/s] of the targets."""
-        return np.concatenate([self.target_pose, self.target_velocity], axis=1, dtype=np.float32, casting="same_kind")
 
     def _seeing(self, ids: np.ndarray | None) -> np.ndarray:
         """(n,) those of worlds ``ids`` (default: all) whose protocol lets them see now."""

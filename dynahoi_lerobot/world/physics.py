@@ -1,6 +1,4 @@
-"""One control step of physics, 25 steps at 500 Hz, and the targets in it: driven until a capture rule's event."""
-
-from __future__ import annotations
+"""One control step of physics, 25 steps at 500 Hz, in which targets are driven until a capture rule's event."""
 
 import mujoco
 import numpy as np
@@ -11,47 +9,93 @@ from dynahoi_lerobot.core.conventions import PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
 from dynahoi_lerobot.scene.scene import Scene
-from dynahoi_lerobot.scene.world_fields import TargetDrive, WorldFields
+from dynahoi_lerobot.scene.world_fields import WorldFields
 
 CONTROL_SPEC = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED)
 
 
-class Targets:
-    """Pose, velocity and drive of the target of each world.
+class Physics:
+    """Advances worlds, and keeps what a capture rule and a recording need to know of the last control step.
 
     Attributes:
+        palm_distance: (N,) [m], least distance of palm and target centre during the last control step.
+        localized: (N,) bool, the target has been localised in the control phase.
         released: (N,) bool, the capture rule's event has happened: nothing drives the target any more.
+        contacts: of shape (N,), what touched the target during the last control step: mean forces [N] and mean
+            numbers of contacts. Zero if the capture rule uses no contact sensors.
     """
 
-    def __init__(self, scene: Scene, fields: WorldFields, size: int) -> None:
-        self._scene, self._fields = scene, fields
-        self.released = np.zeros(size, bool)
-        self._force_w: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * size
+    def __init__(self, scene: Scene, batch: Batch, fields: WorldFields, rule: CaptureRule) -> None:
+        self._scene, self._batch, self._fields, self._rule = scene, batch, fields, rule
+        self.n_controls = scene.model.nu
+        self.palm_distance = np.full(batch.nsim, np.inf)
+        self.localized, self.released = np.zeros((2, batch.nsim), bool)
+        self.contacts: TargetContacts = no_contacts(batch.nsim)
+        self._force_w: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * batch.nsim
 
-    def reset(self, i: int, drive: TargetDrive) -> None:
-        """Begin to drive the target of world ``i``."""
-        self._force_w[i], self.released[i] = drive.force_w, False
+    def drive(self, i: int, force_w: np.ndarray) -> None:
+        """Begin to drive the target of world ``i`` by (F, 25, 3) force [N], world, in each physics step of F frames."""
+        self._force_w[i], self.released[i] = force_w, False
+
+    def reset(self, ids: np.ndarray, palm_distance: np.ndarray) -> None:
+        """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance`` (n,) [m] from their targets."""
+        self.palm_distance[ids], self.localized[ids] = palm_distance, False
+        for values in (self.contacts.finger_force_n, self.contacts.palm_force_n, self.contacts.others):
+            values[ids] = 0.0
 
     @property
-    def pose(self) -> np.ndarray:
+    def target_pose(self) -> np.ndarray:
         """(N, 7) position [m] and quaternion wxyz, world."""
         return self._fields.qpos[:, self._scene.target_qpos : self._scene.target_qpos + 7].copy()
 
     @property
-    def velocity(self) -> np.ndarray:
+    def target_velocity(self) -> np.ndarray:
         """(N, 6) linear [m/s] and angular [rad/s] velocity, world."""
         dof = self._scene.target_dof
         velocity = self._fields.qvel[:, dof : dof + 6].copy()
-        velocity[:, 3:] = (quat_to_matrix(self.pose[:, 3:]) * velocity[:, None, 3:]).sum(axis=-1)
+        velocity[:, 3:] = (quat_to_matrix(self.target_pose[:, 3:]) * velocity[:, None, 3:]).sum(axis=-1)
         return velocity
 
-    def force(self, i: int, frame: int) -> np.ndarray:
-        """Return (25, 3) the force [N], world, on the target of world ``i`` in each physics step of ``frame``."""
-        if self.released[i] or frame >= len(self._force_w[i]):
-            return np.zeros((SUBSTEPS, 3))
-        return self._force_w[i][frame]
+    def advance(self, ids: np.ndarray, set_points: np.ndarray, frame: np.ndarray, acting: np.ndarray) -> None:
+        """Roll one control step; where the capture rule has an event, go back and insert it.
 
-    def apply(self, effect: Weld | Release, i: int) -> None:
+        Args:
+            ids: (n,) worlds.
+            set_points: (n, 25, nu) of the servos, palm [m] and joints [rad], world.
+            frame: (n,) of their episodes, by which targets are driven.
+            acting: (n,) bool, the control phase has begun.
+        """
+        control = self._control(ids, set_points, frame)
+        before = self._batch.state[ids].copy()
+        substeps = self._roll(ids, control, acting)
+        self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
+        self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
+        events = np.where(self.released[ids], NO_EVENT, self._rule.events(substeps))
+        for row in np.flatnonzero(events != NO_EVENT):
+            self._batch.state[ids[row]] = before[row]
+            self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1, acting[row : row + 1])
+
+    def _control(self, ids: np.ndarray, set_points: np.ndarray, frame: np.ndarray) -> np.ndarray:
+        """(n, 25, nu + nv) what MuJoCo needs for a control step: set points, and the forces [N] that drive targets."""
+        control = np.zeros((len(ids), SUBSTEPS, self.n_controls + self._scene.model.nv))
+        control[..., : self.n_controls] = set_points
+        dof = self.n_controls + self._scene.target_dof
+        for row, i in enumerate(ids):
+            if not self.released[i] and frame[row] < len(self._force_w[i]):
+                control[row, :, dof : dof + 3] = self._force_w[i][frame[row]]
+        return control
+
+    def _roll_through_event(self, i: int, control: np.ndarray, steps: int, acting: np.ndarray) -> None:
+        """Roll world ``i`` for ``steps`` physics steps, apply the rule's effect, and finish the control step."""
+        one = np.array([i])
+        self._roll(one, control[:, :steps], acting)
+        self._apply(self._rule.effect, i)
+        if steps < SUBSTEPS:
+            rest = control[:, steps:].copy()
+            rest[..., self.n_controls :] = 0.0  # whatever drove the target stops
+            self._roll(one, rest, acting)
+
+    def _apply(self, effect: Weld | Release, i: int) -> None:
         """Do to the target of world ``i`` what a capture rule's event does."""
         self._fields.free_target(i)
         self._fields.set_collisions(i, effect.collides_with if isinstance(effect, Release) else 0)
@@ -75,70 +119,6 @@ class Targets:
         fields.qvel[i, dof : dof + 3] = fields.qvel[i, scene.hand_dof[:PALM_DOF]]
         fields.qvel[i, dof + 3 : dof + 6] = 0.0
 
-
-class Physics:
-    """Advances worlds, and keeps what a capture rule and a recording need to know of the last control step.
-
-    Attributes:
-        palm_distance: (N,) [m], least distance of palm and target centre during the last control step.
-        localized: (N,) bool, the target has been localised in the control phase.
-        contacts: of shape (N,), what touched the target during the last control step: mean forces [N] and mean
-            numbers of contacts. Zero if the capture rule uses no contact sensors.
-    """
-
-    def __init__(self, scene: Scene, batch: Batch, targets: Targets, rule: CaptureRule) -> None:
-        self._scene, self._batch, self._targets, self._rule = scene, batch, targets, rule
-        self.n_controls = scene.model.nu
-        self.palm_distance = np.full(batch.nsim, np.inf)
-        self.localized = np.zeros(batch.nsim, bool)
-        self.contacts: TargetContacts = no_contacts(batch.nsim)
-
-    def reset(self, ids: np.ndarray, palm_distance: np.ndarray) -> None:
-        """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance`` (n,) [m] from their targets."""
-        self.palm_distance[ids], self.localized[ids] = palm_distance, False
-        for values in (self.contacts.finger_force_n, self.contacts.palm_force_n, self.contacts.others):
-            values[ids] = 0.0
-
-    def control(self, set_points: np.ndarray, force_w: np.ndarray) -> np.ndarray:
-        """Return (n, 25, nu + nv) what MuJoCo needs for a control step.
-
-        Args:
-            set_points: (n, 25, nu) of the servos, palm [m] and joints [rad].
-            force_w: (n, 25, 3) force on the target [N], world.
-        """
-        control = np.zeros((len(set_points), SUBSTEPS, self.n_controls + self._scene.model.nv))
-        control[..., : self.n_controls] = set_points
-        dof = self.n_controls + self._scene.target_dof
-        control[..., dof : dof + 3] = force_w
-        return control
-
-    def advance(self, ids: np.ndarray, control: np.ndarray, acting: np.ndarray) -> None:
-        """Roll one control step; where the capture rule has an event, go back and insert it.
-
-        Args:
-            ids: (n,) worlds.
-            control: (n, 25, nu + nv), see ``control``.
-            acting: (n,) bool, the control phase has begun.
-        """
-        before = self._batch.state[ids].copy()
-        substeps = self._roll(ids, control, acting)
-        self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
-        self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
-        events = np.where(self._targets.released[ids], NO_EVENT, self._rule.events(substeps))
-        for row in np.flatnonzero(events != NO_EVENT):
-            self._batch.state[ids[row]] = before[row]
-            self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1, acting[row : row + 1])
-
-    def _roll_through_event(self, i: int, control: np.ndarray, steps: int, acting: np.ndarray) -> None:
-        """Roll world ``i`` for ``steps`` physics steps, apply the rule's effect, and finish the control step."""
-        one = np.array([i])
-        self._roll(one, control[:, :steps], acting)
-        self._targets.apply(self._rule.effect, i)
-        if steps < SUBSTEPS:
-            rest = control[:, steps:].copy()
-            rest[..., self.n_controls :] = 0.0  # whatever drove the target stops
-            self._roll(one, rest, acting)
-
     def _roll(self, ids: np.ndarray, control: np.ndarray, acting: np.ndarray) -> Substeps:
         """Roll physics steps; of the contacts in them keep the mean."""
         sensed = self._rule.uses_contact_sensors
@@ -149,10 +129,7 @@ class Physics:
         distance = np.linalg.norm(target - qpos[..., self._scene.hand_qpos[:PALM_DOF]], axis=-1)
         contacts = read_contacts(record["sensordata"]) if sensed else None
         if contacts is not None:
-            self._keep_mean(ids, contacts)
+            self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
+            self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
+            self.contacts.others[ids] = contacts.others.mean(axis=1)
         return Substeps(acting, distance, contacts)
-
-    def _keep_mean(self, ids: np.ndarray, contacts: TargetContacts) -> None:
-        self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
-        self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
-        self.contacts.others[ids] = contacts.others.mean(axis=1)

@@ -1,7 +1,5 @@
 """What is measured of N worlds beyond the simulator's state: images, and where the fingertips are."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable
 

@@ -5,8 +5,6 @@ Upload this file as ``env.py`` of a Hub repository, with ``lerobot_env_dynahoi``
     make_env("you/dynahoi-env", n_envs=8, trust_remote_code=True)
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from lerobot_env_dynahoi import DynahoiEnvConfig

@@ -16,7 +16,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 
 
 def test_every_array_of_an_episode_is_in_the_table_and_nothing_else() -> None:
-    arrays = {field.name for field in fields(Episode) if "ndarray" in str(field.type) or field.type == "float"}
+    arrays = {field.name for field in fields(Episode) if "ndarray" in str(field.type) or field.type is float}
     assert arrays == {name for name, feature in FEATURES.items() if not feature.derived} | {"images"}
     assert all(isinstance(getattr(Episode, name), property) for name, f in FEATURES.items() if f.derived)
 

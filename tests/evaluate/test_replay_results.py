@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.evaluate import result_files
 from dynahoi_lerobot.evaluate.replay_results import drawn
-from dynahoi_lerobot.evaluate.results import Results, read_results, write_results
+from dynahoi_lerobot.evaluate.results import Results, read_results, write_files, write_results
 from dynahoi_lerobot.rollout.replay import replay
 from tests.tools import edit_json
 
@@ -23,7 +22,7 @@ from tests.tools import edit_json
 def rewritten(folder: Path, **changes: object) -> None:
     """Write results again with other contents, its sums made to fit."""
     results: Results = replace(read_results(folder), **changes)
-    result_files.write(folder, results.as_json(), results.rows, results.actions)
+    write_files(folder, results.as_json(), results.rows, results.actions)
 
 
 def set_head(**changes: object) -> Callable[[Path], None]:

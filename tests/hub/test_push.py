@@ -14,8 +14,7 @@ import yaml
 from huggingface_hub import constants
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.evaluate.result_files import METRICS_FILE
-from dynahoi_lerobot.evaluate.results import RunInfo, write_results
+from dynahoi_lerobot.evaluate.results import METRICS_FILE, RunInfo, write_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.hub.server import TOKEN, Hub, serving

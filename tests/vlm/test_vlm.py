@@ -21,7 +21,7 @@ from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.vlm import agent as vlm_agent
 from dynahoi_lerobot.vlm.agent import VlmAgent
 from dynahoi_lerobot.vlm.client import VlmClient
-from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, Prompt
+from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, messages
 from dynahoi_lerobot.vlm.reply import Answer, ReplyError, parse_reply
 from tests.vlm.server import Exchange, Handler, serving
 
@@ -87,7 +87,7 @@ def test_an_answer_may_say_when_a_skill_ends_and_its_rollout_is_played(condition
 
 
 def test_the_request_holds_what_the_paper_says():
-    system, user = Prompt().messages("Catch the ball.", STATE, IMAGE)
+    system, user = messages("extended", 0.5, "Catch the ball.", STATE, IMAGE)
     assert system["role"] == "system"
     text, picture = user["content"]
     for word in ("Catch the ball.", "1.7", "action_sequence", "predicted_motion", f"sum to {HORIZON}", *SKILLS):

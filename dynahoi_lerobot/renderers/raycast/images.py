@@ -2,19 +2,9 @@
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.rows import (
-    Worlds,
-    highlight_row,
-    light_row,
-    meet_shape,
-    ray_of,
-    texture_row,
-    trace_row,
-)
+from dynahoi_lerobot.renderers.raycast.rows import Worlds, meet_shape, ray_of, surface_row, trace_row
 from dynahoi_lerobot.renderers.raycast.shadows import sunlight_row
 from dynahoi_lerobot.renderers.raycast.textures import Textures
 from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row
@@ -106,13 +96,9 @@ def _surface_row(
             fill = worlds.shapes[w, s].up
             if look.soft == 0:
                 fill = worlds.shapes[w, s].from_camera * wp.vec3(0.0, 0.0, 1.0)
-            cosine, filled = light_row(worlds.shapes, w, s, fill, depths, xs, ys)
-            highlight = Row(0.0)
-            if specular[0] > 0.0:
-                highlight = highlight_row(worlds.shapes, w, s, depths, xs, ys)
-            brightness = Row(1.0)
-            if worlds.shapes[w, s].texture >= 0:
-                brightness = texture_row(worlds.shapes, w, s, textures, look.pixel_rad, middle, depths, xs, ys)
+            cosine, filled, highlight, brightness = surface_row(
+                worlds.shapes, w, s, fill, specular[0], textures, look.pixel_rad, middle, depths, xs, ys
+            )
             rgb, shine = worlds.shapes[w, s].color_rgb, specular * worlds.shapes[w, s].specularity
             for i in range(TILE):
                 direct = wp.max(cosine[i] + sun_wrap, 0.0) / (1.0 + sun_wrap) * sun[i]

@@ -1,7 +1,5 @@
 """The ray caster's device arrays and its kernel launches, in their order."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any

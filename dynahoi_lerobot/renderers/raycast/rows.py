@@ -7,8 +7,6 @@ small parts and loads as a whole. Ray i has the direction ``(xs[i], ys[i], -1)``
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import warp as wp
 
 from dynahoi_lerobot.renderers.raycast import shapes as solids
@@ -46,86 +44,65 @@ def _entering(enter: wp.Function) -> wp.Function:
     return entered
 
 
-def _lighting(normal: wp.Function) -> wp.Function:
-    """Return a function that computes the lighting at the points of a row."""
+def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
+    """Return a function that computes light, highlights and texture at the points of a row."""
 
     @wp.func
-    def lit(
-        size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, fill: wp.vec3, depths: Row, xs: Row, ys: Row
-    ) -> tuple[Row, Row]:
-        diffuse = Row()
-        filled = Row()
-        for i in range(TILE):
-            n = normal(size, o + depths[i] * ray_of(from_camera, xs[i], ys[i]))
-            diffuse[i] = wp.dot(n, light)
-            filled[i] = wp.dot(n, fill)
-        return diffuse, filled
-
-    return lit
-
-
-def _shining(normal: wp.Function) -> wp.Function:
-    """Return a function that computes the highlights at the points of a row."""
-
-    @wp.func
-    def shining(size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, depths: Row, xs: Row, ys: Row) -> Row:
-        row = Row()
-        for i in range(TILE):
-            ray = ray_of(from_camera, xs[i], ys[i])
-            n = normal(size, o + depths[i] * ray)
-            halfway = wp.normalize(light - wp.normalize(ray))
-            facing = wp.where(wp.dot(n, light) > 0.0, wp.dot(n, halfway), 0.0)
-            row[i] = wp.pow(wp.max(facing, 0.0), HIGHLIGHT_EXPONENT)
-        return row
-
-    return shining
-
-
-def _texturing(uv: wp.Function, normal: wp.Function) -> wp.Function:
-    """Return a function that samples the shape's texture at the points of a row."""
-
-    @wp.func
-    def textured(
+    def surface(
         shapes: wp.array2d[Shape],
         w: int,
         s: int,
+        fill: wp.vec3,
+        specular: float,
         textures: Textures,
         pixel_rad: float,
         middle: int,
         depths: Row,
         xs: Row,
         ys: Row,
-    ) -> Row:
-        row = Row()
-        shape = shapes[w, s]
-        ray = ray_of(shape.from_camera, xs[middle], ys[middle])
-        n = normal(shape.size, shape.camera + depths[middle] * ray)
-        facing = wp.abs(wp.dot(n, ray)) / wp.length(ray)
-        level = level_of(textures, shape.repeats_per_m * depths[middle] * pixel_rad, facing)
-        start, side = shape.texture * textures.texels_each + textures.starts[level], textures.sides[level]
+    ) -> tuple[Row, Row, Row, Row]:
+        diffuse, filled, highlight, brightness = Row(), Row(), Row(0.0), Row(1.0)
+        size, o, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+        light = shapes[w, s].to_light
         for i in range(TILE):
-            at = uv(shape.size, shape.camera + depths[i] * ray_of(shape.from_camera, xs[i], ys[i]))
-            at = wp.cw_mul(at, shape.repeat)
-            row[i] = texel(
-                textures.texels, start, side, textures.filtered, at[0] - wp.floor(at[0]), at[1] - wp.floor(at[1])
-            )
-        return row
+            n = normal(size, o + depths[i] * ray_of(from_camera, xs[i], ys[i]))
+            diffuse[i] = wp.dot(n, light)
+            filled[i] = wp.dot(n, fill)
+        if specular > 0.0:
+            for i in range(TILE):
+                ray = ray_of(from_camera, xs[i], ys[i])
+                n = normal(size, o + depths[i] * ray)
+                halfway = wp.normalize(light - wp.normalize(ray))
+                facing = wp.where(wp.dot(n, light) > 0.0, wp.dot(n, halfway), 0.0)
+                highlight[i] = wp.pow(wp.max(facing, 0.0), HIGHLIGHT_EXPONENT)
+        if shapes[w, s].texture >= 0:
+            ray = ray_of(from_camera, xs[middle], ys[middle])
+            n = normal(size, o + depths[middle] * ray)
+            facing = wp.abs(wp.dot(n, ray)) / wp.length(ray)
+            level = level_of(textures, shapes[w, s].repeats_per_m * depths[middle] * pixel_rad, facing)
+            start = shapes[w, s].texture * textures.texels_each + textures.starts[level]
+            side, repeat = textures.sides[level], shapes[w, s].repeat
+            for i in range(TILE):
+                at = wp.cw_mul(uv(size, o + depths[i] * ray_of(from_camera, xs[i], ys[i])), repeat)
+                u, v = at[0] - wp.floor(at[0]), at[1] - wp.floor(at[1])
+                brightness[i] = texel(textures.texels, start, side, textures.filtered, u, v)
+        return diffuse, filled, highlight, brightness
 
-    return textured
+    return surface
 
 
-def _of_a_row(solid: str) -> tuple[wp.Function, wp.Function, wp.Function, wp.Function]:
-    """Return the functions of a row for a type of shape: depths, lighting, highlights and texture."""
+def _of_a_row(solid: str) -> tuple[wp.Function, wp.Function]:
+    """Return the functions of a row for a type of shape: depths, and what its surface looks like."""
     enter, normal, uv = (getattr(solids, f"{what}_{solid}") for what in ("enter", "normal", "uv"))
-    return _entering(enter), _lighting(normal), _shining(normal), _texturing(uv, normal)
+    return _entering(enter), _surface(normal, uv)
 
 
-_enter_plane, _light_plane, _shine_plane, _texture_plane = _of_a_row("plane")
-_enter_sphere, _light_sphere, _shine_sphere, _texture_sphere = _of_a_row("sphere")
-_enter_capsule, _light_capsule, _shine_capsule, _texture_capsule = _of_a_row("capsule")
-_enter_cylinder, _light_cylinder, _shine_cylinder, _texture_cylinder = _of_a_row("cylinder")
-_enter_ellipsoid, _light_ellipsoid, _shine_ellipsoid, _texture_ellipsoid = _of_a_row("ellipsoid")
-_enter_box, _light_box, _shine_box, _texture_box = _of_a_row("box")
+_enter_plane, _surface_plane = _of_a_row("plane")
+_enter_sphere, _surface_sphere = _of_a_row("sphere")
+_enter_capsule, _surface_capsule = _of_a_row("capsule")
+_enter_cylinder, _surface_cylinder = _of_a_row("cylinder")
+_enter_ellipsoid, _surface_ellipsoid = _of_a_row("ellipsoid")
+_enter_box, _surface_box = _of_a_row("box")
 
 
 @wp.func
@@ -147,71 +124,46 @@ def enter_row(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> Ro
 
 
 @wp.func
-def light_row(
-    shapes: wp.array2d[Shape], w: int, s: int, fill: wp.vec3, depths: Row, xs: Row, ys: Row
-) -> tuple[Row, Row]:
-    """Return the cosines between normal and light and between normal and ``fill``."""
-    geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
-    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
-    if geom_type == PLANE:
-        return _light_plane(size, camera, from_camera, light, fill, depths, xs, ys)
-    if geom_type == CAPSULE:
-        return _light_capsule(size, camera, from_camera, light, fill, depths, xs, ys)
-    if geom_type == BOX:
-        return _light_box(size, camera, from_camera, light, fill, depths, xs, ys)
-    if geom_type == CYLINDER:
-        return _light_cylinder(size, camera, from_camera, light, fill, depths, xs, ys)
-    if geom_type == ELLIPSOID:
-        return _light_ellipsoid(size, camera, from_camera, light, fill, depths, xs, ys)
-    return _light_sphere(size, camera, from_camera, light, fill, depths, xs, ys)
-
-
-@wp.func
-def highlight_row(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, ys: Row) -> Row:
-    """Return the highlights at the points of a row (Blinn, 1977)."""
-    geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
-    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
-    if geom_type == PLANE:
-        return _shine_plane(size, camera, from_camera, light, depths, xs, ys)
-    if geom_type == CAPSULE:
-        return _shine_capsule(size, camera, from_camera, light, depths, xs, ys)
-    if geom_type == BOX:
-        return _shine_box(size, camera, from_camera, light, depths, xs, ys)
-    if geom_type == CYLINDER:
-        return _shine_cylinder(size, camera, from_camera, light, depths, xs, ys)
-    if geom_type == ELLIPSOID:
-        return _shine_ellipsoid(size, camera, from_camera, light, depths, xs, ys)
-    return _shine_sphere(size, camera, from_camera, light, depths, xs, ys)
-
-
-@wp.func
-def texture_row(
+def surface_row(
     shapes: wp.array2d[Shape],
     w: int,
     s: int,
+    fill: wp.vec3,
+    specular: float,
     textures: Textures,
     pixel_rad: float,
     middle: int,
     depths: Row,
     xs: Row,
     ys: Row,
-) -> Row:
-    """Return the brightness of the shape's texture, 0 to 1, as sharp as ray ``middle`` of those that show it allows.
+) -> tuple[Row, Row, Row, Row]:
+    """Return what the points of a row on a shape look like.
 
-    ``pixel_rad`` is the angle between the rays of neighbouring pixels [rad], ``depths`` those of the points [m].
+    Args:
+        shapes: of all worlds; ``w``, ``s``: the world and the shape.
+        fill: direction, in the shape's frame, of the light that is not the sun's.
+        specular: whether there are highlights, if greater than 0.
+        textures: of the scene.
+        pixel_rad: angle between the rays of neighbouring pixels [rad].
+        middle: a ray of those that show the shape; it decides how sharp the texture is.
+        depths: of the points [m]; ``xs``, ``ys``: slopes of their rays.
+
+    Returns:
+        Cosines between normal and light and between normal and ``fill``, highlights (Blinn, 1977), and the brightness
+        of the texture, 0 to 1.
     """
-    geom_type = shapes[w, s].geom_type
-    if geom_type == PLANE:
-        return _texture_plane(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
-    if geom_type == CAPSULE:
-        return _texture_capsule(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
-    if geom_type == BOX:
-        return _texture_box(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
-    if geom_type == CYLINDER:
-        return _texture_cylinder(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
-    if geom_type == ELLIPSOID:
-        return _texture_ellipsoid(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
-    return _texture_sphere(shapes, w, s, textures, pixel_rad, middle, depths, xs, ys)
+    kind = shapes[w, s].geom_type
+    if kind == PLANE:
+        return _surface_plane(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+    if kind == CAPSULE:
+        return _surface_capsule(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+    if kind == BOX:
+        return _surface_box(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+    if kind == CYLINDER:
+        return _surface_cylinder(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+    if kind == ELLIPSOID:
+        return _surface_ellipsoid(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+    return _surface_sphere(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
 
 
 TIE = wp.constant(1.0e-6)

@@ -8,8 +8,6 @@ half of the light is taken, and the penumbra is as wide on either side of it. ``
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import warp as wp
 
 from dynahoi_lerobot.renderers.raycast.rows import LightFrame, Worlds, ray_of

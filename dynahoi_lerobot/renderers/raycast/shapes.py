@@ -5,8 +5,6 @@ Rays are ``o + t * d`` with the origin ``o`` [m] and a direction ``d`` of any le
 the ray does not enter. Nothing here branches on the ray, so that a compiler can vectorise over rays.
 """
 
-from __future__ import annotations
-
 import mujoco
 import warp as wp
 

@@ -5,8 +5,6 @@ Levels shrink by the square root of two, so that the nearest one can be taken an
 
 # ruff: noqa: PLR0917 - warp functions take their arguments by position
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -2,8 +2,6 @@
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import warp as wp
 
 from dynahoi_lerobot.renderers.raycast.shapes import (

@@ -1,7 +1,5 @@
 """What LeRobot's command line says of the policy: LeRobot makes an env first and does not pass the policy to it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from datetime import datetime
@@ -69,22 +67,16 @@ def queued_policy(n_action_steps: int) -> QueuedPolicy:
         ValueError: if neither says how many, or if the two differ.
     """
     config = _policy_config()
-    if config is None:
-        return QueuedPolicy("policy", _known_steps("the policy", n_action_steps))
-    steps = getattr(config, "n_action_steps", 0) or n_action_steps
+    name, steps = getattr(config, "type", "policy"), getattr(config, "n_action_steps", 0) or n_action_steps
     if n_action_steps not in (0, steps):
         raise ValueError(f"env.n_action_steps is {n_action_steps}, but the policy's is {steps}; leave it out")
-    oldest = min(getattr(config, "lookback", None) or config.observation_delta_indices or [0])
-    return QueuedPolicy(config.type, _known_steps(config.type, steps), lookback_frames=-oldest)
-
-
-def _known_steps(name: str, n_action_steps: int) -> int:
-    if n_action_steps < 1:
+    if steps < 1:
         raise ValueError(
-            f"inference async must know how many actions of a chunk {name} executes, and is not told; pass "
+            f"inference async must know how many actions of a chunk {name!r} executes, and is not told; pass "
             "--env.n_action_steps, or use dynahoi evaluate --inference async"
         )
-    return n_action_steps
+    frames = getattr(config, "lookback", None) or getattr(config, "observation_delta_indices", None) or [0]
+    return QueuedPolicy(name, steps, lookback_frames=-min(frames))
 
 
 def _policy_config() -> Any | None:

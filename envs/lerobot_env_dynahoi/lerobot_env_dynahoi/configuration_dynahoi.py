@@ -1,7 +1,5 @@
 """The config behind ``--env.type=dynahoi``: what LeRobot may set, and the vector envs it gets."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
@@ -101,13 +99,14 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         kinds = kinds_of(self.task, recipe.motion_names)
         timing = Inference(self.inference, self.latency_ms)
         policy = None if timing.mode == SYNC else queued_policy(self.n_action_steps)
-        log = ResultsLog(self._results_folder(), recipe, timing.label)
+        folder = new_results_folder(sys.argv) if self.results_dir is None else Path(self.results_dir)
+        log = ResultsLog(folder, recipe, timing.label)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
             stepwise = None if policy is None else StepwiseInference(policy, timing)
-            options: dict[str, Any] = {"reward": self.reward, "inference": stepwise}
-            tasks[len(tasks)] = TaskEnv(n_envs, log=log, kind=kind, recipe=recipe, **options)
+            options: dict[str, Any] = {"recipe": recipe, "reward": self.reward, "inference": stepwise}
+            tasks[len(tasks)] = TaskEnv(n_envs, on_episode=log, kind=kind, **options)
         return suites
 
     def _recipe(self) -> Recipe:
@@ -118,11 +117,6 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             told = ", ".join(f"{name} {value}" for name, value in trained.items())
             print(f"playing as the policy was trained: {told}")
         return Recipe(split="test").changed(**trained | given)
-
-    def _results_folder(self) -> Path:
-        if self.results_dir is not None:
-            return Path(self.results_dir)
-        return new_results_folder(sys.argv)
 
 
 def _type(feature: Feature) -> FeatureType:

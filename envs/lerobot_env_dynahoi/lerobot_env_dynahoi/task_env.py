@@ -4,8 +4,6 @@ LeRobot's loop keeps rewards and successes only, so the envs themselves write th
 files that ``dynahoi evaluate`` writes.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any
@@ -31,7 +29,7 @@ class ResultsLog:
         self._unwritten = 0
         self._fingerprint = ""
 
-    def add(self, episode: Episode) -> None:
+    def __call__(self, episode: Episode) -> None:
         """Keep an episode, once: LeRobot fills its last batch with episodes it has played before."""
         key = (episode.meta.motion, episode.meta.seed)
         if key in self._known:
@@ -60,18 +58,10 @@ class ResultsLog:
 
 
 class TaskEnv(DynahoiVectorEnv):
-    """A vector env of one kind of motion that reports its episodes to a log."""
+    """A vector env of one kind of motion whose ``on_episode`` is a log."""
 
-    def __init__(self, num_envs: int = 1, *, log: ResultsLog, **options: Any) -> None:
-        super().__init__(num_envs, on_episode=log.add, **options)
-        self._log = log
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy is made from: the log and the arguments of ``DynahoiVectorEnv``."""
-        state = super().__getstate__()
-        arguments = {name: value for name, value in state["arguments"].items() if name != "on_episode"}
-        return state | {"arguments": arguments | {"log": self._log}}
+    _on_episode: ResultsLog
 
     def close_extras(self, **kwargs: Any) -> None:
         """Write what has been played so far."""
-        self._log.write()
+        self._on_episode.write()

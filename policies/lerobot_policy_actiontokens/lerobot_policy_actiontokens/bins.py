@@ -1,7 +1,5 @@
 """Discretises actions in [-1, 1] into tokens, the last 256 ids of the vocabulary (OpenVLA, Section 3.2)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Base classes of policies that predict a chunk of actions from one image and an instruction."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Configuration of ``--policy.type=actiontokens``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from lerobot.configs import PreTrainedConfig

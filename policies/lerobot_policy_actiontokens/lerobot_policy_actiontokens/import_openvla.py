@@ -5,8 +5,6 @@
 The weights are copied; the checkpoint is still needed for its configuration and tokenizer.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

@@ -1,13 +1,11 @@
 """OpenVLA-style policy: autoregressive action tokens from an image and an instruction."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch
 from lerobot.utils.constants import ACTION
 from torch import Tensor
-from transformers import AutoModelForImageTextToText, AutoProcessor, LogitsProcessor
+from transformers import AutoModelForImageTextToText, AutoProcessor
 
 from .bins import N_BINS, decode, encode, token_ids
 from .chunks import ChunkPolicy, instructions, open_model, unpadded
@@ -69,13 +67,13 @@ class ActionTokensPolicy(ChunkPolicy):
         self.eval()
         size = self.config.action_dim
         count = self.config.chunk_size * size
-        prompt = self._prompt(batch)
+        allowed = list(token_ids(self.vocabulary))
         action_ids = self.vlm.generate(
-            **prompt,
+            **self._prompt(batch),
             min_new_tokens=count,
             max_new_tokens=count,
             do_sample=False,
-            logits_processor=[_ActionsOnly(self.vocabulary)],
+            prefix_allowed_tokens_fn=lambda row, ids: allowed,
         )[:, -count:]
         return decode(action_ids, self.vocabulary).reshape(len(action_ids), -1, size)
 
@@ -95,17 +93,3 @@ class ActionTokensPolicy(ChunkPolicy):
     def _vision(self) -> torch.nn.Module:
         named = dict(self.vlm.named_modules())
         return next(named[name] for name in named if name.endswith(VISION))
-
-
-class _ActionsOnly(LogitsProcessor):
-    """Masks the scores of all tokens but those of actions."""
-
-    def __init__(self, vocabulary: int) -> None:
-        ids = token_ids(vocabulary)
-        self._allowed = slice(ids.start, ids.stop)
-
-    def __call__(self, input_ids: Tensor, scores: Tensor) -> Tensor:
-        """Return the scores ``(B, V)`` with those of all other tokens at minus infinity."""
-        masked = torch.full_like(scores, -torch.inf)
-        masked[:, self._allowed] = scores[:, self._allowed]
-        return masked

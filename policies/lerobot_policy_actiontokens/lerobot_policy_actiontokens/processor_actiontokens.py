@@ -1,7 +1,5 @@
 """Pre- and postprocessing: LeRobot's defaults, which map the 1st and 99th percentile of actions to -1 and 1."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

@@ -11,7 +11,7 @@ import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot_policy_actiontokens import ActionTokensPolicy, UPVLAPolicy
 from lerobot_policy_actiontokens.bins import N_BINS, decode, encode, token_ids
-from lerobot_policy_actiontokens.upvla.sequence import Vocabulary, lay_out
+from lerobot_policy_actiontokens.upvla.sequence import lay_out
 from torch import Tensor
 
 from tests.zoo.stand_ins import save_image_tokenizer, save_phi, save_smolvlm
@@ -94,13 +94,13 @@ def test_bins_are_those_of_openvla() -> None:
 
 def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
     words, kept = torch.tensor([[0, 5, 6]]), torch.tensor([[0, 1, 1]])
-    sequence = lay_out(words, kept, torch.tensor([[1, 0]]), n_actions=2, vocabulary=Vocabulary(n_words=10, n_codes=4))
+    ids, mask, positions, codes, actions = lay_out(words, kept, torch.tensor([[1, 0]]), n_actions=2, n_words=10)
     task, image, end, act, code = 10, 11, 12, 13, 14
-    assert sequence.ids[0].tolist() == [task, 0, 5, 6, image, code + 1, code, end, act, act]
-    assert sequence.ids[0, sequence.codes].tolist() == [code + 1, code]
-    assert sequence.ids[0, sequence.actions].tolist() == [act, act]
+    assert ids[0].tolist() == [task, 0, 5, 6, image, code + 1, code, end, act, act]
+    assert ids[0, codes].tolist() == [code + 1, code]
+    assert ids[0, actions].tolist() == [act, act]
     everything = "1.11111111"
-    seen = ["".join("1" if x else "." for x in row) for row in sequence.mask[0, 0]]
+    seen = ["".join("1" if x else "." for x in row) for row in mask[0, 0]]
     assert seen == [
         "1.........",
         "11........",  # padding, which nobody sees
@@ -113,7 +113,7 @@ def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
         "1.1111111.",
         "1.11111111",
     ]
-    assert sequence.positions[0].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7, 8]
+    assert positions[0].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7, 8]
 
 
 def test_it_learns_a_chunk_and_writes_it_in_one_call(models: Path) -> None:

@@ -1,8 +1,6 @@
 """UP-VLA-style policy: a future image and a chunk of actions from an image and an instruction, in one pass."""
 
-from __future__ import annotations
-
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import torch
 from diffusers.models.autoencoders.vq_model import VQModel
@@ -12,10 +10,8 @@ from transformers import AutoModelForCausalLM, AutoTokenizer
 
 from lerobot_policy_actiontokens.chunks import ChunkPolicy, instructions, open_model, unpadded
 
-from .codes import ImageCodes
 from .configuration_upvla import UPVLAConfig
-from .pooling import AttentionPooling
-from .sequence import Vocabulary, lay_out
+from .sequence import FIRST_CODE, lay_out
 
 
 class UPVLAPolicy(ChunkPolicy):
@@ -34,15 +30,14 @@ class UPVLAPolicy(ChunkPolicy):
         super().__init__(config)
         self.images = ImageCodes(_image_tokenizer(config), config.image_size)
         self.llm = open_model(AutoModelForCausalLM, config.llm_name, config)
-        self.vocabulary = Vocabulary(self.llm.get_input_embeddings().num_embeddings, self.images.n_codes)
-        self.llm.resize_token_embeddings(
-            len(self.vocabulary), mean_resizing=False
-        )  # random: equal codes would stay equal
+        self.n_words = self.llm.get_input_embeddings().num_embeddings
+        size = self.n_words + FIRST_CODE + self.images.n_codes
+        self.llm.resize_token_embeddings(size, mean_resizing=False)  # random: equal codes would stay equal
         self.tokenizer = AutoTokenizer.from_pretrained(config.llm_name, padding_side="left")
         self.tokenizer.pad_token = self.tokenizer.pad_token or self.tokenizer.eos_token
-        width, size = self.llm.config.hidden_size, config.action_dim
+        width = self.llm.config.hidden_size
         self.pooling = AttentionPooling(width, config.n_heads)
-        self.to_actions = nn.Linear(width, config.chunk_size * size)
+        self.to_actions = nn.Linear(width, config.chunk_size * config.action_dim)
 
     def forward(self, batch: dict[str, Any], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
         """Return the weighted sum of the image's cross-entropy and the actions' squared error.
@@ -53,7 +48,7 @@ class UPVLAPolicy(ChunkPolicy):
         """
         current, future = batch[self.camera].unbind(1)  # (B, 3, H, W) each
         logits, actions = self._run(current, batch)
-        codes = self.images.encode(future) + self.vocabulary.first_code  # (B, N)
+        codes = self.images.encode(future) + self.n_words + FIRST_CODE  # (B, N)
         prediction = nn.functional.cross_entropy(logits.transpose(1, 2).float(), codes, reduction="none").mean(1)
         prediction = prediction * unpadded(batch, self.camera, future.new_ones(len(future), 2))[:, 1]  # (B,)
         errors = (actions - batch[ACTION].reshape(actions.shape)).square().mean(2)  # (B, H)
@@ -73,7 +68,7 @@ class UPVLAPolicy(ChunkPolicy):
         """Return the image predicted ``chunk_size`` frames ahead, ``(B, 3, S, S)`` in [0, 1]."""
         self.eval()
         logits, _ = self._run(batch[self.camera], batch)
-        return self.images.decode(logits[..., self.vocabulary.first_code :].argmax(-1))
+        return self.images.decode(logits[..., self.n_words + FIRST_CODE :].argmax(-1))
 
     def _run(self, images: Tensor, batch: dict[str, Any]) -> tuple[Tensor, Tensor]:
         """Return the logits of the codes of the future image ``(B, N, V)``, and the actions ``(B, H, A)``."""
@@ -81,14 +76,16 @@ class UPVLAPolicy(ChunkPolicy):
         texts = [begin + task + end for task in instructions(batch, len(images))]
         words = self.tokenizer(texts, padding=True, return_tensors="pt").to(images.device)
         codes = self.images.encode(images)
-        sequence = lay_out(words["input_ids"], words["attention_mask"], codes, self.config.chunk_size, self.vocabulary)
+        ids, mask, positions, in_image, in_actions = lay_out(
+            words["input_ids"], words["attention_mask"], codes, self.config.chunk_size, self.n_words
+        )
         hidden = self.llm.base_model(
-            sequence.ids,
-            attention_mask=torch.where(sequence.mask, 0.0, torch.finfo(self.llm.dtype).min).to(self.llm.dtype),
-            position_ids=sequence.positions,
+            ids,
+            attention_mask=torch.where(mask, 0.0, torch.finfo(self.llm.dtype).min).to(self.llm.dtype),
+            position_ids=positions,
         ).last_hidden_state  # (B, L, D)
-        actions = self.to_actions(self.pooling(hidden[:, sequence.actions].float()))  # (B, H * A)
-        logits = self.llm.get_output_embeddings()(hidden[:, sequence.codes])
+        actions = self.to_actions(self.pooling(hidden[:, in_actions].float()))  # (B, H * A)
+        logits = self.llm.get_output_embeddings()(hidden[:, in_image])
         return logits, actions.unflatten(1, (self.config.chunk_size, -1))
 
 
@@ -98,3 +95,66 @@ def _image_tokenizer(config: UPVLAConfig) -> VQModel:
         return VQModel.from_pretrained(config.image_tokenizer, **place)
     settings = cast(dict[str, Any], VQModel.load_config(config.image_tokenizer, **place))
     return cast(VQModel, VQModel.from_config(settings))
+
+
+class ImageCodes(nn.Module):
+    """Encodes images as codes, and decodes them, with a frozen `diffusers` ``VQModel``.
+
+    Args:
+        model: the autoencoder, of images in [0, 1].
+        image_size: side of the encoded images [px]; other sizes are resized.
+
+    Attributes:
+        n_codes: size of the codebook.
+        side: side of the grid of codes.
+    """
+
+    def __init__(self, model: VQModel, image_size: int) -> None:
+        super().__init__()
+        self.model = model.requires_grad_(False).eval()
+        self.image_size = image_size
+        self.n_codes = int(model.config["num_vq_embeddings"])
+        self.side = image_size // 2 ** (len(model.config["block_out_channels"]) - 1)
+
+    def train(self, mode: bool = True) -> Self:
+        """Stay in evaluation mode, whatever ``mode`` is."""
+        return super().train(False)
+
+    @torch.no_grad()
+    def encode(self, images: Tensor) -> Tensor:
+        """Encode images ``(B, 3, H, W)`` in [0, 1] as codes ``(B, side * side)`` int64, row by row."""
+        size = (self.image_size, self.image_size)
+        images = nn.functional.interpolate(images, size, mode="bicubic", antialias=True).clamp(0, 1)
+        latents = self.model.encode(images.to(self.model.dtype)).latents
+        return self.model.quantize(latents)[2][2].reshape(len(images), -1)
+
+    @torch.no_grad()
+    def decode(self, codes: Tensor) -> Tensor:
+        """Decode codes ``(B, side * side)`` to images ``(B, 3, image_size, image_size)`` in [0, 1]."""
+        entries = self.model.quantize.embedding(codes)  # (B, side * side, C)
+        latents = entries.transpose(1, 2).unflatten(2, (self.side, self.side))
+        spatial = latents if self.model.config["norm_type"] == "spatial" else None
+        return self.model.decoder(self.model.post_quant_conv(latents), spatial).clamp(0, 1)
+
+
+class AttentionPooling(nn.Module):
+    """Many tokens to one vector: a learned query attends to all (Lee et al., 2019, Set Transformer), then
+    a gated feed-forward layer (Shazeer, 2020).
+
+    Args:
+        width: size of the tokens.
+        n_heads: attention heads.
+    """
+
+    def __init__(self, width: int, n_heads: int) -> None:
+        super().__init__()
+        self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
+        self.attention = nn.MultiheadAttention(width, n_heads, batch_first=True)
+        self.attention_norm, self.mlp_norm = nn.RMSNorm(width), nn.RMSNorm(width)
+        self.gated, self.out = nn.Linear(width, 8 * width), nn.Linear(4 * width, width)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Map tokens ``(B, N, width)`` to a vector ``(B, width)``."""
+        query = self.query.expand(len(tokens), -1, -1)
+        pooled = self.attention_norm(query + self.attention(query, tokens, tokens, need_weights=False)[0])
+        return self.mlp_norm(pooled + self.out(nn.functional.glu(self.gated(pooled))))[:, 0]

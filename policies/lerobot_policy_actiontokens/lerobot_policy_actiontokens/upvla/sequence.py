@@ -1,74 +1,15 @@
 """The input sequence of the language model: an instruction, the codes of an image, and a placeholder per action."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
-
-@dataclass(frozen=True)
-class Vocabulary:
-    """Token ids: first the words of the language model, then four markers, then the image codes.
-
-    Attributes:
-        n_words: rows of the language model's original embeddings.
-        n_codes: size of the image codebook.
-    """
-
-    n_words: int
-    n_codes: int
-
-    @property
-    def start_of_task(self) -> int:
-        """Id of the marker before the instruction."""
-        return self.n_words
-
-    @property
-    def start_of_image(self) -> int:
-        """Id of the marker before the image codes."""
-        return self.n_words + 1
-
-    @property
-    def end_of_image(self) -> int:
-        """Id of the marker after the image codes."""
-        return self.n_words + 2
-
-    @property
-    def act(self) -> int:
-        """Id of the placeholder of an action."""
-        return self.n_words + 3
-
-    @property
-    def first_code(self) -> int:
-        """Id of image code 0."""
-        return self.n_words + 4
-
-    def __len__(self) -> int:
-        return self.n_words + 4 + self.n_codes
+START_OF_TASK, START_OF_IMAGE, END_OF_IMAGE, ACT, FIRST_CODE = range(5)
+"""Token ids, counted from the end of the language model's own words: four markers, then the image codes."""
 
 
-@dataclass(frozen=True)
-class Sequence:
-    """Input sequence of the language model.
-
-    Attributes:
-        ids: token ids, ``(B, L)`` int64.
-        mask: attention mask, ``(B, 1, queries, keys)`` bool, True where a query attends to a key.
-        positions: position ids, ``(B, L)`` int64, counted without padding.
-        codes: positions of the image codes.
-        actions: positions of the action placeholders.
-    """
-
-    ids: Tensor
-    mask: Tensor
-    positions: Tensor
-    codes: slice
-    actions: slice
-
-
-def lay_out(words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, vocabulary: Vocabulary) -> Sequence:
+def lay_out(
+    words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, n_words: int
+) -> tuple[Tensor, Tensor, Tensor, slice, slice]:
     """Return the sequence [task, words, image, codes, end of image, actions] (UP-VLA, Section 3).
 
     Attention of words and actions is causal; that of the image is bidirectional over the whole sequence. The output at
@@ -79,17 +20,21 @@ def lay_out(words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, vocabula
         kept: ``(B, W)``, 0 where there is padding.
         codes: image codes, ``(B, N)`` int64.
         n_actions: number of action placeholders.
-        vocabulary: the ids of markers and codes.
+        n_words: rows of the language model's original embeddings.
+
+    Returns:
+        Token ids ``(B, L)`` int64; attention mask ``(B, 1, queries, keys)`` bool, True where a query attends to a key;
+        position ids ``(B, L)`` int64, counted without padding; and where the image codes and the placeholders are.
     """
     n, (width, n_codes) = len(words), (words.shape[1], codes.shape[1])
-    mark = torch.ones_like(words[:, :1])
+    mark = torch.full_like(words[:, :1], n_words)
     parts = [
-        vocabulary.start_of_task * mark,
+        mark + START_OF_TASK,
         words,
-        vocabulary.start_of_image * mark,
-        codes + vocabulary.first_code,
-        vocabulary.end_of_image * mark,
-        vocabulary.act * mark.expand(n, n_actions),
+        mark + START_OF_IMAGE,
+        codes + n_words + FIRST_CODE,
+        mark + END_OF_IMAGE,
+        (mark + ACT).expand(n, n_actions),
     ]
     ids = torch.cat(parts, dim=1)  # (B, L)
     length, image = ids.shape[1], slice(width + 1, width + n_codes + 3)
@@ -98,10 +43,5 @@ def lay_out(words: Tensor, kept: Tensor, codes: Tensor, n_actions: int, vocabula
     mask = torch.ones(length, length, dtype=torch.bool, device=ids.device).tril()
     mask[image] = True
     mask = mask & real.unsqueeze(1) | torch.eye(length, dtype=torch.bool, device=ids.device)
-    return Sequence(
-        ids=ids,
-        mask=mask.unsqueeze(1),
-        positions=real.cumsum(1) - 1,
-        codes=slice(image.start + 1, image.stop - 1),
-        actions=slice(length - n_actions, length),
-    )
+    in_image, in_actions = slice(image.start + 1, image.stop - 1), slice(length - n_actions, length)
+    return ids, mask.unsqueeze(1), real.cumsum(1) - 1, in_image, in_actions
