@@ -16,7 +16,7 @@ SEAT_M = np.array([-0.006, 0.0, 0.004])
 """(3,) where the centre of a held target is, from the palm centre; the palm faces along x."""
 BEHIND_M = 0.06
 """So far behind the target, along the palm's normal, the hand waits until it is in line."""
-IN_LINE_M, OUT_OF_LINE_M = 0.005, 0.025
+IN_LINE_M, OUT_OF_LINE_M = 0.005, 0.105
 """Distance from the line through the seat, across the palm's normal, from which and up to which it falls back."""
 PRESS_M = 0.02
 """In line, the palm presses this far beyond the seat."""

@@ -127,6 +127,8 @@ class ObActConfig(PreTrainedConfig):
         for name in ("n_steps", "n_draws"):
             if not 1 <= (value := self.head_options.get(name, 1)) <= MAX_SAMPLING:
                 raise ValueError(f"head_options.{name} is {value}, but must be 1 to {MAX_SAMPLING}.")
+        if not 0 <= (value := self.head_options.get("closing_quantile", 0.5)) < 1:
+            raise ValueError(f"head_options.closing_quantile is {value}, but must be 0 or more and below 1.")
 
     def _require(self, valid: bool, name: str, allowed: str) -> None:
         if not valid:

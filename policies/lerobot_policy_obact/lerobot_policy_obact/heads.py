@@ -109,16 +109,25 @@ class ActionHead(nn.Module):
         width: of the denoiser.
         n_steps: sampling steps.
         n_draws: chunks sampled for a decision, of which `most_central` makes one.
+        closing_quantile: of the draws, for the fingers: above 0.5 they rather close too early than too late.
     """
 
     generative = False
 
     def __init__(
-        self, context: int, horizon: int, groups: list[int], *, width: int = 128, n_steps: int = 8, n_draws: int = 32
+        self,
+        context: int,
+        horizon: int,
+        groups: list[int],
+        *,
+        width: int = 128,
+        n_steps: int = 8,
+        n_draws: int = 32,
+        closing_quantile: float = 0.5,
     ) -> None:
         super().__init__()
         self.horizon, self.groups, self.n_steps, self.action_dim = horizon, groups, n_steps, sum(groups)
-        self.n_draws = n_draws
+        self.n_draws, self.closing_quantile = n_draws, closing_quantile
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
         self.denoiser = Denoiser(horizon * self.action_dim, context, width) if self.generative else None
 
@@ -190,7 +199,8 @@ class ActionHead(nn.Module):
         if noise is not None or guidance is not None or self.n_draws == 1:
             return self._denoised(self.denoiser, context, noise, guidance)
         draws = self._denoised(self.denoiser, repeat(context, "r c -> (r n) c", n=self.n_draws))
-        return most_central(rearrange(draws, "(r n) h a -> r n h a", n=self.n_draws), self.groups[0])
+        draws = rearrange(draws, "(r n) h a -> r n h a", n=self.n_draws)
+        return most_central(draws, self.groups[0], self.closing_quantile)
 
     def _denoised(
         self, denoiser: Denoiser, context: Tensor, noise: Tensor | None = None, guidance: Guidance | None = None
@@ -246,15 +256,16 @@ class FlowHead(ActionHead):
         return _predict(denoiser, x, t, context)
 
 
-def most_central(draws: Tensor, size: int) -> Tensor:
-    """Return the chunk nearest to the others in the first ``size`` entries, with the median of every other entry.
+def most_central(draws: Tensor, size: int, quantile: float = 0.5) -> Tensor:
+    """Return the chunk nearest to the others in the first ``size`` entries, with a quantile of every other entry.
 
-    The palm follows one of the draws, since an average may lie between two modes. The median removes noise from the
-    fingers, which would loosen the grasp.
+    The palm follows one of the draws, since an average may lie between two modes. The quantile, the median by default,
+    removes noise from the fingers, which would loosen the grasp.
 
     Args:
         draws: chunks, ``(R, N, H, A)``.
         size: of the group of entries that decides.
+        quantile: 0 to 1.
 
     Returns:
         ``(R, H, A)``.
@@ -262,8 +273,8 @@ def most_central(draws: Tensor, size: int) -> Tensor:
     first, rest = draws.split([size, draws.shape[-1] - size], dim=-1)
     flat = first.flatten(2)
     chosen = torch.cdist(flat, flat).sum(-1).argmin(-1)
-    median = rest.sort(dim=1).values[:, draws.shape[1] // 2]
-    return torch.cat([first[torch.arange(len(draws), device=draws.device), chosen], median], dim=-1)
+    middle = rest.sort(dim=1).values[:, int(draws.shape[1] * quantile)]
+    return torch.cat([first[torch.arange(len(draws), device=draws.device), chosen], middle], dim=-1)
 
 
 def _mixing(t: Tensor) -> tuple[Tensor, Tensor]:
