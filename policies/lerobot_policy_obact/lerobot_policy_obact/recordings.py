@@ -86,11 +86,11 @@ class Targets:
         Seen from frames ``(E, Q)`` before the catch, that is the untouched path.
         """
         q = frame.shape[1]
-        held = repeat(torch.minimum(frame, self.length[:, None, None] - 1), "b q k -> b (q k) i", i=3)
-        place = rearrange(self.path.gather(1, held), "b (q k) i -> b q k i", q=q)
+        index = repeat(torch.minimum(frame, self.length[:, None, None] - 1), "b q k -> b (q k) i", i=3)
+        place = rearrange(self.path.gather(1, index), "b (q k) i -> b q k i", q=q)
         if self.carried is None:
             return place
-        carried = rearrange(self.carried.gather(1, held), "b (q k) i -> b q k i", q=q)
+        carried = rearrange(self.carried.gather(1, index), "b (q k) i -> b q k i", q=q)
         return torch.where(self.held(seen_from)[..., None, None], carried, place)
 
     def closed_share(self, state: Tensor) -> Tensor:
