@@ -1,6 +1,7 @@
 """Render the moving images of the documentation: ``python docs/gallery.py``, a minute on two cores.
 
 ``images/catch.gif`` shows two episodes of ``test`` played by ObAct, one caught and one narrowly missed;
+``images/held.gif`` shows three of the contact track, of which it holds two;
 ``images/<category>.gif`` shows the expert catching a target of every kind of motion. All are seen by the hand's camera.
 """
 
@@ -28,7 +29,8 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 IMAGES = Path(__file__).parent / "images"
 CAUGHT, MISSED = 13, 772  # seeds of `test`
-PLAYED_PX, SHOWN_PX, KIND_PX = 96, 288, 128
+HELD, TOUCHED = (68, 90), 80
+PLAYED_PX, SHOWN_PX, HELD_PX, KIND_PX = 96, 288, 192, 128
 SKIP = 2  # every second frame is shown, at half the rate
 AFTER_CATCH, AFTER_MISS = 12, 3  # frames that are shown beyond the catch or the closest approach
 BORDER_PX = 4
@@ -37,15 +39,27 @@ BORDER_PX = 4
 def catch() -> None:
     """Draw what ObAct catches and misses, side by side."""
     recipe = Recipe(split="test", image_size=PLAYED_PX)
-    specs = sample_specs(recipe, [CAUGHT, MISSED])
-    torch.manual_seed(5)  # the policy samples its actions
-    obact = make_actor("checkpoints/obact_standard")
-    played = evaluate(WorldBatch(recipe, len(specs)), obact, specs)
-    logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed_action) for episode in played}
-    episodes = replay(replace(recipe, image_size=SHOWN_PX), [logs[CAUGHT], logs[MISSED]])
-    for episode in episodes:
-        print(f"{episode.meta.motion}: {episode.stage}, nearest {100 * _nearest(episode)[1]:.1f} cm")
+    episodes = played("checkpoints/obact_standard", recipe, [CAUGHT, MISSED], SHOWN_PX, noise=5)
     write_gif(IMAGES / "catch.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
+
+
+def contact() -> None:
+    """Draw what ObAct grips and what it only touches, side by side."""
+    recipe = Recipe(split="test", capture="contact", image_size=PLAYED_PX, views=("side",))
+    episodes = played("checkpoints/obact_contact", recipe, [*HELD, TOUCHED], HELD_PX, noise=0)
+    write_gif(IMAGES / "held.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
+
+
+def played(checkpoint: str, recipe: Recipe, seeds: list[int], size: int, noise: int) -> list[Episode]:
+    """Return what a checkpoint does in episodes, with images of another size; ``noise`` seeds its samples."""
+    specs = sample_specs(recipe, seeds)
+    torch.manual_seed(noise)
+    episodes = evaluate(WorldBatch(recipe, len(specs)), make_actor(checkpoint), specs)
+    logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed_action) for episode in episodes}
+    shown = list(replay(replace(recipe, image_size=size), [logs[seed] for seed in seeds]))
+    for episode in shown:
+        print(f"{episode.meta.motion}: {episode.stage}, nearest {100 * _nearest(episode)[1]:.1f} cm")
+    return shown
 
 
 def motions() -> None:
@@ -89,4 +103,5 @@ def _bordered(episode: Episode) -> np.ndarray:
 
 if __name__ == "__main__":
     catch()
+    contact()
     motions()
