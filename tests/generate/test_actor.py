@@ -132,9 +132,9 @@ def test_a_recipe_that_names_another_actor_is_refused(actor: Path, tmp_path: Pat
     for given, told in ((None, "give its checkpoint with --actor"), (actor, f"is {actor_name(str(actor))}")):
         assert main(words(given, tmp_path / "d", "--recipe", recipe)) == 2
         assert told in capsys.readouterr().err
-    recipe.write_text(f"actor: {actor_name(str(actor))}\ncapture: contact\n")
+    recipe.write_text(f"actor: {actor_name(str(actor))}\nexpert: hold\n")
     assert main(words(actor, tmp_path / "d", "--recipe", recipe)) == 2
-    assert "need an expert that labels any state (intercept, pursuit), got 'match'" in capsys.readouterr().err
+    assert "need an expert that labels any state (intercept, match, pursuit), got 'hold'" in capsys.readouterr().err
     recipe.write_text("actor: me\n")
     assert main(words(None, tmp_path / "d", "--recipe", recipe)) == 2
     assert "TYPE@HASH, got 'me'" in capsys.readouterr().err

@@ -10,6 +10,7 @@ from lerobot_policy_obact.recordings import Targets
 from dynahoi_lerobot.core.agent import WorldState
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import Teacher
+from dynahoi_lerobot.experts.match import HELD_M, STEP_M
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -45,7 +46,7 @@ def test_virtual_hands_wait_catch_and_carry_the_target_along(played: tuple[Targe
         contact = int(targets.contact[i])
         assert targets.carried[i, :contact].equal(targets.path[i, :contact])
         offset = palm[i, contact:] - (targets.carried[i, contact:] - SEAT)
-        assert offset[0].norm() < 0.05
+        assert offset[0].norm() < HELD_M + STEP_M
         assert (offset - offset[0]).abs().max() < 1e-5
         assert palm[i, -1, 2] > palm[i, contact, 2], "it is lifted"
 
