@@ -31,7 +31,7 @@ CLOSES_M, CLOSES_AT_M, CLOSES_AHEAD_M = 0.0225, -0.017, 0.03
 SQUEEZE_RAD = 0.3
 """Beyond the closed pose: joints are commanded this far, which gives a force of grip."""
 HELD_M, HELD_SHARE = 0.05, 0.5
-"""A target is taken to be held within this distance of the seat of fingers closed by more than this share."""
+"""A target is taken to be held within this distance of the seat of fingers that are closed by more than the second."""
 BRAKE_SHARE, LIFT_M_S = 0.15, np.array([0.0, 0.0, 0.15])
 """A held target's velocity approaches the second by the first in a frame."""
 LONGEST_WAY_M = GANTRY_SPEED_M_S * CONTROL_DT

@@ -88,13 +88,8 @@ class VirtualEpisodes:
     def __init__(
         self, recordings: Recordings, targets: Targets, cameras: list[Pinhole], step_m: float, *, grips: bool
     ) -> None:
-        self.grips, self.recordings, self.targets, self.cameras, self.step_m = (
-            grips,
-            recordings,
-            targets,
-            cameras,
-            step_m,
-        )
+        self.recordings, self.targets, self.cameras = recordings, targets, cameras
+        self.step_m, self.grips = step_m, grips
         episode = torch.repeat_interleave(torch.arange(len(recordings.frames)), recordings.frames)
         frame = torch.arange(len(episode)) - recordings.first[episode]
         place = targets.path[episode, torch.minimum(frame, targets.length[episode] - 1)]
