@@ -30,7 +30,6 @@ class WorldView:
         target_pos_w: (3,) position of the target now [m], world.
         target_velocity_w: (3,) its linear velocity now [m/s], world.
         localized: the target has been localised.
-        attempt: from 1.
         control: limits of the hand, and latency.
         localization_radius_m: palm centre to target centre, below which the target is localised [m].
     """
@@ -42,7 +41,6 @@ class WorldView:
     target_pos_w: np.ndarray
     target_velocity_w: np.ndarray
     localized: bool
-    attempt: int
     control: ControlClass
     localization_radius_m: float
 
@@ -99,7 +97,6 @@ def _view(world: WorldState, i: int, spec: EpisodeSpec) -> WorldView:
         target_pos_w=world.target_pose[i, :3] + spec.home_pos_w,
         target_velocity_w=world.target_velocity[i, :3],
         localized=bool(world.localized[i]),
-        attempt=int(world.attempt[i]),
         control=world.control,
         localization_radius_m=world.localization_radius_m,
     )
