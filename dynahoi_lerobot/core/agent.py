@@ -191,13 +191,9 @@ class Expert(Actor):
 
     A world may begin an episode at any frame of the others. What an expert keeps between frames, such as a plan, must
     follow from the episode and the attempt alone.
-
-    Attributes:
-        finds_back: it catches the target all the same after its palm was pulled away, so recordings may perturb it.
     """
 
     name = "expert"
-    finds_back: bool = False
     privileged = True
     has_memory = False
 

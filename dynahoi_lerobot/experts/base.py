@@ -63,8 +63,6 @@ class SingleWorldExpert(Expert):
 class Teacher(SingleWorldExpert):
     """An expert that is a function of the state alone, so that it can label whatever state somebody else gets into."""
 
-    finds_back = True
-
     @abstractmethod
     def goal(self, world: WorldView) -> np.ndarray:
         """Return (18,) where the hand of one world should get to, and how far closed it should be now.
