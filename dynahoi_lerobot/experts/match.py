@@ -15,29 +15,29 @@ from dynahoi_lerobot.experts.intercept import closed_joints
 SEAT_M = np.array([-0.006, 0.0, 0.004])
 """(3,) where the centre of a held target is, from the palm centre; the palm faces along x."""
 BEHIND_M = 0.06
-"""So far behind the target, along the palm's normal, the hand waits until it is in line."""
+"""The hand waits this far behind the target, along the palm's normal, until it is in line."""
 IN_LINE_M, OUT_OF_LINE_M = 0.005, 0.105
-"""Distance from the line through the seat, across the palm's normal, from which and up to which it falls back."""
+"""Lateral distances from the palm's axis: up to the first the hand closes in, from the second it keeps `BEHIND_M`."""
 PRESS_M = 0.02
 """In line, the palm presses this far beyond the seat."""
 DETOUR_M, AHEAD_M = 0.13, 0.01
-"""A palm further ahead of the target than the second first gets out of its way, to the first from the line."""
+"""A palm more than `AHEAD_M` in front of the target first moves sideways, until it is `DETOUR_M` off the axis."""
 STEP_M, CLOSING_STEP_M = 0.05, 0.015
-"""Greatest way relative to the target in a frame, and behind it along the palm's normal."""
+"""Greatest displacement relative to the target in a frame, in general and when closing in along the normal."""
 LATERAL_SHARE = 0.7
-"""Share of a small distance from the line that a frame makes up for."""
+"""Share of a small lateral error that is corrected in a frame."""
 CLOSES_M, CLOSES_AT_M, CLOSES_AHEAD_M = 0.0225, -0.017, 0.03
-"""Fingers close within the first of the line, and between the others along the palm's normal."""
+"""Fingers close within `CLOSES_M` of the axis, from `CLOSES_AT_M` to `CLOSES_AHEAD_M` along the normal."""
 SQUEEZE_RAD = 0.3
-"""Beyond the closed pose: joints are commanded this far, which gives a force of grip."""
+"""Joints are commanded this far beyond the closed pose, which produces the grip force."""
 HELD_M, HELD_SHARE = 0.05, 0.5
-"""A target is taken to be held within this distance of the seat of fingers that are closed by more than the second."""
+"""Fingers closed by more than `HELD_SHARE` are taken to hold a target within `HELD_M` of its seat."""
 BRAKE_SHARE, LIFT_M_S = 0.15, np.array([0.0, 0.0, 0.15])
-"""A held target's velocity approaches the second by the first in a frame."""
+"""In each frame, the velocity of a held target changes by `BRAKE_SHARE` of its difference from `LIFT_M_S`."""
 LONGEST_WAY_M = GANTRY_SPEED_M_S * CONTROL_DT
-"""Of the palm in a frame, along each axis."""
+"""Greatest displacement of the palm in a frame, along each axis."""
 ON_PATH_M = 0.01
-"""A target further than this from its path was touched."""
+"""A target farther than this from its path has been touched."""
 
 
 @EXPERTS.register("match")
