@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -104,7 +105,7 @@ def _errors(eye: Eye, camera: Pinhole, shown: Snapshots) -> np.ndarray:
     return torch.cat([place.norm(dim=-1, keepdim=True), along.abs(), across], dim=-1)[inside].numpy()
 
 
-def _table(errors: np.ndarray) -> list[dict[str, object]]:
+def _table(errors: np.ndarray) -> list[dict[str, Any]]:
     rows = []
     for low, high in pairwise(EDGES_M):
         some = 100 * errors[(errors[:, 0] >= low) & (errors[:, 0] < high)]

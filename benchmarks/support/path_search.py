@@ -64,7 +64,7 @@ def hits_along(path: np.ndarray, targets: np.ndarray) -> np.ndarray:
     palm = np.concatenate([np.zeros((1, 3)), path])[: targets.shape[1]]
     start = palm[:-1] - targets[:, : len(palm) - 1]
     moves = np.diff(palm, axis=0) - np.diff(targets[:, : len(palm)], axis=1)
-    return _meets(start, moves).any(axis=1)
+    return np.any(_meets(start, moves), axis=1)
 
 
 def _directions(fineness: int) -> np.ndarray:

@@ -54,7 +54,7 @@ class StraightforwardEnv(gym.Env):
 
     def begin(self, spec: EpisodeSpec) -> dict:
         """Put the world into the first frame of ``spec``."""
-        self.spec, self.frame, self.localized_frame, self.success = spec, 0, None, False
+        self.episode, self.frame, self.localized_frame, self.success = spec, 0, None, False
         self._writer.reset([0], [spec])
         self._writer._batch.get_model(0, self.model)
         self._writer._batch.get_data(0, self.data)
@@ -65,7 +65,7 @@ class StraightforwardEnv(gym.Env):
         return self._observe()
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
-        acting = self.frame >= self.spec.window_frames
+        acting = self.frame >= self.episode.window_frames
         previous = self.executed
         if acting:
             self.executed = self._servo.within_reach(
@@ -83,19 +83,22 @@ class StraightforwardEnv(gym.Env):
         self.frame += 1
         mujoco.mj_forward(self.model, self.data)
         settled = self.localized_frame is not None and self.frame - self.localized_frame > SETTLE_FRAMES
-        late = self.frame > self.spec.window_frames + self.spec.length_frames
+        late = self.frame > self.episode.window_frames + self.episode.length_frames
         reward = float(self.success and (settled or late))
         return self._observe(), reward, settled, late and not settled, {"is_success": self.success}
 
     def render(self) -> np.ndarray:
-        if self._renderer is None:
-            size = self.recipe.image_size
-            self.model.vis.quality.offsamples = 0
-            self.model.vis.global_.offwidth = self.model.vis.global_.offheight = size
-            self._renderer = mujoco.Renderer(self.model, size, size)
-            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = False
-        self._renderer.update_scene(self.data, self._scene.camera)
-        return self._renderer.render()
+        renderer = self._renderer or self._opened()
+        renderer.update_scene(self.data, self._scene.camera)
+        return renderer.render()
+
+    def _opened(self) -> mujoco.Renderer:
+        size = self.recipe.image_size
+        self.model.vis.quality.offsamples = 0
+        self.model.vis.global_.offwidth = self.model.vis.global_.offheight = size
+        self._renderer = renderer = mujoco.Renderer(self.model, size, size)
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = False
+        return renderer
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -103,24 +106,24 @@ class StraightforwardEnv(gym.Env):
 
     def view(self) -> WorldView:
         """Return what the expert sees, in the world frame."""
-        due_frame = max(self.frame, self.spec.window_frames)
+        due_frame = max(self.frame, self.episode.window_frames)
         (pose, velocity), caught = self.target_state(), self.localized_frame is not None
-        state, position = self.executed + self.origin, pose[:3] + self.spec.home_pos_w
-        known = (self.spec, state, self.frame, due_frame, position, velocity[:3], caught, 1)
+        state, position = self.executed + self.origin, pose[:3] + self.episode.home_pos_w
+        known = (self.episode, state, self.frame, due_frame, position, velocity[:3], caught)
         return WorldView(*known, self._writer.control, LOCALIZATION_RADIUS_M)
 
     def target_state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return pose (7,), home frame, and velocity (6,) of the target."""
         qpos, dof = self._scene.target_qpos, self._scene.target_dof
         pose = self.data.qpos[qpos : qpos + 7].copy()
-        pose[:3] -= self.spec.home_pos_w
+        pose[:3] -= self.episode.home_pos_w
         return pose, self.data.qvel[dof : dof + 6].copy()
 
     def _observe(self) -> dict:
         return {
             "pixels": {"ego": self.render()},
             "agent_pos": (self.data.qpos[self._scene.hand_qpos] - self.origin).astype(np.float32),
-            "phase": one_hot_phase(np.array(self.frame >= self.spec.window_frames)),
+            "phase": one_hot_phase(np.array(self.frame >= self.episode.window_frames)),
         }
 
     def _distance(self) -> float:
@@ -133,7 +136,7 @@ class StraightforwardEnv(gym.Env):
         scene, data, model = self._scene, self.data, self.model
         self.localized_frame = self.frame
         palm, joints = np.split(data.qpos[scene.hand_qpos] - self.origin, [PALM_DOF])
-        self.success = bool(joints_reached(joints, self.spec.open_joints, self.spec.reference_joints).all())
+        self.success = bool(joints_reached(joints, self.episode.open_joints, self.episode.reference_joints).all())
         model.geom_contype[scene.target_geoms] = 0
         position, quat = self.target_state()[0][:3], self.target_state()[0][3:]
         inverse, offset = np.zeros(4), np.zeros(3)
