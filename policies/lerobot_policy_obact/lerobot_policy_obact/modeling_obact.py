@@ -260,9 +260,13 @@ class ObActPolicy(PreTrainedPolicy):
                     self.recordings, self.recordings.targets, cameras, step_m, grips=self.config.grips
                 )
         named = batch["episode_index"].flatten().cpu()
-        others = torch.randint(len(self.recordings.frames), (len(named), self.config.episodes_per_sample - 1))
+        if not self.training:
+            return self.recordings.lesson(named, self.config).to(self.model.device)
+        self.recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
+        known = self.recordings.named.nonzero()[:, 0]
+        others = known[torch.randint(len(known), (len(named), self.config.episodes_per_sample - 1))]
         chosen = torch.cat([named[:, None], others], dim=1).flatten()
-        if self.virtual is not None and self.training and torch.rand(()) < self.config.virtual_share:
+        if self.virtual is not None and torch.rand(()) < self.config.virtual_share:
             return self.virtual.lesson(len(chosen), self.config).to(self.model.device)
         return self.recordings.lesson(chosen, self.config).to(self.model.device)
 

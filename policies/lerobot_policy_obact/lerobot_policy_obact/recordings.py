@@ -114,6 +114,7 @@ class Recordings:
         actions: ``(N, A)``.
         first, frames: first frame and number of frames of each episode, ``(E,)``.
         window: frames of its observation window, ``(E,)``; 0 if there is none.
+        named: episodes that a batch of the training has named, bool, ``(E,)``; nothing is learned from others.
         targets: what is known of the targets; None if the dataset does not say.
         places: where the targets were in all frames [m], ``(N, 3)``, where they are gripped; None elsewhere.
     """
@@ -124,6 +125,7 @@ class Recordings:
     first: Tensor
     frames: Tensor
     window: Tensor
+    named: Tensor
     targets: Targets | None = None
     places: Tensor | None = None
 
@@ -210,6 +212,7 @@ class Recordings:
             first=count.cumsum(0) - count,
             frames=count,
             window=torch.tensor(table.get("window_frames", [0] * len(count))),
+            named=torch.zeros(len(count), dtype=torch.bool),
         )
         if config.forecasts:
             paths = [torch.tensor(np.array(path, np.float32)).reshape(-1, 3) for path in table[TARGET_PATH]]

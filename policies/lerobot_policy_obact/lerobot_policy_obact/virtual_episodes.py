@@ -111,15 +111,16 @@ class VirtualEpisodes:
             )
             for i, cam in enumerate(cameras)
         ]
-        self._waiting: list[Tensor] = []
+        self._waiting = torch.empty(0, dtype=torch.long)
 
     def lesson(self, n: int, config: ObActConfig) -> Lesson:
         """Return decisions in ``n`` virtual episodes, see `Recordings.lesson`."""
-        if not self._waiting:
-            self._chosen = torch.randperm(len(self.recordings.frames))[:POOL]
+        if len(self._waiting) < n:
+            named = self.recordings.named.nonzero()[:, 0]
+            self._chosen = named[torch.randint(len(named), (max(POOL, n),))]
             self._played_targets, self._state, self._sightings = self._played(self._chosen)
-            self._waiting = list(torch.randperm(len(self._chosen)).split(n))
-        rows = self._waiting.pop()
+            self._waiting = torch.randperm(len(self._chosen))
+        rows, self._waiting = self._waiting[:n], self._waiting[n:]
         chosen, targets = self._chosen[rows], self._played_targets.of(rows)
         episodes = self.recordings.seen_otherwise(chosen, targets, self._state[rows], self._sightings[rows])
         return episodes.lesson(torch.arange(len(rows)), config)
@@ -157,7 +158,9 @@ class _Donors:
     def __init__(self, episodes: VirtualEpisodes, table: ErrorTable, n: int) -> None:
         self.table, self.episode, self.recordings = table, episodes.episode, episodes.recordings
         self.available = torch.minimum(self.recordings.frames, episodes.targets.free.clamp_min(1))
-        self.source = torch.randint(len(self.recordings.frames), (n,))
+        named = self.recordings.named.nonzero()[:, 0]
+        self.usable = table.usable[self.recordings.named[self.episode[table.usable]]]
+        self.source = named[torch.randint(len(named), (n,))]
         self.frame = torch.full((n,), -1)
 
     def sighting(self, true: Tensor) -> Tensor:
@@ -168,7 +171,7 @@ class _Donors:
         available = self.available[self.source]
         own = (torch.rand(len(true), OWN_CANDIDATES) * available[:, None]).long()
         own, own_distance = table.nearest(self.recordings.first[self.source, None] + own, true)
-        any_frame = table.usable[torch.randint(len(table.usable), (len(true), CANDIDATES))]
+        any_frame = self.usable[torch.randint(len(self.usable), (len(true), CANDIDATES))]
         other, _ = table.nearest(any_frame, true)
         fresh = torch.where(own_distance < 1, own, other)
         self.frame = torch.where(keep, following, fresh)

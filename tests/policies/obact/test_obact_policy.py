@@ -106,6 +106,14 @@ def hand_policy(**changes: object) -> ObActPolicy:
     return ObActPolicy(ObActConfig(**options)).eval()
 
 
+def learner(root: Path, **changes: object) -> ObActPolicy:
+    """A policy that is about to learn from recorded episodes."""
+    meta = LeRobotDataset("local/tiny", root=root).meta
+    torch.manual_seed(0)
+    policy = hand_policy(**(RECORDED | changes))
+    return ObActPolicy(policy.config, dataset_stats=meta.stats, dataset_meta=meta).train()
+
+
 # -- training -----------------------------------------------------------------------------------------------------
 
 
@@ -154,15 +162,7 @@ def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_p
 )
 def test_the_loss_falls(changes, lesson, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
-    torch.manual_seed(0)
-    meta = LeRobotDataset("local/tiny", root=hand_root).meta
-    inputs = {
-        "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),
-        "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
-    }
-    outputs = {"action": PolicyFeature(FeatureType.ACTION, (18,))}
-    options = TINY | RECORDED | changes | {"input_features": inputs, "output_features": outputs}
-    policy = ObActPolicy(ObActConfig(**options), dataset_stats=meta.stats, dataset_meta=meta).train()
+    policy = learner(hand_root, **changes)
     optimizer = torch.optim.Adam(policy.get_optim_params(), lr=3e-3)
     batch, losses = {"episode_index": torch.arange(4)}, []
     for _ in range(60):
@@ -176,6 +176,23 @@ def test_the_loss_falls(changes, lesson, hand_root, tmp_path, monkeypatch):
     assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
     one_each, _ = policy(batch, reduction="none")
     assert one_each.shape == (4,)
+
+
+@pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
+def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_root, tmp_path, monkeypatch):
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)  # each lesson plays episodes of its own
+    policy = learner(hand_root, virtual_share=virtual_share, episodes_per_sample=8)
+    policy({"episode_index": torch.tensor([0, 1])})
+    held_out = policy.recordings.first[2]
+    policy.recordings.sightings[held_out:] = torch.nan
+    policy.recordings.targets.path[2:] = torch.nan
+    for n in (2, 1, 2):  # the last batch of an epoch is smaller
+        loss, _ = policy({"episode_index": torch.arange(n)})
+        assert loss.isfinite()
+    policy.eval()
+    assert policy({"episode_index": torch.tensor([0, 1])})[0].isfinite()
+    assert policy({"episode_index": torch.tensor([0, 2])})[0].isnan()
 
 
 def test_each_camera_starts_from_weights_of_its_own():
