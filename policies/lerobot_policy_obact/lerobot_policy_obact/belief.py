@@ -18,8 +18,6 @@ PLACE_M, RAY_M, POINT_M = 0.3, 0.4, 0.1
 """Units in which places, their offsets from the camera and differences between points enter the network."""
 FAR = 8.0
 """Inputs are cut to this many units."""
-N_SIGHTING = 5
-"""Numbers of a sighting: u, v, log depth, and the log scales of the errors across and along the line of sight."""
 
 
 class Belief(nn.Module):

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 from .attention import SpatialAttention
 
 N_SIGHTING = 5
+"""Numbers of a sighting: u, v, log depth, and the log scales of the errors across and along the line of sight."""
 UNSEEN_SCALE = 5.0
 """Both log scales of a sighting in a black image, which shows nothing."""
 

@@ -23,10 +23,10 @@ from lerobot.utils.constants import ACTION
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from .belief import FAR, FORECAST_FRAMES, N_SIGHTING, Belief
+from .belief import FAR, FORECAST_FRAMES, Belief
 from .camera import Pinhole
 from .configuration_obact import HEADS, ObActConfig
-from .encoders import ENCODERS, Encoder
+from .encoders import ENCODERS, N_SIGHTING, Encoder
 from .heads import Guidance, perceptron
 from .lessons import Frames, Lesson, observed
 

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from .belief import N_SIGHTING
 from .camera import Pinhole
+from .encoders import N_SIGHTING
 from .grips import GrippingHands
 from .lessons import Lesson
 from .recordings import Recordings, Targets
