@@ -11,7 +11,7 @@ from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
+from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate.plan import GenerationPlan, Record
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
@@ -103,7 +103,7 @@ class ShardMaker:
                 if seed not in missed:
                     raise CommandError(f"the recorder gave an episode of seed {seed}, which was not asked for")
                 missed.remove(seed)
-                if trajectory_problems(episode, limits_of(episode.meta.capture, episode.meta.control_class)):
+                if trajectory_problems(episode):
                     rejected.add(seed)
                     continue
                 writer.add(episode)
