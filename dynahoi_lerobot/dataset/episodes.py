@@ -41,14 +41,10 @@ def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding |
     remaining = iter(episodes)
     if (first := next(remaining, None)) is None:
         raise ValueError("got no episodes; a dataset needs at least one")
-    with new_folder(root) as folder:
-        writer = DatasetWriter.for_episodes(folder, dataset_features(first), encoding)
-        try:
-            for episode in chain([first], remaining):
-                writer.add(episode)
-            return writer.finish()
-        finally:
-            writer.abandon()
+    with new_folder(root) as folder, DatasetWriter.for_episodes(folder, dataset_features(first), encoding) as writer:
+        for episode in chain([first], remaining):
+            writer.add(episode)
+        return writer.finish()
 
 
 def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: bool = True) -> Iterator[Episode]:

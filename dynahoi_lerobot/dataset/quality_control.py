@@ -1,8 +1,8 @@
 """Quality control: rules that reject corrupt trajectories (Appendix "Post-processing and quality control").
 
 Each rule looks at one episode and returns a sentence about what is wrong, or None. Generation draws a rejected episode
-again. No intact recording exceeds the bounds: "seen" below is the greatest value in 560 recordings of both capture
-rules' experts, with every kind of motion, faster and held-out ones, and disturbances up to the 0.2 m that recipes allow.
+again. No intact recording exceeds the bounds: "seen" is the greatest value in 560 recordings of both capture rules'
+experts, with every kind of motion, faster and held-out ones, and disturbances up to the 0.2 m that recipes allow.
 """
 
 import numpy as np
@@ -19,8 +19,8 @@ JOINT_RANGE_RAD = (-0.5, 2.0)
 """Least and greatest angle: beyond the 0 to 1.6 that is commanded, what a target that is hit or gripped bends a finger
 (seen: -0.23 and 1.62), and room for the joint ranges of other hands."""
 CATCH_UP = 2.4
-"""Greatest step of the palm between frames, in steps of the servo's ramp, which covers the class's speed times 0.05 s: a
-palm that its force limit left one such step behind catches up at twice that, and a fifth for overshoot (seen: 0.222 m
+"""Greatest step of the palm between frames, in steps of the servo's ramp, which covers the class's speed times 0.05 s:
+a palm that its force limit left one such step behind catches up at twice that, and a fifth for overshoot (seen: 0.222 m
 at 2 m/s; at 0.5 m/s 0.0251, and 0.0534 of a label after a disturbance)."""
 OVERSHOOT = 1.2
 """Greatest step of a joint, likewise: 20 rad/s * 0.05 s, and a fifth for contact forces (seen: 0.998 rad)."""

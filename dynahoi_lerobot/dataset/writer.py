@@ -68,7 +68,8 @@ class _Tables:
 class DatasetWriter:
     """Writes a dataset into a new folder.
 
-    Until ``finish`` returns, the folder is not a dataset: write into a temporary one and rename it.
+    Until ``finish`` returns, the folder is not a dataset: write into a temporary one and rename it. As a context it
+    closes its files whatever happens.
     """
 
     def __init__(self, root: Path, features: Features, columns: Sequence[Feature], limits: FileLimits) -> None:
@@ -179,19 +180,17 @@ class DatasetWriter:
         stats = self._stats()
         as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
         paths.write_json(as_lists, self.root / paths.STATS_PATH)
-        facts = Manifest(self.episodes, self.frames, {}, self._seeds, provenance or {}, yields or {}, self.benchmark)
+        benchmark = ", ".join(sorted(self._benchmarks))  # more than one where versions were mixed on purpose
+        facts = Manifest(self.episodes, self.frames, {}, self._seeds, provenance or {}, yields or {}, benchmark)
         write_card(Store(self.root), facts)
         manifest = replace(facts, files=hash_files(self.root))
         manifest.write(self.root)
         return manifest
 
-    @property
-    def benchmark(self) -> str:
-        """Version of the benchmark that the episodes are of; all of them where versions were mixed on purpose."""
-        return ", ".join(sorted(self._benchmarks))
+    def __enter__(self) -> Self:
+        return self
 
-    def abandon(self) -> None:
-        """Close all files and leave the folder unfinished."""
+    def __exit__(self, *_: object) -> None:
         for video in self._videos.values():
             video.abandon()
 

@@ -72,8 +72,8 @@ def merge_shards(maker: ShardMaker, root: Path, data: Any = None, rank: int = 0,
     """
     if finished(maker.plan, root) is None:
         damaged = maker.discard_damaged()
-        if missing := maker.plan.shards - len(maker.finished()):
-            found = f"{missing} of {maker.plan.shards} shards are missing, {len(damaged)} were damaged"
+        if missing := maker.missing():
+            found = f"{len(missing)} of {maker.plan.shards} shards are missing, {len(damaged)} were damaged"
             raise CommandError(f"{found}; see {maker.folder / 'logs'}, and run the same command again")
         maker.merge(root)
     for shard in range(maker.plan.shards):

@@ -3,7 +3,7 @@
 import logging
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,9 +20,6 @@ logger = logging.getLogger(__name__)
 
 SHARD = "shard-"
 """Shards' folders have this name and a number of six digits or more."""
-
-Tick = Callable[[], object]
-"""Called after each stored episode."""
 
 
 @dataclass(frozen=True)
@@ -43,29 +40,16 @@ class ShardMaker:
         """Return where a finished shard lies."""
         return self.folder / f"{SHARD}{shard:06d}"
 
-    def present(self) -> list[int]:
-        """Return the shards that have a folder; a plan may have millions, so the disk is asked, not the plan."""
-        numbers = {_shard_number(path.name) for path in self.folder.glob(f"{SHARD}*") if path.is_dir()}
-        return sorted(number for number in numbers if number in range(self.plan.shards))
+    def missing(self) -> list[int]:
+        """Return the shards of which some file is not there."""
+        return [shard for shard in range(self.plan.shards) if not is_whole(self.path(shard))]
 
-    def finished(self) -> set[int]:
-        """Return the shards whose files are all there."""
-        return {shard for shard in self.present() if is_whole(self.path(shard))}
+    def make(self, shard: int, tick: Callable[[], object] = lambda: None) -> None:
+        """Make one shard, a dataset of its own, or do nothing if it is already there.
 
-    def missing(self) -> Iterator[int]:
-        """Yield the shards that were not there when this was called."""
-        finished = self.finished()
-        return (shard for shard in range(self.plan.shards) if shard not in finished)
-
-    def done_episodes(self) -> int:
-        """Return the number of episodes in finished shards."""
-        return sum(len(self.plan.slots(shard)) for shard in self.finished())
-
-    def make(self, shard: int, tick: Tick = lambda: None) -> Path:
-        """Make one shard, or do nothing if it is already there.
-
-        Returns:
-            The shard's folder, a dataset of its own.
+        Args:
+            shard: its number.
+            tick: called after each stored episode.
 
         Raises:
             CommandError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of another seed.
@@ -73,22 +57,20 @@ class ShardMaker:
         """
         target = self.path(shard)
         if is_whole(target):
-            return target
+            return
         if target.is_dir():
             shutil.rmtree(target)
-        with new_folder(target) as temporary:
-            plan = self.plan
-            writer = DatasetWriter.for_episodes(
-                temporary, plan.features, plan.encoding, plan.limits, subtasks=plan.subtasks
-            )
-            try:
-                tally = self._fill(shard, writer, tick)
-                writer.finish(plan.identity(), tally)
-            finally:
-                writer.abandon()
-        return target
+        plan = self.plan
+        with (
+            new_folder(target) as folder,
+            DatasetWriter.for_episodes(
+                folder, plan.features, plan.encoding, plan.limits, subtasks=plan.subtasks
+            ) as writer,
+        ):
+            tally = self._fill(shard, writer, tick)
+            writer.finish(plan.identity(), tally)
 
-    def _fill(self, shard: int, writer: DatasetWriter, tick: Tick) -> dict[str, int]:
+    def _fill(self, shard: int, writer: DatasetWriter, tick: Callable[[], object]) -> dict[str, int]:
         """Write an episode for every slot of a shard; failed slots are drawn again, with other seeds, after all others.
 
         Returns:
@@ -138,7 +120,8 @@ class ShardMaker:
         Returns:
             The shards that were removed.
         """
-        problems = {shard: problem for shard in self.present() if (problem := self.problem(shard))}
+        present = [shard for shard in range(self.plan.shards) if self.path(shard).is_dir()]
+        problems = {shard: problem for shard in present if (problem := self.problem(shard))}
         for shard, problem in problems.items():
             logger.warning("%s is made again: %s", self.path(shard), problem)
             shutil.rmtree(self.path(shard))
@@ -151,12 +134,6 @@ class ShardMaker:
         manifest = merge(sources, whole, limits=self.plan.limits, provenance=self.plan.identity())
         whole.rename(root)
         return manifest
-
-
-def _shard_number(name: str) -> int:
-    """Return the number in the name of a shard's folder, -1 if it is not such a name."""
-    digits = name.removeprefix(SHARD)
-    return int(digits) if digits.isdecimal() else -1
 
 
 def is_whole(folder: Path) -> bool:
