@@ -3,9 +3,9 @@
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_origin
 
 from dynahoi_lerobot.core.files import sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
@@ -63,20 +63,15 @@ class Manifest:
             ValueError: if it is not JSON, or of another format.
         """
         content = json.loads((root / MANIFEST_PATH).read_text())
-        if not isinstance(content, dict) or content.pop("format", None) != FORMAT or set(content) != set(_TYPES):
+        types = {entry.name: get_origin(entry.type) or entry.type for entry in fields(cls)}
+        if not isinstance(content, dict) or content.pop("format", None) != FORMAT or set(content) != set(types):
             raise ValueError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
-        if wrong := [name for name, kind in _TYPES.items() if not isinstance(content[name], kind)]:
+        if wrong := [name for name, kind in types.items() if not isinstance(content[name], kind)]:
             raise ValueError(f"{root / MANIFEST_PATH} holds a {type(content[wrong[0]]).__name__} as {wrong[0]!r}")
         return cls(**content)
 
     def _content(self) -> dict[str, Any]:
         return {"format": FORMAT, **asdict(self)}
-
-
-_TYPES = {
-    "episodes": int, "frames": int, "files": dict, "seeds": list, "provenance": dict, "yields": dict, "benchmark": str,
-    "sha256": str,
-}  # fmt: skip
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:

@@ -42,17 +42,14 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     store = Store(root)
     if key in numeric_keys(store.features):
         return np.concatenate([column_array(store.table(path, [key]), key) for path in store.data_files()])
-    name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
-    feature = next((f for f in store.array_features if f.key == name and f.per == "frame"), None)
-    if feature is None:
+    feature = store.array_feature(key)
+    if feature is None or feature.per != "frame":
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
-    table = pa.concat_tables([store.table(path, ["length", name]) for path in store.row_files()])
-    values, lengths = table[name].combine_chunks(), table["length"].to_numpy()
-    flat = values.flatten() if pa.types.is_list(values.type) else values
-    rows = flat.to_numpy(zero_copy_only=False).reshape(-1, *feature.column_shape)  # (N or E, D)
-    rows = rows.repeat(lengths, axis=0) if feature.constant else rows
-    if len(rows) != lengths.sum():
-        raise ValueError(f"{root} has {len(rows)} rows of {key!r} for {lengths.sum()} frames; see `dynahoi verify`")
+    lengths = [row["length"] for row in store.rows]
+    values = episode_column(root, key)
+    rows = np.repeat(values, lengths, axis=0) if feature.constant else np.concatenate(values)  # (N, D)
+    if len(rows) != sum(lengths):
+        raise ValueError(f"{root} has {len(rows)} rows of {key!r} for {sum(lengths)} frames; see `dynahoi verify`")
     return rows
 
 
@@ -73,12 +70,11 @@ def episode_column(root: Path, key: str) -> list[np.ndarray]:
         ValueError: if the episode table has no such array.
     """
     store = Store(root)
-    name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
-    feature = next((f for f in store.array_features if f.key == name), None)
+    feature = store.array_feature(key)
     if feature is None:
         raise ValueError(f"{root} has no array {key!r} in its episode table")
     shape = feature.column_shape if feature.constant else (-1, *feature.column_shape)
-    cells = [cell for path in store.row_files() for cell in store.table(path, [name])[name].to_numpy()]
+    cells = [cell for path in store.row_files() for cell in store.table(path, [feature.key])[feature.key].to_numpy()]
     return [np.asarray(cell, feature.dtype).reshape(shape) for cell in cells]
 
 
@@ -157,6 +153,11 @@ class Store:
         """Our arrays that the episode table holds."""
         names = pq.read_schema(self.row_files()[0]).names
         return [feature for feature in episode_features() if feature.key in names]
+
+    def array_feature(self, key: str) -> Feature | None:
+        """Return one of ``array_features`` by its key, with or without the prefix; None if there is none."""
+        name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
+        return next((feature for feature in self.array_features if feature.key == name), None)
 
     def data_files(self) -> list[Path]:
         """Return the files of the frame table, in order.

@@ -40,11 +40,13 @@ FRAME = Fraction(1, CONTROL_HZ)
 class Encoding:
     """How a dataset stores its images.
 
+    The lines below are also the help of ``dynahoi generate``.
+
     Attributes:
-        codec: ``h264``, or ``images`` for PNG files in the parquet tables instead of video.
-        crf: constant rate factor of x264, lower is better and larger.
-        preset: x264's speed setting.
-        gop: frames from one key frame to the next; every episode starts with one.
+        codec: h264, or images for PNG files in the parquet tables instead of video.
+        crf: constant rate factor; lower means better quality and larger files.
+        preset: encoder speed preset.
+        gop: key frame interval [frames]; every episode starts with a key frame.
     """
 
     codec: str = "h264"
@@ -70,6 +72,15 @@ class Encoding:
     def is_video(self) -> bool:
         """Whether images are stored as video."""
         return self.codec != "images"
+
+    def check_size(self, image_size: int) -> None:
+        """Refuse images of an odd size [px], whose colours a video cannot halve.
+
+        Raises:
+            ValueError: naming the size.
+        """
+        if self.is_video and image_size % 2:
+            raise ValueError(f"the image size is {image_size} pixels; it must be an even number for a video")
 
     @property
     def options(self) -> dict[str, str]:

@@ -125,9 +125,7 @@ class DatasetWriter:
             ValueError: if video cannot hold images of this size.
         """
         encoding = encoding or Encoding()
-        size = max((feature.shape[0] for feature in features if feature.is_image), default=0)
-        if encoding.is_video and size % 2:
-            raise ValueError(f"image size is {size} pixels; video needs an even number")
+        encoding.check_size(max((feature.shape[0] for feature in features if feature.is_image), default=0))
         table = frame_table.info_features(features, encoding, subtasks=subtasks)
         writer = cls(root, table, features, limits or FileLimits())
         writer._encoding = encoding

@@ -22,11 +22,6 @@ COLORS |= {"target": (230, 50, 50)}
 """RGB of each class in a segmentation image."""
 
 
-def color(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
-    """Return the (n, H, W, 3) uint8 RGB images of worlds ``ids`` (n,)."""
-    return renderer.rgb(ids)
-
-
 def depth(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
     """Return depth along the optical axis as (n, H, W, 3) uint8 grey images, one level per centimetre."""
     depth_m = renderer.depth(ids)  # (n, H, W)
@@ -40,7 +35,7 @@ def segmentation(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
 
 
 MODALITIES: dict[str, Callable[[Renderer, np.ndarray], np.ndarray]] = {
-    "": color,
+    "": lambda renderer, ids: renderer.rgb(ids),
     "_depth": depth,
     "_segmentation": segmentation,
 }

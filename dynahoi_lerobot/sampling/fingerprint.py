@@ -16,24 +16,11 @@ LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "op
 """Libraries whose versions may change states, pixels or files."""
 
 DECIDING = (
-    "*.py",
-    "core/**/*.py",
-    "objects/**/*.py",
-    "motions/**/*.py",
-    "hands/**/*.py",
-    "scene/**/*.py",
-    "renderers/**/*.py",
-    "experts/**/*.py",
-    "world/**/*.py",
-    "sampling/**/*.py",
-    "rollout/**/*.py",
-    "dataset/**/*.py",
-    "generate/plan.py",
-    "generate/shard.py",
-)
-"""The sources that decide what is in a dataset; all others read datasets, play policies or spread work."""
-NOT_DECIDING = ("doctor.py", "hub.py")
-"""Modules among them that do not."""
+    "core", "objects", "motions", "hands", "scene", "renderers", "experts", "world", "sampling", "rollout", "dataset",
+)  # fmt: skip
+"""Rooms that decide what is in a dataset; all others read datasets, play policies or spread work."""
+DECIDING_MODULES = ("__init__.py", "captures.py", "generate/plan.py", "generate/shard.py")
+"""Modules outside them that do, too."""
 
 
 @cache
@@ -67,9 +54,15 @@ def _module_hash(module: str) -> str:
     return hashlib.sha256(module.encode() + source).hexdigest()[:16]
 
 
+def deciding_sources(package: Path) -> list[Path]:
+    """Return the deciding sources below ``package``."""
+    in_rooms = [path for room in DECIDING for path in (package / room).rglob("*.py")]
+    return sorted([*in_rooms, *(package / module for module in DECIDING_MODULES)])
+
+
 def hash_sources(package: Path) -> bytes:
     """Return the sha256 of the names and contents of the deciding sources below ``package``."""
-    return _hash((path.relative_to(package).as_posix(), path) for path in sorted(deciding_sources(package)))
+    return _hash((path.relative_to(package).as_posix(), path) for path in deciding_sources(package))
 
 
 def hash_packages(names: Iterable[str]) -> bytes:
@@ -94,12 +87,6 @@ def _package_sources(name: str) -> Iterator[Path]:
         yield from Path(folder).rglob("*.py")
     if not spec.submodule_search_locations and spec.origin:
         yield Path(spec.origin)
-
-
-def deciding_sources(package: Path) -> Iterator[Path]:
-    """Yield the deciding sources below ``package``."""
-    for pattern in DECIDING:
-        yield from (path for path in package.glob(pattern) if path.parent != package or path.name not in NOT_DECIDING)
 
 
 def installed_version(name: str) -> str | None:

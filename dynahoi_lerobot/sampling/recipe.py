@@ -227,17 +227,13 @@ class Recipe:
             raise ValueError(f"split {self.split!r} holds only held-out {noun}s, got {noun} {name!r}")
         raise ValueError(f"{noun} {name!r} is held out for split {splits[0]!r}, got split {self.split!r}")
 
-    def fingerprint(self, code: str | None = None) -> str:
+    def fingerprint(self) -> str:
         """Return 16 hexadecimal digits that identify the recipe and the code that plays it.
 
         The code includes the modules of motions and objects that the recipe names and somebody else registered.
-
-        Args:
-            code: fingerprint of that code; by default of the code that runs.
         """
         named = [*(MOTIONS[name] for name in self.motions), *(OBJECTS[name] for name in self.objects)]
-        text = json.dumps(self.stored(), sort_keys=True)
-        text += (code_fingerprint() if code is None else code) + extension_fingerprint(named)
+        text = json.dumps(self.stored(), sort_keys=True) + code_fingerprint() + extension_fingerprint(named)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.captures import NO_EVENT, CaptureRule, Release, Substeps, Weld
+from dynahoi_lerobot.captures import NO_EVENT, CaptureRule, Substeps
 from dynahoi_lerobot.core.conventions import PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
@@ -86,22 +86,18 @@ class Physics:
         return control
 
     def _roll_through_event(self, i: int, control: np.ndarray, steps: int, acting: np.ndarray) -> None:
-        """Roll world ``i`` for ``steps`` physics steps, apply the rule's effect, and finish the control step."""
+        """Roll world ``i`` for ``steps`` physics steps, let the event happen, and finish the control step."""
         one = np.array([i])
         self._roll(one, control[:, :steps], acting)
-        self._apply(self._rule.effect, i)
+        self.released[i] = True
+        self._fields.free_target(i)
+        self._fields.set_collisions(i, self._rule.collides_after)
+        if self._rule.welds:
+            self._weld(i)
         if steps < SUBSTEPS:
             rest = control[:, steps:].copy()
             rest[..., self.n_controls :] = 0.0  # whatever drove the target stops
             self._roll(one, rest, acting)
-
-    def _apply(self, effect: Weld | Release, i: int) -> None:
-        """Do to the target of world ``i`` what a capture rule's event does."""
-        self._fields.free_target(i)
-        self._fields.set_collisions(i, effect.collides_with if isinstance(effect, Release) else 0)
-        self.released[i] = True
-        if isinstance(effect, Weld):
-            self._weld(i)
 
     def _weld(self, i: int) -> None:
         scene, fields = self._scene, self._fields
