@@ -42,10 +42,7 @@ def exclusive(folder: Path) -> Iterator[None]:
 
     Raises:
         BlockingIOError: if another process holds it.
-        FileExistsError: if a link has the lock's name.
     """
-    if (folder / LOCK).is_symlink():
-        raise FileExistsError(f"{folder / LOCK} is no lock of ours; remove it or choose another folder")
     with (folder / LOCK).open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

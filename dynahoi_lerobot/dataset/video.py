@@ -82,18 +82,6 @@ class Encoding:
         if self.is_video and image_size % 2:
             raise ValueError(f"the image size is {image_size} pixels; it must be an even number for a video")
 
-    @property
-    def options(self) -> dict[str, str]:
-        """FFmpeg's options: one thread, no B-frames, so that packets are frames in order, and no filters to undo."""
-        return {
-            "crf": str(self.crf),
-            "preset": self.preset,
-            "tune": "fastdecode",
-            "g": str(self.gop),
-            "bf": "0",
-            "x264-params": "scenecut=0",
-        }
-
     def info(self, image_size: int) -> dict[str, Any]:
         """Return what LeRobot records about a video stream, so that its tools can re-encode it alike."""
         return {
@@ -114,12 +102,22 @@ class Encoding:
         }
 
     def configure(self, encoder: VideoCodecContext, image_size: int) -> None:
-        """Set up an encoder for square images of ``image_size`` pixels."""
+        """Set up an encoder for square images of ``image_size`` pixels.
+
+        One thread, no B-frames, so that packets are frames in order, and no filters to undo.
+        """
         encoder.width = encoder.height = image_size
         encoder.pix_fmt = "yuv420p"
         encoder.thread_count = 1
         encoder.time_base, encoder.framerate = FRAME, 1 / FRAME
-        encoder.options = self.options
+        encoder.options = {
+            "crf": str(self.crf),
+            "preset": self.preset,
+            "tune": "fastdecode",
+            "g": str(self.gop),
+            "bf": "0",
+            "x264-params": "scenecut=0",
+        }
 
 
 def encode(images: np.ndarray, encoding: Encoding) -> list[Packet]:

@@ -5,14 +5,13 @@ rule give the verdict. Metrics are computed from these columns whenever they are
 """
 
 from collections.abc import Iterator
-from functools import cache
 
 import mujoco
 import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
-from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS, HAND_NAMES
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix
@@ -20,10 +19,10 @@ from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.columns import LANGUAGE, column_array, holds, subtask_rows
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import not_finite
-from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.recorder import next_frames
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
+from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.world.batch import TOUCH_M
 
@@ -108,25 +107,15 @@ def _fingertips(episode: Episode, hand: str) -> str | None:
 
 def fingertip_poses(state: np.ndarray, hand: str) -> np.ndarray:
     """Return (T, 30), position [m] and rotation vector [rad] of each fingertip, of (T, 18) states of a hand."""
-    model, joints, tips = _hand_model(hand)
-    data = mujoco.MjData(model)
+    scene = compile_scene(hand)
+    data = mujoco.MjData(scene.model)
     position, rotation = np.empty((len(state), len(FINGERS), 3)), np.empty((len(state), len(FINGERS), 3, 3))
     for frame, angles in enumerate(state):
-        data.qpos[joints] = angles
-        mujoco.mj_kinematics(model, data)
-        position[frame], rotation[frame] = data.site_xpos[tips], data.site_xmat[tips].reshape(-1, 3, 3)
+        data.qpos[scene.hand_qpos] = angles
+        mujoco.mj_kinematics(scene.model, data)
+        position[frame] = data.site_xpos[scene.tip_sites]
+        rotation[frame] = data.site_xmat[scene.tip_sites].reshape(-1, 3, 3)
     return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(len(state), -1)
-
-
-@cache
-def _hand_model(hand: str) -> tuple[mujoco.MjModel, np.ndarray, np.ndarray]:
-    """Return a hand without a world around it, the places of its joints, and the sites of its fingertips."""
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    HANDS[hand]().add_to(spec)
-    model = spec.compile()
-    joints = np.array([model.joint(name).qposadr[0] for name in HAND_NAMES])
-    return model, joints, np.array([model.site(f"{finger}_tip").id for finger in FINGERS])
 
 
 def _palm(episode: Episode) -> str | None:
