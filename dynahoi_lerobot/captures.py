@@ -82,15 +82,8 @@ class Track:
 
     def first(self, frames: int) -> Track:
         """Return the first ``frames`` of the T frames."""
-        part = slice(frames)
-        return replace(
-            self,
-            joints=self.joints[part],
-            localized=self.localized[part],
-            contacts=self.contacts[part],
-            palm_distance=self.palm_distance[part],
-            palm_pos_h=self.palm_pos_h[part],
-        )
+        by_frame = ("joints", "localized", "contacts", "palm_distance", "palm_pos_h")
+        return replace(self, **{name: getattr(self, name)[:frames] for name in by_frame})
 
 
 class CaptureRule(ABC):
