@@ -41,8 +41,8 @@ class ShardMaker:
         return self.folder / f"{SHARD}{shard:06d}"
 
     def missing(self) -> list[int]:
-        """Return the shards of which some file is not there."""
-        return [shard for shard in range(self.plan.shards) if not is_whole(self.path(shard))]
+        """Return the shards that are not there; those that are have been renamed into place when they were complete."""
+        return [shard for shard in range(self.plan.shards) if not self.path(shard).is_dir()]
 
     def make(self, shard: int, tick: Callable[[], object] = lambda: None) -> None:
         """Make one shard, a dataset of its own, or do nothing if it is already there.
@@ -55,17 +55,13 @@ class ShardMaker:
             CommandError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of another seed.
             OSError: if the disk is full or refuses to be written.
         """
-        target = self.path(shard)
-        if is_whole(target):
-            return
+        target, plan = self.path(shard), self.plan
         if target.is_dir():
-            shutil.rmtree(target)
-        plan = self.plan
+            return
+        options = (plan.features, plan.encoding, plan.limits)
         with (
             new_folder(target) as folder,
-            DatasetWriter.for_episodes(
-                folder, plan.features, plan.encoding, plan.limits, subtasks=plan.subtasks
-            ) as writer,
+            DatasetWriter.for_episodes(folder, *options, subtasks=plan.subtasks) as writer,
         ):
             tally = self._fill(shard, writer, tick)
             writer.finish(plan.identity(), tally)
@@ -134,12 +130,3 @@ class ShardMaker:
         manifest = merge(sources, whole, limits=self.plan.limits, provenance=self.plan.identity())
         whole.rename(root)
         return manifest
-
-
-def is_whole(folder: Path) -> bool:
-    """Tell whether a shard's files are all there, without reading them; they are renamed into place together."""
-    try:
-        manifest = Manifest.read(folder)
-    except (OSError, ValueError):
-        return False
-    return all((folder / name).is_file() for name in manifest.files)
