@@ -1,10 +1,12 @@
-"""A dataset on disk, read without LeRobot."""
+"""A dataset on disk, read without LeRobot, which only ``open_dataset`` imports."""
+
+from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +19,35 @@ from dynahoi_lerobot.dataset.columns import Features, column_array, content_valu
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, own_values
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, reading
 from dynahoi_lerobot.dataset.video import decode
+
+if TYPE_CHECKING:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+
+def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
+    """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``, ``episodes``)."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    return LeRobotDataset(f"local/{root.name}", root=root, **options)
+
+
+def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: bool = True) -> Iterator[Episode]:
+    """Yield episodes of a dataset that this project wrote.
+
+    Args:
+        root: the dataset's folder.
+        indices: which episodes, all by default.
+        images: False leaves the images undecoded; episodes then have none.
+
+    Raises:
+        IndexError: if the dataset has no episode of an index.
+    """
+    store = Store(root)
+    if indices is None:
+        for row, table in store.stored_episodes():
+            yield store.as_episode(row, table, images=images)
+    for index in indices or ():
+        yield store.episode(index, images=images)
 
 
 def frame_column(root: Path, key: str) -> np.ndarray:
@@ -45,11 +76,11 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     feature = store.array_feature(key)
     if feature is None or feature.per != "frame":
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
-    lengths = [row["length"] for row in store.rows]
+    lengths = np.concatenate([store.table(path, ["length"])["length"].to_numpy() for path in store.row_files()])
     values = episode_column(root, key)
     rows = np.repeat(values, lengths, axis=0) if feature.constant else np.concatenate(values)  # (N, D)
-    if len(rows) != sum(lengths):
-        raise ValueError(f"{root} has {len(rows)} rows of {key!r} for {sum(lengths)} frames; see `dynahoi verify`")
+    if len(rows) != lengths.sum():
+        raise ValueError(f"{root} has {len(rows)} rows of {key!r} for {lengths.sum()} frames; see `dynahoi verify`")
     return rows
 
 

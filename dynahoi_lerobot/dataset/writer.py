@@ -4,9 +4,10 @@ The same episodes give the same bytes, in whatever pieces they were made.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,6 +19,7 @@ from av.packet import Packet
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
+from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset import columns as frame_table
 from dynahoi_lerobot.dataset import episode_table, paths
 from dynahoi_lerobot.dataset.card import write_card
@@ -31,6 +33,32 @@ from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, en
 
 MIB = 1 << 20
 FLUSH_ROWS = 256
+
+
+def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding | None = None) -> Manifest:
+    """Write episodes, in their order, as a new dataset; ``root`` appears atomically.
+
+    The first episode determines the columns: its views and their size, and whether it has ``touch``.
+
+    Args:
+        root: a path that does not exist yet.
+        episodes: one or more, alike in their columns.
+        encoding: how images are stored; H.264 video by default.
+
+    Raises:
+        FileExistsError: if ``root`` exists.
+        ValueError: if there is no episode, or one has other columns than the first.
+    """
+    if root.exists():
+        raise FileExistsError(f"{root} exists; choose a new folder for the dataset")
+    remaining = iter(episodes)
+    if (first := next(remaining, None)) is None:
+        raise ValueError("got no episodes; a dataset needs at least one")
+    columns = frame_table.dataset_features(first)
+    with new_folder(root) as folder, DatasetWriter.for_episodes(folder, columns, encoding) as writer:
+        for episode in chain([first], remaining):
+            writer.add(episode)
+        return writer.finish()
 
 
 class _Tables:
