@@ -23,6 +23,9 @@ from dynahoi_lerobot.dataset.video import decode
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
+ROWS_AT_ONCE = 64
+"""Rows of the episode table that are held in memory: privileged arrays make them 20 kB each."""
+
 
 def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
     """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``, ``episodes``)."""
@@ -162,7 +165,12 @@ class Store:
         Raises:
             ValueError: if a file of it is damaged, or there is none.
         """
-        return [row for path in self.row_files() for row in _light_rows(path)]
+        rows: list[EpisodeRow] = []
+        for path in self.row_files():
+            with reading(path):
+                names = [name for name in pq.read_schema(path).names if not name.startswith(EPISODE_TABLE_PREFIX)]
+                rows += pq.read_table(path, columns=names).to_pylist()
+        return rows
 
     @property
     def episodes(self) -> int:
@@ -170,14 +178,8 @@ class Store:
         return len(self.rows)
 
     def row_files(self) -> list[Path]:
-        """Return the files of the episode table, in order.
-
-        Raises:
-            ValueError: if there are none.
-        """
-        if not (paths := sorted((self.root / "meta/episodes").glob("*/*.parquet"))):
-            raise ValueError(f"{self.root} holds no episode table: there is no file in meta/episodes")
-        return paths
+        """Return the files of the episode table, in order; ValueError if there are none."""
+        return self._files("meta/episodes", "episode table")
 
     @property
     def array_features(self) -> list[Feature]:
@@ -191,13 +193,12 @@ class Store:
         return next((feature for feature in self.array_features if feature.key == name), None)
 
     def data_files(self) -> list[Path]:
-        """Return the files of the frame table, in order.
+        """Return the files of the frame table, in order; ValueError if there are none."""
+        return self._files("data", "frame table")
 
-        Raises:
-            ValueError: if there are none.
-        """
-        if not (paths := sorted((self.root / "data").glob("*/*.parquet"))):
-            raise ValueError(f"{self.root} holds no frame table: there is no file in data")
+    def _files(self, folder: str, table: str) -> list[Path]:
+        if not (paths := sorted((self.root / folder).glob("*/*.parquet"))):
+            raise ValueError(f"{self.root} holds no {table}: there is no file in {folder}")
         return paths
 
     def table(self, path: Path, columns: list[str]) -> pa.Table:
@@ -286,13 +287,3 @@ class Store:
                     path, table, used = holder, pq.read_table(holder), 0
             yield row, table.slice(used, row["length"]).combine_chunks()
             used += row["length"]
-
-
-ROWS_AT_ONCE = 64
-"""Rows of the episode table that are held in memory: privileged arrays make them 20 kB each."""
-
-
-def _light_rows(path: Path) -> list[EpisodeRow]:
-    with reading(path):
-        names = [name for name in pq.read_schema(path).names if not name.startswith(EPISODE_TABLE_PREFIX)]
-        return pq.read_table(path, columns=names).to_pylist()

@@ -28,7 +28,7 @@ from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
-from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.store import Store, frame_column
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
 MIB = 1 << 20
@@ -120,8 +120,6 @@ class DatasetWriter:
         self._rows = _Tables(root, paths.EPISODES_PATH, episode_table.row_schema(features, columns), limits)
         self._pending: list[EpisodeRow] = []
         self._tasks: dict[str, int] = {}
-        self._benchmarks: set[str] = set()
-        self._seeds: list[int] = []
         self._image_keys = frame_table.image_keys(features)
         self._image_stats: dict[str, list[Stats]] = {key: [] for key in self._image_keys}
         self._videos: dict[str, VideoFile] = {}
@@ -206,9 +204,11 @@ class DatasetWriter:
         stats = self._stats()
         as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
         paths.write_json(as_lists, self.root / paths.STATS_PATH)
-        benchmark = ", ".join(sorted(self._benchmarks))  # more than one where versions were mixed on purpose
-        facts = Manifest(self.episodes, self.frames, {}, self._seeds, provenance or {}, yields or {}, benchmark)
-        write_card(Store(self.root), facts)
+        store = Store(self.root)
+        seeds = [row["seed"] for row in store.rows]
+        benchmark = ", ".join(sorted({row["benchmark"] for row in store.rows}))
+        facts = Manifest(self.episodes, self.frames, {}, seeds, provenance or {}, yields or {}, benchmark)
+        write_card(store, facts)
         manifest = replace(facts, files=hash_files(self.root))
         manifest.write(self.root)
         return manifest
@@ -241,8 +241,6 @@ class DatasetWriter:
             row |= self._append_videos(row["length"], packets, stream)
         for key in self._image_keys:
             self._image_stats[key].append(episode_table.row_stats(row, key))
-        self._seeds.append(row["seed"])
-        self._benchmarks.add(row["benchmark"])
         self.episodes += 1
         self.frames += row["length"]
         self._pending.append(row)
@@ -289,10 +287,8 @@ class DatasetWriter:
     def _stats(self) -> dict[str, Stats]:
         """Return the dataset's statistics by key: of images from those of episodes, of columns from all frames."""
         stats = {key: pooled(found) for key, found in self._image_stats.items()}
-        files = sorted((self.root / "data").glob("*/*.parquet"))
         for key in frame_table.numeric_keys(self.features):
-            tables = (pq.read_table(file, columns=[key]) for file in files)
-            values = np.concatenate([frame_table.column_array(table, key) for table in tables])
+            values = frame_column(self.root, key)
             stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
         return stats
 

@@ -54,19 +54,6 @@ OPTIONAL_VIEWS = (*EXTRA_VIEWS, MOTION_VIEW)
 """Views that episodes have only if asked for."""
 
 
-def check_views(names: tuple[str, ...]) -> None:
-    """Refuse extra views that do not exist or that are named twice.
-
-    Raises:
-        ValueError: naming the view received and the ones there are.
-    """
-    for name in names:
-        if name not in OPTIONAL_VIEWS:
-            raise ValueError(f"unknown view {name!r}; known besides {EGO_CAMERA!r}: {', '.join(OPTIONAL_VIEWS)}")
-    if len(set(names)) < len(names):
-        raise ValueError(f"each view may be named once, got {', '.join(names)}")
-
-
 def _palette(scene: Scene) -> np.ndarray:
     """(ngeom + 1, 3) uint8 class colour of each geom id; the last row is that of a ray that hits nothing."""
     palette = np.full((scene.model.ngeom + 1, 3), COLORS["surroundings"], np.uint8)
