@@ -14,7 +14,7 @@ from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
-from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix
+from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix, segment_distance
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.columns import LANGUAGE, column_array, holds, subtask_rows
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
@@ -122,19 +122,13 @@ def _palm(episode: Episode) -> str | None:
     """Find a least distance of a step that is larger than at its end, or smaller than on the straight line."""
     offset = episode.target_pose[:, :3].astype(float) - episode.palm_pos_h
     distance, found = np.linalg.norm(offset, axis=1), episode.palm_distance
-    low = np.concatenate([distance[:1] - START_TOLERANCE_M, _nearest(offset) - _bend(episode) - BELOW_M])
+    straight = segment_distance(np.zeros((1, 3)), offset)[0]  # (T - 1,)
+    low = np.concatenate([distance[:1] - START_TOLERANCE_M, straight - _bend(episode) - BELOW_M])
     high = distance + np.where(np.arange(len(found)) == 0, START_TOLERANCE_M, ABOVE_M)
     frame = int(np.maximum(found - high, low - found).argmax())
     if low[frame] <= found[frame] <= high[frame]:
         return None
     return f"palm_distance at frame {frame} is {found[frame]:.4f} m; poses give {low[frame]:.4f} to {high[frame]:.4f} m"
-
-
-def _nearest(offset: np.ndarray) -> np.ndarray:
-    """Return (T - 1,) the least distance to the origin of the segments between (T, 3) points."""
-    start, step = offset[:-1], np.diff(offset, axis=0)
-    share = -(start * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12)
-    return np.linalg.norm(start + np.clip(share, 0, 1)[:, None] * step, axis=1)
 
 
 def _bend(episode: Episode) -> np.ndarray:
