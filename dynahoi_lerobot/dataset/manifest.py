@@ -3,9 +3,9 @@
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Self, get_origin
+from typing import Any, Self, get_origin, get_type_hints
 
 from dynahoi_lerobot.core.files import sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
@@ -63,7 +63,7 @@ class Manifest:
             ValueError: if it is not JSON, or of another format.
         """
         content = json.loads((root / MANIFEST_PATH).read_text())
-        types = {entry.name: get_origin(entry.type) or entry.type for entry in fields(cls)}
+        types = {name: get_origin(hint) or hint for name, hint in get_type_hints(cls).items()}
         if not isinstance(content, dict) or content.pop("format", None) != FORMAT or set(content) != set(types):
             raise ValueError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
         if wrong := [name for name, kind in types.items() if not isinstance(content[name], kind)]:

@@ -4,7 +4,7 @@ import hashlib
 import importlib.util
 import platform
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -67,7 +67,14 @@ def hash_sources(package: Path) -> bytes:
 
 def hash_packages(names: Iterable[str]) -> bytes:
     """Return the sha256 of the names and contents of the modules of top-level packages; those not found are none."""
-    return _hash((path.name, path) for path in sorted({path for name in names for path in _package_sources(name)}))
+    paths: set[Path] = set()
+    for name in names:
+        spec = importlib.util.find_spec(name)
+        if spec and spec.submodule_search_locations:
+            paths.update(path for folder in spec.submodule_search_locations for path in Path(folder).rglob("*.py"))
+        elif spec and spec.origin:
+            paths.add(Path(spec.origin))  # a module that is no package
+    return _hash((path.name, path) for path in sorted(paths))
 
 
 def _hash(files: Iterable[tuple[str, Path]]) -> bytes:
@@ -76,17 +83,6 @@ def _hash(files: Iterable[tuple[str, Path]]) -> bytes:
         digest.update(name.encode())
         digest.update(path.read_bytes())
     return digest.digest()
-
-
-def _package_sources(name: str) -> Iterator[Path]:
-    """Yield the modules of a top-level package, or the one module of that name; none if it cannot be found."""
-    spec = importlib.util.find_spec(name)
-    if spec is None:
-        return
-    for folder in spec.submodule_search_locations or ():
-        yield from Path(folder).rglob("*.py")
-    if not spec.submodule_search_locations and spec.origin:
-        yield Path(spec.origin)
 
 
 def installed_version(name: str) -> str | None:

@@ -138,7 +138,7 @@ def _watches(window_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
 
 def _clear_of(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
     """(K,) whether a hand that stays at home is out of the target's way; path (F, 3), straight between frames."""
-    return (segment_distance(homes, path_w) > HOLD_CLEARANCE_M).all(axis=1)
+    return np.all(segment_distance(homes, path_w) > HOLD_CLEARANCE_M, axis=1)
 
 
 def visible(points: np.ndarray) -> np.ndarray:
