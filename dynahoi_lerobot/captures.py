@@ -43,22 +43,6 @@ SLIPPED_FRAMES = 3
 THUMB = FINGERS.index("thumb")
 
 
-@dataclass(frozen=True)
-class Weld:
-    """The target is fixed to the palm as it lies, at the palm's velocity, and passes through everything else."""
-
-
-@dataclass(frozen=True)
-class Release:
-    """The target is neither driven nor tethered any more, and keeps its velocity.
-
-    Attributes:
-        collides_with: collision bits that it asks for from now on.
-    """
-
-    collides_with: int
-
-
 @dataclass(frozen=True, eq=False)
 class Substeps:
     """What n worlds did in the 25 physics steps of one control step.
@@ -98,23 +82,21 @@ class Track:
 
     def first(self, frames: int) -> Track:
         """Return the first ``frames`` of the T frames."""
-        part = slice(frames)
-        return replace(
-            self,
-            joints=self.joints[part],
-            localized=self.localized[part],
-            contacts=self.contacts[part],
-            palm_distance=self.palm_distance[part],
-            palm_pos_h=self.palm_pos_h[part],
-        )
+        by_frame = ("joints", "localized", "contacts", "palm_distance", "palm_pos_h")
+        return replace(self, **{name: getattr(self, name)[:frames] for name in by_frame})
 
 
 class CaptureRule(ABC):
-    """A rule; it has no state of its own and changes nothing itself, so one instance serves all worlds."""
+    """A rule; it has no state of its own and changes nothing itself, so one instance serves all worlds.
+
+    Its event happens once per episode: from then on the target is neither driven nor tethered.
+    """
 
     name: str
-    effect: ClassVar[Weld | Release]
-    """What its event does to the target, once per episode."""
+    welds: ClassVar[bool]
+    """Whether the event fixes the target to the palm as it lies, at the palm's velocity; else it keeps its own."""
+    collides_after: ClassVar[int]
+    """Collision bits that the target asks for from its event on."""
     expert: ClassVar[str]
     """Who demonstrates under this rule, unless a recipe says otherwise."""
     hand: ClassVar[str]
@@ -141,7 +123,7 @@ class CaptureRule(ABC):
 
     @abstractmethod
     def events(self, substeps: Substeps) -> np.ndarray:
-        """Return (n,) the physics step within the control step after which ``effect`` is due, or ``NO_EVENT``.
+        """Return (n,) the physics step within the control step after which its event is due, or ``NO_EVENT``.
 
         Also called for worlds whose event has happened; the result is ignored there.
         """
@@ -176,7 +158,8 @@ class Attach(CaptureRule):
     """
 
     name = "attach"
-    effect = Weld()
+    welds = True
+    collides_after = 0
     expert = "intercept"
     hand = "capsule"
 
@@ -229,7 +212,8 @@ class Contact(CaptureRule):
     """
 
     name = "contact"
-    effect = Release(HAND_BIT | ENVIRONMENT)
+    welds = False
+    collides_after = HAND_BIT | ENVIRONMENT
     expert = "match"
     hand = "opposed"
     gantry_speed_m_s = GANTRY_SPEED_M_S

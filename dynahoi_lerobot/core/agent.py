@@ -114,8 +114,8 @@ class Actor(ABC):
     def reset(self, count: int) -> None:  # noqa: B027 - an actor without memory has nothing to forget
         """Forget everything; ``count`` new episodes begin."""
 
-    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting | None:
-        """Return the meeting that it plans at the control start of an attempt (from 1); None if it plans none."""
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting | None:
+        """Return the meeting that it plans at the control start; None if it plans none."""
         return None
 
     def report(self) -> dict[str, Any]:

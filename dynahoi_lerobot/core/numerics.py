@@ -65,6 +65,14 @@ def norm(vector: ArrayLike) -> float:
     return float(np.linalg.norm(vector, axis=-1))
 
 
+def segment_distance(points: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """Return (K, F - 1) the least distance of points (K, 3) to each straight piece of a path (F, 3)."""
+    steps = np.diff(path, axis=0)  # (F - 1, 3)
+    from_start = points[:, None] - path[:-1]  # (K, F - 1, 3)
+    share = np.einsum("kfd,fd->kf", from_start, steps) / np.maximum((steps**2).sum(axis=1), 1e-12)
+    return np.linalg.norm(from_start - np.clip(share, 0.0, 1.0)[..., None] * steps, axis=-1)
+
+
 def _of_long_doubles(function: np.ufunc) -> Callable[..., Any]:
     """Return ``function`` computed in long doubles and rounded to (...) float64."""
 

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.core.numerics import norm
-
 if TYPE_CHECKING:
     from dynahoi_lerobot.motions import Motion
     from dynahoi_lerobot.objects import TargetObject
@@ -62,11 +60,6 @@ class EpisodeSpec:
     spin_rad_s: float
     oracle_path: np.ndarray = field(repr=False)
     fingerprint: str
-
-    @property
-    def travel_m(self) -> float:
-        """Straight distance from home to the intercept [m]."""
-        return norm(self.intercept_pos_h)
 
     @property
     def intercept_pos_h(self) -> np.ndarray:

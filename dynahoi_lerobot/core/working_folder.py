@@ -11,17 +11,17 @@ from typing import Any
 
 from dynahoi_lerobot.core.files import write_atomically
 
-LOCK = "lock"
+LOCK, TASK = "lock", "plan.json"
+"""Files of a working folder besides the work: what its process holds, and what it is for."""
 
 
 @contextmanager
-def working_folder(path: Path, task: dict[str, Any], record: str = "plan.json") -> Iterator[Path]:
+def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
     """Make a folder, or enter that of an interrupted run of the same task, and hold its lock.
 
     Args:
         path: the folder.
         task: JSON values that tell this task from others.
-        record: name of the file that holds the task; a folder with content but without it is somebody else's.
 
     Raises:
         BlockingIOError: if another process works in it.
@@ -30,9 +30,9 @@ def working_folder(path: Path, task: dict[str, Any], record: str = "plan.json") 
     if path.exists() and not path.is_dir():
         raise FileExistsError(f"{path} is a file; remove it or choose another folder")
     path.mkdir(parents=True, exist_ok=True)
-    _refuse_foreign(path, record)
+    _refuse_foreign(path)
     with exclusive(path):
-        _claim(path, task, record)
+        _claim(path, task)
         yield path
 
 
@@ -42,10 +42,7 @@ def exclusive(folder: Path) -> Iterator[None]:
 
     Raises:
         BlockingIOError: if another process holds it.
-        FileExistsError: if a link has the lock's name.
     """
-    if (folder / LOCK).is_symlink():
-        raise FileExistsError(f"{folder / LOCK} is no lock of ours; remove it or choose another folder")
     with (folder / LOCK).open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -62,10 +59,10 @@ def exclusive(folder: Path) -> Iterator[None]:
             (folder / LOCK).unlink(missing_ok=True)
 
 
-def read_task(path: Path, record: str = "plan.json") -> dict[str, Any] | None:
+def read_task(path: Path) -> dict[str, Any] | None:
     """Return the task that a folder belongs to, None if it cannot be read."""
     try:
-        content = json.loads((path / record).read_text())
+        content = json.loads((path / TASK).read_text())
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) else None
@@ -83,25 +80,25 @@ def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
     return ", ".join(names)
 
 
-def _refuse_foreign(path: Path, record: str) -> None:
-    """Refuse a folder with content but without a record; an interrupted start may have left its lock."""
-    if (path / record).exists():
+def _refuse_foreign(path: Path) -> None:
+    """Refuse a folder with content but without a task; an interrupted start may have left its lock."""
+    if (path / TASK).exists():
         return
     names = sorted(entry.name for entry in path.iterdir())
-    if foreign := [name for name in names if name != LOCK and not name.startswith(f".{record}.")]:
+    if foreign := [name for name in names if name != LOCK and not name.startswith(f".{TASK}.")]:
         raise FileExistsError(
-            f"{path} holds {foreign[0]} but no {record}, so it is not the folder of an interrupted run; remove it or "
+            f"{path} holds {foreign[0]} but no {TASK}, so it is not the folder of an interrupted run; remove it or "
             "choose another folder"
         )
 
 
-def _claim(path: Path, task: dict[str, Any], record: str) -> None:
+def _claim(path: Path, task: dict[str, Any]) -> None:
     """Write the task into a new folder or compare it with that of an old one; remove drafts of killed processes."""
     text = json.dumps(task, indent=4)
-    if not (path / record).exists():
-        write_atomically({path / record: lambda draft: draft.write_text(text)})
-    if (found := read_task(path, record)) is None:
-        raise FileExistsError(f"{path / record} cannot be read; remove {path} or choose another folder")
+    if not (path / TASK).exists():
+        write_atomically({path / TASK: lambda draft: draft.write_text(text)})
+    if (found := read_task(path)) is None:
+        raise FileExistsError(f"{path / TASK} cannot be read; remove {path} or choose another folder")
     if names := differences(found, json.loads(text)):
         raise FileExistsError(
             f"{path} holds the work of another run (other {names}); remove it or choose another folder"

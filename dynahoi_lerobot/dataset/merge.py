@@ -104,17 +104,14 @@ def _assemble(
 ) -> Manifest:
     """Write a dataset of stored episodes: of each source those with the given indices, None for all."""
     first = sources[0][0]
-    with new_folder(root) as folder:
-        writer = DatasetWriter(folder, first.features, first.array_features, limits or FileLimits())
-        try:
-            for store, kept in sources:
-                opened: dict[str, Opened] = {}
-                for index, (row, table) in enumerate(store.stored_episodes()):
-                    if kept is None or index in kept:
-                        writer.copy(store, row, table, _packets(store, row, opened))
-            return writer.finish(provenance, yields)
-        finally:
-            writer.abandon()
+    columns = first.features, first.array_features
+    with new_folder(root) as folder, DatasetWriter(folder, *columns, limits or FileLimits()) as writer:
+        for store, kept in sources:
+            opened: dict[str, Opened] = {}
+            for index, (row, table) in enumerate(store.stored_episodes()):
+                if kept is None or index in kept:
+                    writer.copy(store, row, table, _packets(store, row, opened))
+        return writer.finish(provenance, yields)
 
 
 def _packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:

@@ -1,92 +1,46 @@
 """Quality control: rules that reject corrupt trajectories (Appendix "Post-processing and quality control").
 
 Each rule looks at one episode and returns a sentence about what is wrong, or None. Generation draws a rejected episode
-again.
+again. No intact recording exceeds the bounds: "seen" is the greatest value in 560 recordings of both capture rules'
+experts, with every kind of motion, faster and held-out ones, and disturbances up to the 0.2 m that recipes allow.
 """
-
-from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
-from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting, one_hot_phase
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 
-FASTEST = CONTROL_CLASSES["unlimited"]
-OVERSHOOT, CATCH_UP = 1.2, 2.4
-"""Greatest step of a joint and of the palm, in steps of the servo's ramp; see ``TrajectoryLimits``."""
+PALM_SLACK_M = 0.005
+"""How far soft stops let the palm beyond the range of its slides, to which commands are clipped (seen: 0.0001)."""
+JOINT_RANGE_RAD = (-0.5, 2.0)
+"""Least and greatest angle: beyond the 0 to 1.6 that is commanded, what a target that is hit or gripped bends a finger
+(seen: -0.23 and 1.62), and room for the joint ranges of other hands."""
+CATCH_UP = 2.4
+"""Greatest step of the palm between frames, in steps of the servo's ramp, which covers the class's speed times 0.05 s:
+a palm that its force limit left one such step behind catches up at twice that, and a fifth for overshoot (seen: 0.222 m
+at 2 m/s; at 0.5 m/s 0.0251, and 0.0534 of a label after a disturbance)."""
+OVERSHOOT = 1.2
+"""Greatest step of a joint, likewise: 20 rad/s * 0.05 s, and a fifth for contact forces (seen: 0.998 rad)."""
+TARGET_SLACK_M = GRAVITY_M_S2 * CONTROL_DT**2 / 2 + 0.025
+"""Greatest step of the target beyond the larger of its two speeds times 0.05 s, and beyond the palm's step, which may
+carry it: what gravity adds within a frame, and what a collision within it does (seen: 0.016 together)."""
+PALM_SATURATED_SHARE = 0.9
+"""Share of the control phase that the palm may be commanded to an end of a slide (seen: 0.66). Fingers may be commanded
+to their end in all but the frames of the approach (seen: 0.94)."""
+FROZEN_FRAMES, FROZEN_GAP_M = 2, 0.005
+"""How long beyond the latency no degree of freedom may change to the last bit while the command is that far away from
+the palm (seen: 0 frames)."""
 
 
-@dataclass(frozen=True)
-class TrajectoryLimits:
-    """Bounds that no intact recording exceeds.
-
-    "Seen" is the greatest value in 560 recordings of both capture rules' experts: every kind of motion, faster and
-    held-out ones, disturbances up to the 0.2 m that recipes allow.
-
-    Attributes:
-        palm_range_m: least and greatest palm position along each axis: the slides' range, to which commands are
-            clipped; world, or home frame after ``seen_from``.
-        palm_slack_m: how far soft stops let the palm beyond (seen: 0.0001).
-        joint_range_rad: least and greatest angle: beyond the 0 to 1.6 that is commanded, what a target that is hit or
-            gripped bends a finger (seen: -0.23 and 1.62), and room for the joint ranges of other hands.
-        palm_step_m: greatest step of the palm between frames: the servo's ramp covers the class's speed times 0.05 s; a
-            palm that its force limit left one such step behind catches up at twice that, and a fifth for overshoot
-            (seen: 0.222 at 2 m/s; at 0.5 m/s 0.0251, and 0.0534 of a label after a disturbance).
-        joint_step_rad: greatest step of a joint: 20 rad/s * 0.05 s, and a fifth for contact forces (seen: 0.998).
-        target_slack_m: greatest step of the target beyond the larger of its two speeds times 0.05 s, and beyond the
-            palm's step, which may carry it: what gravity adds
-            within a frame, 9.81 m/s^2 * (0.05 s)^2 / 2, and what a collision within it does (seen: 0.016 together).
-        palm_saturated_share: share of the control phase that the palm may be commanded to an end of a slide (seen:
-            0.66). Fingers may be commanded to their end in all but the frames of the approach (seen: 0.94).
-        frozen_frames: how long no degree of freedom may change to the last bit while the command is ``frozen_gap_m``
-            or more away from the palm (seen: 0, and the frames of the latency).
-        frozen_gap_m: see there.
-    """
-
-    palm_range_m: tuple[tuple[float, float], ...] = GANTRY_RANGE_M
-    palm_slack_m: float = 0.005
-    joint_range_rad: tuple[float, float] = (-0.5, 2.0)
-    palm_step_m: float = CATCH_UP * FASTEST.palm_speed_m_s * CONTROL_DT
-    joint_step_rad: float = OVERSHOOT * FASTEST.joint_speed_rad_s * CONTROL_DT
-    target_slack_m: float = GRAVITY_M_S2 * CONTROL_DT**2 / 2 + 0.025
-    palm_saturated_share: float = 0.9
-    frozen_frames: int = 2
-    frozen_gap_m: float = 0.005
-
-    def seen_from(self, home_pos_w: np.ndarray) -> Self:
-        """Return the limits in the frame whose origin is at (3,) [m], world."""
-        moved = np.array(self.palm_range_m) - np.asarray(home_pos_w, float)[:, None]  # (3, 2)
-        return replace(self, palm_range_m=tuple((float(low), float(high)) for low, high in moved))
-
-
-def limits_of(capture: str, control_class: str) -> TrajectoryLimits:
-    """Return the limits of a hand that was played under a capture rule and a control class.
-
-    Raises:
-        ValueError: if one of the names is unknown.
-    """
-    from dynahoi_lerobot.captures import CAPTURES  # imports MuJoCo, which reading a dataset does not need
-
-    control = known("control class", control_class, CONTROL_CLASSES)
-    return TrajectoryLimits(
-        palm_step_m=CATCH_UP * CAPTURES[capture].palm_speed_m_s(control) * CONTROL_DT,
-        joint_step_rad=OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT,
-        frozen_frames=TrajectoryLimits.frozen_frames + control.latency_frames,
-    )
-
-
-def trajectory_problems(episode: Episode, limits: TrajectoryLimits | None = None) -> list[str]:
+def trajectory_problems(episode: Episode) -> list[str]:
     """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or infinity."""
     if problem := not_finite(episode):
         return [problem]
     rules = (out_of_limits, jumps, teleports, saturation, frozen, phase_order)
-    seen_from_home = (limits or TrajectoryLimits()).seen_from(episode.home_position)
-    return [problem for rule in rules if (problem := rule(episode, seen_from_home))]
+    return [problem for rule in rules if (problem := rule(episode))]
 
 
 def not_finite(episode: Episode) -> str | None:
@@ -97,10 +51,10 @@ def not_finite(episode: Episode) -> str | None:
     return None
 
 
-def out_of_limits(episode: Episode, limits: TrajectoryLimits) -> str | None:
+def out_of_limits(episode: Episode) -> str | None:
     """Find positions and angles that the hand cannot take."""
-    low, high = np.array(limits.palm_range_m).T
-    least, most = limits.joint_range_rad
+    low, high = _palm_range(episode)
+    least, most = JOINT_RANGE_RAD
     for name in ("state", "action", "executed_action"):
         values = getattr(episode, name)
         if values.shape[1] != HAND_DOF:  # a displacement, not a place
@@ -108,7 +62,7 @@ def out_of_limits(episode: Episode, limits: TrajectoryLimits) -> str | None:
         palm, joints = values[:, :PALM_DOF], values[:, PALM_DOF:]
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
-        if beyond[frame, axis] > limits.palm_slack_m:
+        if beyond[frame, axis] > PALM_SLACK_M:
             allowed = f"{low[axis]:.2f} to {high[axis]:.2f} m are possible"
             return f"{name} has the palm at {palm[frame, axis]:.2f} m along axis {axis} at frame {frame}; {allowed}"
         if joints.min() < least or joints.max() > most:
@@ -117,11 +71,15 @@ def out_of_limits(episode: Episode, limits: TrajectoryLimits) -> str | None:
     return None
 
 
-def jumps(episode: Episode, limits: TrajectoryLimits) -> str | None:
+def jumps(episode: Episode) -> str | None:
     """Find steps of the hand that its servos cannot make within a frame."""
+    from dynahoi_lerobot.captures import CAPTURES  # imports MuJoCo, which reading a dataset does not need
+
+    control = CONTROL_CLASSES[episode.meta.control_class]
+    palm_speed_m_s = CAPTURES[episode.meta.capture].palm_speed_m_s(control)
     groups = (
-        (slice(0, PALM_DOF), limits.palm_step_m, "m"),
-        (slice(PALM_DOF, HAND_DOF), limits.joint_step_rad, "rad"),
+        (slice(0, PALM_DOF), CATCH_UP * palm_speed_m_s * CONTROL_DT, "m"),
+        (slice(PALM_DOF, HAND_DOF), OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT, "rad"),
     )
     for name, values in (("state", episode.state), ("executed_action", episode.executed_action)):
         for part, allowed, unit in groups:
@@ -132,12 +90,12 @@ def jumps(episode: Episode, limits: TrajectoryLimits) -> str | None:
     return None
 
 
-def teleports(episode: Episode, limits: TrajectoryLimits) -> str | None:
+def teleports(episode: Episode) -> str | None:
     """Find steps of the target that neither its own velocity nor a palm that carries it explains."""
     steps = np.linalg.norm(np.diff(episode.target_pose[:, :3], axis=0), axis=1)  # (T - 1,)
     carried = np.linalg.norm(np.diff(episode.palm_pos_h, axis=0), axis=1)
     speed = np.linalg.norm(episode.target_velocity[:, :3], axis=1)  # (T,)
-    allowed = np.maximum(np.maximum(speed[1:], speed[:-1]) * CONTROL_DT, carried) + limits.target_slack_m
+    allowed = np.maximum(np.maximum(speed[1:], speed[:-1]) * CONTROL_DT, carried) + TARGET_SLACK_M
     if not (steps > allowed).any():
         return None
     frame = int((steps - allowed).argmax())
@@ -145,35 +103,40 @@ def teleports(episode: Episode, limits: TrajectoryLimits) -> str | None:
     return f"target_pose jumps by {steps[frame]:.2f} m at frame {frame + 1}; {possible}"
 
 
-def saturation(episode: Episode, limits: TrajectoryLimits) -> str | None:
+def saturation(episode: Episode) -> str | None:
     """Find catches whose labels have the palm at a limit of its slides; what was missed may well lie beyond it."""
     palm = episode.action[is_acting(episode.phase), :PALM_DOF]
     if not episode.success or not len(palm) or episode.action.shape[1] != HAND_DOF:
         return None
-    low, high = np.array(limits.palm_range_m).T
+    low, high = _palm_range(episode)
     share = ((palm < low + 1e-3) | (palm > high - 1e-3)).mean(axis=0)  # (3,)
-    if share.max() > limits.palm_saturated_share:
+    if share.max() > PALM_SATURATED_SHARE:
         return f"action[{int(share.argmax())}] is at its limit in {share.max():.0%} of the control phase"
     return None
 
 
-def frozen(episode: Episode, limits: TrajectoryLimits) -> str | None:
+def frozen(episode: Episode) -> str | None:
     """Find a measured state that stays the same to the last bit while it is commanded elsewhere."""
     state, command = episode.state, episode.executed_action
     still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
-    away = np.abs(command[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > limits.frozen_gap_m
-    run = 0
+    away = np.abs(command[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > FROZEN_GAP_M
+    longest, run = FROZEN_FRAMES + CONTROL_CLASSES[episode.meta.control_class].latency_frames, 0
     for frame, stuck in enumerate(still & away):
         run = run + 1 if stuck else 0
-        if run > limits.frozen_frames:
+        if run > longest:
             return f"state is frozen from frame {frame + 1 - run} on while the hand is commanded to move"
     return None
 
 
-def phase_order(episode: Episode, limits: TrajectoryLimits) -> str | None:
+def phase_order(episode: Episode) -> str | None:
     """Find phases that are not one-hot, and episodes that observe again after they began to act."""
     wrong = (episode.phase != one_hot_phase(np.maximum.accumulate(is_acting(episode.phase)))).any(axis=1)
     if not wrong.any():
         return None
     frame = int(wrong.argmax())
     return f"phase is not [1, 0] and then [0, 1]: it is {episode.phase[frame].tolist()} at frame {frame}"
+
+
+def _palm_range(episode: Episode) -> np.ndarray:
+    """(2, 3) least and greatest palm position [m], home frame: the range of the slides."""
+    return np.array(GANTRY_RANGE_M).T - episode.home_position.astype(float)

@@ -1,10 +1,12 @@
-"""A dataset on disk, read without LeRobot."""
+"""A dataset on disk, read without LeRobot, which only ``open_dataset`` imports."""
+
+from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +19,38 @@ from dynahoi_lerobot.dataset.columns import Features, column_array, content_valu
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, own_values
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, reading
 from dynahoi_lerobot.dataset.video import decode
+
+if TYPE_CHECKING:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+ROWS_AT_ONCE = 64
+"""Rows of the episode table that are held in memory: privileged arrays make them 20 kB each."""
+
+
+def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
+    """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``, ``episodes``)."""
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    return LeRobotDataset(f"local/{root.name}", root=root, **options)
+
+
+def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: bool = True) -> Iterator[Episode]:
+    """Yield episodes of a dataset that this project wrote.
+
+    Args:
+        root: the dataset's folder.
+        indices: which episodes, all by default.
+        images: False leaves the images undecoded; episodes then have none.
+
+    Raises:
+        IndexError: if the dataset has no episode of an index.
+    """
+    store = Store(root)
+    if indices is None:
+        for row, table in store.stored_episodes():
+            yield store.as_episode(row, table, images=images)
+    for index in indices or ():
+        yield store.episode(index, images=images)
 
 
 def frame_column(root: Path, key: str) -> np.ndarray:
@@ -42,15 +76,12 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     store = Store(root)
     if key in numeric_keys(store.features):
         return np.concatenate([column_array(store.table(path, [key]), key) for path in store.data_files()])
-    name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
-    feature = next((f for f in store.array_features if f.key == name and f.per == "frame"), None)
-    if feature is None:
+    feature = store.array_feature(key)
+    if feature is None or feature.per != "frame":
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
-    table = pa.concat_tables([store.table(path, ["length", name]) for path in store.row_files()])
-    values, lengths = table[name].combine_chunks(), table["length"].to_numpy()
-    flat = values.flatten() if pa.types.is_list(values.type) else values
-    rows = flat.to_numpy(zero_copy_only=False).reshape(-1, *feature.column_shape)  # (N or E, D)
-    rows = rows.repeat(lengths, axis=0) if feature.constant else rows
+    lengths = np.concatenate([store.table(path, ["length"])["length"].to_numpy() for path in store.row_files()])
+    values = episode_column(root, key)
+    rows = np.repeat(values, lengths, axis=0) if feature.constant else np.concatenate(values)  # (N, D)
     if len(rows) != lengths.sum():
         raise ValueError(f"{root} has {len(rows)} rows of {key!r} for {lengths.sum()} frames; see `dynahoi verify`")
     return rows
@@ -73,12 +104,11 @@ def episode_column(root: Path, key: str) -> list[np.ndarray]:
         ValueError: if the episode table has no such array.
     """
     store = Store(root)
-    name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
-    feature = next((f for f in store.array_features if f.key == name), None)
+    feature = store.array_feature(key)
     if feature is None:
         raise ValueError(f"{root} has no array {key!r} in its episode table")
     shape = feature.column_shape if feature.constant else (-1, *feature.column_shape)
-    cells = [cell for path in store.row_files() for cell in store.table(path, [name])[name].to_numpy()]
+    cells = [cell for path in store.row_files() for cell in store.table(path, [feature.key])[feature.key].to_numpy()]
     return [np.asarray(cell, feature.dtype).reshape(shape) for cell in cells]
 
 
@@ -135,7 +165,12 @@ class Store:
         Raises:
             ValueError: if a file of it is damaged, or there is none.
         """
-        return [row for path in self.row_files() for row in _light_rows(path)]
+        rows: list[EpisodeRow] = []
+        for path in self.row_files():
+            with reading(path):
+                names = [name for name in pq.read_schema(path).names if not name.startswith(EPISODE_TABLE_PREFIX)]
+                rows += pq.read_table(path, columns=names).to_pylist()
+        return rows
 
     @property
     def episodes(self) -> int:
@@ -143,14 +178,8 @@ class Store:
         return len(self.rows)
 
     def row_files(self) -> list[Path]:
-        """Return the files of the episode table, in order.
-
-        Raises:
-            ValueError: if there are none.
-        """
-        if not (paths := sorted((self.root / "meta/episodes").glob("*/*.parquet"))):
-            raise ValueError(f"{self.root} holds no episode table: there is no file in meta/episodes")
-        return paths
+        """Return the files of the episode table, in order; ValueError if there are none."""
+        return self._files("meta/episodes", "episode table")
 
     @property
     def array_features(self) -> list[Feature]:
@@ -158,14 +187,18 @@ class Store:
         names = pq.read_schema(self.row_files()[0]).names
         return [feature for feature in episode_features() if feature.key in names]
 
-    def data_files(self) -> list[Path]:
-        """Return the files of the frame table, in order.
+    def array_feature(self, key: str) -> Feature | None:
+        """Return one of ``array_features`` by its key, with or without the prefix; None if there is none."""
+        name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
+        return next((feature for feature in self.array_features if feature.key == name), None)
 
-        Raises:
-            ValueError: if there are none.
-        """
-        if not (paths := sorted((self.root / "data").glob("*/*.parquet"))):
-            raise ValueError(f"{self.root} holds no frame table: there is no file in data")
+    def data_files(self) -> list[Path]:
+        """Return the files of the frame table, in order; ValueError if there are none."""
+        return self._files("data", "frame table")
+
+    def _files(self, folder: str, table: str) -> list[Path]:
+        if not (paths := sorted((self.root / folder).glob("*/*.parquet"))):
+            raise ValueError(f"{self.root} holds no {table}: there is no file in {folder}")
         return paths
 
     def table(self, path: Path, columns: list[str]) -> pa.Table:
@@ -254,13 +287,3 @@ class Store:
                     path, table, used = holder, pq.read_table(holder), 0
             yield row, table.slice(used, row["length"]).combine_chunks()
             used += row["length"]
-
-
-ROWS_AT_ONCE = 64
-"""Rows of the episode table that are held in memory: privileged arrays make them 20 kB each."""
-
-
-def _light_rows(path: Path) -> list[EpisodeRow]:
-    with reading(path):
-        names = [name for name in pq.read_schema(path).names if not name.startswith(EPISODE_TABLE_PREFIX)]
-        return pq.read_table(path, columns=names).to_pylist()

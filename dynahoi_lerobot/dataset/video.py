@@ -40,11 +40,13 @@ FRAME = Fraction(1, CONTROL_HZ)
 class Encoding:
     """How a dataset stores its images.
 
+    The lines below are also the help of ``dynahoi generate``.
+
     Attributes:
-        codec: ``h264``, or ``images`` for PNG files in the parquet tables instead of video.
-        crf: constant rate factor of x264, lower is better and larger.
-        preset: x264's speed setting.
-        gop: frames from one key frame to the next; every episode starts with one.
+        codec: h264, or images for PNG files in the parquet tables instead of video.
+        crf: constant rate factor; lower means better quality and larger files.
+        preset: encoder speed preset.
+        gop: key frame interval [frames]; every episode starts with a key frame.
     """
 
     codec: str = "h264"
@@ -71,17 +73,14 @@ class Encoding:
         """Whether images are stored as video."""
         return self.codec != "images"
 
-    @property
-    def options(self) -> dict[str, str]:
-        """FFmpeg's options: one thread, no B-frames, so that packets are frames in order, and no filters to undo."""
-        return {
-            "crf": str(self.crf),
-            "preset": self.preset,
-            "tune": "fastdecode",
-            "g": str(self.gop),
-            "bf": "0",
-            "x264-params": "scenecut=0",
-        }
+    def check_size(self, image_size: int) -> None:
+        """Refuse images of an odd size [px], whose colours a video cannot halve.
+
+        Raises:
+            ValueError: naming the size.
+        """
+        if self.is_video and image_size % 2:
+            raise ValueError(f"the image size is {image_size} pixels; it must be an even number for a video")
 
     def info(self, image_size: int) -> dict[str, Any]:
         """Return what LeRobot records about a video stream, so that its tools can re-encode it alike."""
@@ -103,12 +102,22 @@ class Encoding:
         }
 
     def configure(self, encoder: VideoCodecContext, image_size: int) -> None:
-        """Set up an encoder for square images of ``image_size`` pixels."""
+        """Set up an encoder for square images of ``image_size`` pixels.
+
+        One thread, no B-frames, so that packets are frames in order, and no filters to undo.
+        """
         encoder.width = encoder.height = image_size
         encoder.pix_fmt = "yuv420p"
         encoder.thread_count = 1
         encoder.time_base, encoder.framerate = FRAME, 1 / FRAME
-        encoder.options = self.options
+        encoder.options = {
+            "crf": str(self.crf),
+            "preset": self.preset,
+            "tune": "fastdecode",
+            "g": str(self.gop),
+            "bf": "0",
+            "x264-params": "scenecut=0",
+        }
 
 
 def encode(images: np.ndarray, encoding: Encoding) -> list[Packet]:

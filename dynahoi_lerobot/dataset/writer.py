@@ -4,9 +4,10 @@ The same episodes give the same bytes, in whatever pieces they were made.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,6 +19,7 @@ from av.packet import Packet
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
+from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset import columns as frame_table
 from dynahoi_lerobot.dataset import episode_table, paths
 from dynahoi_lerobot.dataset.card import write_card
@@ -26,11 +28,37 @@ from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
-from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.store import Store, frame_column
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
 MIB = 1 << 20
 FLUSH_ROWS = 256
+
+
+def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding | None = None) -> Manifest:
+    """Write episodes, in their order, as a new dataset; ``root`` appears atomically.
+
+    The first episode determines the columns: its views and their size, and whether it has ``touch``.
+
+    Args:
+        root: a path that does not exist yet.
+        episodes: one or more, alike in their columns.
+        encoding: how images are stored; H.264 video by default.
+
+    Raises:
+        FileExistsError: if ``root`` exists.
+        ValueError: if there is no episode, or one has other columns than the first.
+    """
+    if root.exists():
+        raise FileExistsError(f"{root} exists; choose a new folder for the dataset")
+    remaining = iter(episodes)
+    if (first := next(remaining, None)) is None:
+        raise ValueError("got no episodes; a dataset needs at least one")
+    columns = frame_table.dataset_features(first)
+    with new_folder(root) as folder, DatasetWriter.for_episodes(folder, columns, encoding) as writer:
+        for episode in chain([first], remaining):
+            writer.add(episode)
+        return writer.finish()
 
 
 class _Tables:
@@ -68,7 +96,8 @@ class _Tables:
 class DatasetWriter:
     """Writes a dataset into a new folder.
 
-    Until ``finish`` returns, the folder is not a dataset: write into a temporary one and rename it.
+    Until ``finish`` returns, the folder is not a dataset: write into a temporary one and rename it. As a context it
+    closes its files whatever happens.
     """
 
     def __init__(self, root: Path, features: Features, columns: Sequence[Feature], limits: FileLimits) -> None:
@@ -91,8 +120,6 @@ class DatasetWriter:
         self._rows = _Tables(root, paths.EPISODES_PATH, episode_table.row_schema(features, columns), limits)
         self._pending: list[EpisodeRow] = []
         self._tasks: dict[str, int] = {}
-        self._benchmarks: set[str] = set()
-        self._seeds: list[int] = []
         self._image_keys = frame_table.image_keys(features)
         self._image_stats: dict[str, list[Stats]] = {key: [] for key in self._image_keys}
         self._videos: dict[str, VideoFile] = {}
@@ -124,9 +151,7 @@ class DatasetWriter:
             ValueError: if video cannot hold images of this size.
         """
         encoding = encoding or Encoding()
-        size = max((feature.shape[0] for feature in features if feature.is_image), default=0)
-        if encoding.is_video and size % 2:
-            raise ValueError(f"image size is {size} pixels; video needs an even number")
+        encoding.check_size(max((feature.shape[0] for feature in features if feature.is_image), default=0))
         table = frame_table.info_features(features, encoding, subtasks=subtasks)
         writer = cls(root, table, features, limits or FileLimits())
         writer._encoding = encoding
@@ -179,19 +204,19 @@ class DatasetWriter:
         stats = self._stats()
         as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
         paths.write_json(as_lists, self.root / paths.STATS_PATH)
-        facts = Manifest(self.episodes, self.frames, {}, self._seeds, provenance or {}, yields or {}, self.benchmark)
-        write_card(Store(self.root), facts)
+        store = Store(self.root)
+        seeds = [row["seed"] for row in store.rows]
+        benchmark = ", ".join(sorted({row["benchmark"] for row in store.rows}))
+        facts = Manifest(self.episodes, self.frames, {}, seeds, provenance or {}, yields or {}, benchmark)
+        write_card(store, facts)
         manifest = replace(facts, files=hash_files(self.root))
         manifest.write(self.root)
         return manifest
 
-    @property
-    def benchmark(self) -> str:
-        """Version of the benchmark that the episodes are of; all of them where versions were mixed on purpose."""
-        return ", ".join(sorted(self._benchmarks))
+    def __enter__(self) -> Self:
+        return self
 
-    def abandon(self) -> None:
-        """Close all files and leave the folder unfinished."""
+    def __exit__(self, *_: object) -> None:
         for video in self._videos.values():
             video.abandon()
 
@@ -216,8 +241,6 @@ class DatasetWriter:
             row |= self._append_videos(row["length"], packets, stream)
         for key in self._image_keys:
             self._image_stats[key].append(episode_table.row_stats(row, key))
-        self._seeds.append(row["seed"])
-        self._benchmarks.add(row["benchmark"])
         self.episodes += 1
         self.frames += row["length"]
         self._pending.append(row)
@@ -264,10 +287,8 @@ class DatasetWriter:
     def _stats(self) -> dict[str, Stats]:
         """Return the dataset's statistics by key: of images from those of episodes, of columns from all frames."""
         stats = {key: pooled(found) for key, found in self._image_stats.items()}
-        files = sorted((self.root / "data").glob("*/*.parquet"))
         for key in frame_table.numeric_keys(self.features):
-            tables = (pq.read_table(file, columns=[key]) for file in files)
-            values = np.concatenate([frame_table.column_array(table, key) for table in tables])
+            values = frame_column(self.root, key)
             stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
         return stats
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,10 +54,7 @@ class SingleWorldExpert(Expert):
 
     def act(self, world: WorldState) -> np.ndarray:
         """Return (N, 18) commands, home frame; worlds without an episode get zeros."""
-        commands = np.zeros((len(world.specs), HAND_DOF))
-        for i, view in views(world):
-            commands[i] = self.command(view) - _origin(view.spec)
-        return commands
+        return _each(world, self.command)
 
 
 class Teacher(SingleWorldExpert):
@@ -73,17 +70,16 @@ class Teacher(SingleWorldExpert):
 
     def goals(self, state: WorldState) -> np.ndarray:
         """Return (N, 18) the goals, home frame; worlds without an episode get zeros."""
-        found = np.zeros((len(state.specs), HAND_DOF))
-        for i, view in views(state):
-            found[i] = self.goal(view) - _origin(view.spec)
-        return found
+        return _each(state, self.goal)
 
 
-def views(world: WorldState) -> Iterator[tuple[int, WorldView]]:
-    """Yield each world that plays an episode, with its number."""
+def _each(world: WorldState, command: Callable[[WorldView], np.ndarray]) -> np.ndarray:
+    """(N, 18) what ``command`` says for each world, world frame, in its home frame; zeros without an episode."""
+    commands = np.zeros((len(world.specs), HAND_DOF))
     for i, spec in enumerate(world.specs):
         if spec is not None:
-            yield i, _view(world, i, spec)
+            commands[i] = command(_view(world, i, spec)) - _origin(spec)
+    return commands
 
 
 def _view(world: WorldState, i: int, spec: EpisodeSpec) -> WorldView:

@@ -46,7 +46,7 @@ class Intercept(Teacher):
         """Return (18,) the meeting point, and fingers that close by time to go; after the catch, the held pose."""
         return meeting_goal(world, _path_from(world.spec, world.due_frame), _speed(world.control))
 
-    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting:
         """Return the meeting of its first plan, from the open hand at home."""
         path_w, waiting = _path_from(spec, spec.window_frames), np.concatenate([spec.home_pos_w, spec.open_joints])
         arrival = earliest_arrival(waiting, spec.reference_joints, path_w, _speed(control), control)

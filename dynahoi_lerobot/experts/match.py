@@ -61,7 +61,7 @@ class Match(Teacher):
         offset, closes = approach(offset)
         return np.concatenate([ahead - SEAT_M + offset, squeezed if closes else opened])
 
-    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting:
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting:
         """Return where the fingers begin to close, for a hand that starts at home."""
         path, frame, palm = spec.oracle_path - SEAT_M, spec.window_frames, spec.home_pos_w
         closes = np.array(False)

@@ -99,7 +99,7 @@ def make_actor(seed: int, *, path: str, name: str, on: str, trust: bool = False)
 
 def actor_name(path: str) -> str:
     """Return ``TYPE@HASH`` of a checkpoint that can be loaded: its policy's type, 16 digits of its files' sha256."""
-    folder = _folder(path)
+    folder = Path(path) if Path(path).is_dir() else checked_folder(path)
     digest = hashlib.sha256()
     for file in sorted({file for part in PARTS for file in folder.glob(part)}):
         digest.update(file.name.encode())
@@ -116,7 +116,3 @@ def runtime(policy: PolicyAgent) -> str:
     sources.update((Path(dynahoi_lerobot.__file__).parent / ACTING).read_bytes())
     capability = torch.backends.cpu.get_cpu_capability()
     return f"torch {torch.__version__}, lerobot {lerobot.__version__}, {capability}, {sources.hexdigest()[:16]}"
-
-
-def _folder(path: str) -> Path:
-    return Path(path) if Path(path).is_dir() else checked_folder(path)

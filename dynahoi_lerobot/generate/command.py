@@ -17,15 +17,17 @@ from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, nu
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.dataset.video import CODECS, Encoding
+from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.arguments import add_trust_argument
 from dynahoi_lerobot.generate.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan, Record, shard_size
+from dynahoi_lerobot.rollout import loop
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 
 RECIPE_OPTIONS = tuple(entry.name for entry in fields(Recipe) if entry.name != "actor")
 """Fields of the recipe that options of the command override; ``--actor`` takes a checkpoint, not its name."""
+ENCODING_OPTIONS = tuple(entry.name for entry in fields(Encoding))
 EXECUTORS = ("local", "slurm", "ray")
 LONGEST_VIDEO_S = 1e9
 """No dataset is longer."""
@@ -45,10 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--shard-episodes", type=int, help="episodes per shard; by default an eighth of all, at most 256"
     )
-    parser.add_argument("--codec", default=Encoding.codec, help=f"one of {', '.join(CODECS)}")
-    parser.add_argument("--crf", type=int, help="constant rate factor; lower means better quality and larger files")
-    parser.add_argument("--preset", help="encoder speed preset")
-    parser.add_argument("--gop", type=int, help="key frame interval [frames]")
+    add_field_arguments(parser, Encoding, ENCODING_OPTIONS)
     parser.add_argument(
         "--video-seconds",
         type=number(1.0, LONGEST_VIDEO_S),
@@ -94,12 +93,12 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recip
     if args.executor is not None:
         from dynahoi_lerobot.generate import executors
 
-        work = (args.executor, plan, args.root, record or _record(args.cpus_per_task), _resources(args))
+        recorder = record or partial(loop.record, threads=args.cpus_per_task)
+        work = (args.executor, plan, args.root, recorder, _resources(args))
         if args.dry_run or not executors.run(*work):
             print(executors.describe(*work))
             return 0
-    recorder = record or _record(0 if args.workers == 1 else 1)
-    manifest = _generate(plan, args, recorder)
+    manifest = _generate(plan, args, record or partial(loop.record, threads=_threads(args)))
     if complete:
         print(f"{args.root} was already complete and agrees with its manifest", file=sys.stderr)
     summary = _summary(args.root, manifest)
@@ -116,8 +115,6 @@ def _on_policy(args: argparse.Namespace, recipe: Recipe) -> tuple[Recipe, Record
         PolicyError: if the policy cannot be loaded or, without ``--trust``, could run code.
         ValueError: if the recipe names another one.
     """
-    from dynahoi_lerobot.rollout.loop import record_on_policy
-
     policy, name = open_policy(args.actor, trust=args.trust), actor_name(args.actor)
     if recipe.actor not in ("", name):
         raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {args.actor} is {name}")
@@ -126,8 +123,12 @@ def _on_policy(args: argparse.Namespace, recipe: Recipe) -> tuple[Recipe, Record
     recipe = replace(recipe, actor=name, views=views, **trained)
     runs_on = runtime(policy)
     make = partial(make_actor, path=args.actor, name=name, on=runs_on, trust=args.trust)
-    # one process uses all cores for physics
-    return recipe, partial(record_on_policy, make_agent=make, threads=0 if args.workers == 1 else 1), runs_on
+    return recipe, partial(loop.record_on_policy, make_agent=make, threads=_threads(args)), runs_on
+
+
+def _threads(args: argparse.Namespace) -> int:
+    """Return how many threads share the worlds of one process: all cores (0) if it is the only one."""
+    return 0 if args.workers == 1 else 1
 
 
 def _plan(args: argparse.Namespace, recipe: Recipe, runs_on: str) -> GenerationPlan:
@@ -138,26 +139,20 @@ def _plan(args: argparse.Namespace, recipe: Recipe, runs_on: str) -> GenerationP
         args.episodes,
         args.seed,
         _encoding(args),
-        shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
         FileLimits(video_s=args.video_seconds),
+        shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
         runtime=runs_on,
         subtasks=args.subtasks,
     )
 
 
 def _encoding(args: argparse.Namespace) -> Encoding:
-    settings = {name: value for name in ("crf", "preset", "gop") if (value := getattr(args, name)) is not None}
-    if args.codec == "images" and settings:
-        name, value = next(iter(settings.items()))
-        raise ValueError(f"{name} is {value!r}; images has none, only a video has")
-    return Encoding(args.codec, **settings)
-
-
-def _record(threads: int) -> Record:
-    """Return the expert's recorder; ``threads`` (0: all cores) share the worlds of one process."""
-    from dynahoi_lerobot.rollout.loop import record
-
-    return partial(record, threads=threads)
+    given = given_fields(args, ENCODING_OPTIONS)
+    encoding = Encoding(**given)
+    settings = [name for name in given if name != "codec"]
+    if settings and not encoding.is_video:
+        raise ValueError(f"{settings[0]} is {given[settings[0]]!r}; images has none, only a video has")
+    return encoding
 
 
 def _resources(args: argparse.Namespace) -> Any:

@@ -72,8 +72,8 @@ def merge_shards(maker: ShardMaker, root: Path, data: Any = None, rank: int = 0,
     """
     if finished(maker.plan, root) is None:
         damaged = maker.discard_damaged()
-        if missing := maker.plan.shards - len(maker.finished()):
-            found = f"{missing} of {maker.plan.shards} shards are missing, {len(damaged)} were damaged"
+        if missing := maker.missing():
+            found = f"{len(missing)} of {maker.plan.shards} shards are missing, {len(damaged)} were damaged"
             raise CommandError(f"{found}; see {maker.folder / 'logs'}, and run the same command again")
         maker.merge(root)
     for shard in range(maker.plan.shards):
@@ -133,12 +133,13 @@ def describe(kind: str, plan: GenerationPlan, root: Path, record: Record, resour
 def _executors(kind: str, maker: ShardMaker, root: Path, resources: ClusterResources) -> list[Any]:
     """Return datatrove's executors of that kind, of the tasks that make shards and of the one that merges them."""
     tasks = min(resources.tasks or DEFAULT_TASKS, maker.plan.shards)
-    steps = {"shards": (partial(make_shards, maker), tasks), "merge": (partial(merge_shards, maker, root), 1)}
-    return [_executor(kind, maker.folder, resources, name, step) for name, step in steps.items()]
+    return [
+        _executor(kind, maker.folder, resources, partial(make_shards, maker), name="shards", tasks=tasks),
+        _executor(kind, maker.folder, resources, partial(merge_shards, maker, root), name="merge", tasks=1),
+    ]
 
 
-def _executor(kind: str, folder: Path, resources: ClusterResources, name: str, step: tuple[Any, int]) -> Any:
-    function, tasks = step
+def _executor(kind: str, folder: Path, resources: ClusterResources, function: Any, *, name: str, tasks: int) -> Any:
     options = {"tasks": tasks, "logging_dir": str(folder / "logs" / name), "skip_completed": False}
     if kind == "local":
         workers = tasks if resources.workers == -1 else min(resources.workers, tasks)

@@ -12,24 +12,22 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager
-from itertools import islice
+from contextlib import AbstractContextManager, suppress
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import check_output
-from dynahoi_lerobot.core.working_folder import LOCK, differences, read_task, working_folder
+from dynahoi_lerobot.core.working_folder import LOCK, TASK, differences, read_task, working_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.generate.plan import GenerationPlan, Progress, Record
 from dynahoi_lerobot.generate.shard import SHARD, ShardMaker
 
 logger = logging.getLogger(__name__)
 
-PLAN, LOGS = "plan.json", "logs"
+LOGS = "logs"
 STARTS = 3
 """How often a pool is started before processes that die are an error."""
 POLL_S = 0.2
@@ -96,43 +94,40 @@ def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
         CommandError: if processes keep dying.
     """
     if workers == 1:
-        done = itertools.count(maker.done_episodes() + 1)
-        for shard in maker.missing():
+        missing = maker.missing()
+        done = itertools.count(_done_episodes(maker.plan, missing) + 1)
+        for shard in missing:
             maker.make(shard, lambda: progress(next(done)))
         return None
     for _ in range(STARTS):
-        try:
+        with suppress(BrokenProcessPool):
             return _run_pool(maker, workers, progress)
-        except BrokenProcessPool:
-            missing = maker.plan.shards - len(maker.finished())
     raise CommandError(
-        f"worker processes died {STARTS} times with {missing} shards to go; fewer workers need less memory"
+        f"worker processes died {STARTS} times with {len(maker.missing())} shards to go; fewer workers need less memory"
     )
+
+
+def _done_episodes(plan: GenerationPlan, missing: list[int]) -> int:
+    return plan.episodes - sum(len(plan.slots(shard)) for shard in missing)
 
 
 def _run_pool(maker: ShardMaker, workers: int, progress: Progress) -> None:
     # Forked copies of a process that holds threads or a GPU hang; new ones do not.
     context = multiprocessing.get_context("spawn")
-    counter = context.Value("q", maker.done_episodes())
-    count = max(1, min(workers, maker.plan.shards - len(maker.finished())))
+    missing = maker.missing()
+    counter = context.Value("q", _done_episodes(maker.plan, missing))
+    count = max(1, min(workers, len(missing)))
     with ProcessPoolExecutor(count, context, initializer=_enter, initargs=(counter, os.getpid())) as pool:
-        futures = (pool.submit(maker.make, shard, _count) for shard in maker.missing())
+        pending = {pool.submit(maker.make, shard, _count) for shard in missing}
         try:
-            _watch(futures, 2 * count, lambda: progress(counter.value))
+            while pending:
+                done, pending = wait(pending, POLL_S, FIRST_COMPLETED)
+                progress(counter.value)
+                for future in done:
+                    future.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-def _watch(futures: Iterator[Future[Path]], ahead: int, show: Callable[[], object]) -> None:
-    """Keep ``ahead`` shards submitted and report progress until all are done; raise what the first failure raised."""
-    pending = set(islice(futures, ahead))
-    while pending:
-        done, pending = wait(pending, POLL_S, FIRST_COMPLETED)
-        show()
-        for future in done:
-            future.result()
-        pending |= set(islice(futures, len(done)))
 
 
 _counter: Synchronized[int] | None = None
@@ -173,18 +168,18 @@ def workspace_path(root: Path) -> Path:
 
 def open_workspace(plan: GenerationPlan, root: Path) -> AbstractContextManager[Path]:
     """Return the context of a workspace, new or of an interrupted run of the same plan, see ``working_folder``."""
-    return working_folder(workspace_path(root), plan.identity(), PLAN)
+    return working_folder(workspace_path(root), plan.identity())
 
 
 def remove_workspace(plan: GenerationPlan, root: Path) -> None:
     """Remove what generation made in the plan's workspace, and the workspace if nothing else is in it."""
     workspace = workspace_path(root)
-    if not workspace.is_dir() or read_task(workspace, PLAN) != plan.identity():
+    if not workspace.is_dir() or read_task(workspace) != plan.identity():
         return
     for path in [*workspace.glob(f"{SHARD}*"), *workspace.glob(".*.tmp"), workspace / LOGS]:
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
-    for name in (LOCK, PLAN):
+    for name in (LOCK, TASK):
         (workspace / name).unlink(missing_ok=True)
     try:
         workspace.rmdir()

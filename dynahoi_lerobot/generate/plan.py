@@ -43,8 +43,8 @@ class GenerationPlan:
         episodes: how many to store.
         seed: the first episode's seed.
         encoding: how to store them.
-        shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         limits: file size limits.
+        shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         code: fingerprint of the code that plans; other machines must have the same.
         runtime: what else a policy's actions depend on, see ``generate.actor.runtime``; empty without one.
         subtasks: whether to store subtasks as LeRobot's column for language.
@@ -54,8 +54,8 @@ class GenerationPlan:
     episodes: int
     seed: int = 0
     encoding: Encoding = field(default_factory=Encoding)
-    shard_episodes: int = LARGEST_SHARD
     limits: FileLimits = field(default_factory=FileLimits)
+    shard_episodes: int = LARGEST_SHARD
     code: str = field(default_factory=code_fingerprint)
     runtime: str = ""
     subtasks: bool = False
@@ -74,10 +74,7 @@ class GenerationPlan:
             raise ValueError(
                 f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for {self.episodes} episodes"
             )
-        if self.recipe.image_size % 2 and self.encoding.is_video:
-            raise ValueError(
-                f"the image size is {self.recipe.image_size} pixels; it must be an even number for a video"
-            )
+        self.encoding.check_size(self.recipe.image_size)
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -97,15 +94,4 @@ class GenerationPlan:
 
     def identity(self) -> dict[str, Any]:
         """Return everything that decides the dataset's bytes, as JSON values."""
-        content = {
-            "recipe": self.recipe.stored(),
-            "episodes": self.episodes,
-            "seed": self.seed,
-            "encoding": asdict(self.encoding),
-            "limits": asdict(self.limits),
-            "shard_episodes": self.shard_episodes,
-            "code": self.code,
-            "runtime": self.runtime,
-            "subtasks": self.subtasks,
-        }
-        return json.loads(json.dumps(content, default=str))
+        return json.loads(json.dumps(asdict(self) | {"recipe": self.recipe.stored()}))

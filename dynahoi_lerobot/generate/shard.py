@@ -3,7 +3,7 @@
 import logging
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
+from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate.plan import GenerationPlan, Record
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
@@ -20,9 +20,6 @@ logger = logging.getLogger(__name__)
 
 SHARD = "shard-"
 """Shards' folders have this name and a number of six digits or more."""
-
-Tick = Callable[[], object]
-"""Called after each stored episode."""
 
 
 @dataclass(frozen=True)
@@ -43,52 +40,33 @@ class ShardMaker:
         """Return where a finished shard lies."""
         return self.folder / f"{SHARD}{shard:06d}"
 
-    def present(self) -> list[int]:
-        """Return the shards that have a folder; a plan may have millions, so the disk is asked, not the plan."""
-        numbers = {_shard_number(path.name) for path in self.folder.glob(f"{SHARD}*") if path.is_dir()}
-        return sorted(number for number in numbers if number in range(self.plan.shards))
+    def missing(self) -> list[int]:
+        """Return the shards that are not there; those that are have been renamed into place when they were complete."""
+        return [shard for shard in range(self.plan.shards) if not self.path(shard).is_dir()]
 
-    def finished(self) -> set[int]:
-        """Return the shards whose files are all there."""
-        return {shard for shard in self.present() if is_whole(self.path(shard))}
+    def make(self, shard: int, tick: Callable[[], object] = lambda: None) -> None:
+        """Make one shard, a dataset of its own, or do nothing if it is already there.
 
-    def missing(self) -> Iterator[int]:
-        """Yield the shards that were not there when this was called."""
-        finished = self.finished()
-        return (shard for shard in range(self.plan.shards) if shard not in finished)
-
-    def done_episodes(self) -> int:
-        """Return the number of episodes in finished shards."""
-        return sum(len(self.plan.slots(shard)) for shard in self.finished())
-
-    def make(self, shard: int, tick: Tick = lambda: None) -> Path:
-        """Make one shard, or do nothing if it is already there.
-
-        Returns:
-            The shard's folder, a dataset of its own.
+        Args:
+            shard: its number.
+            tick: called after each stored episode.
 
         Raises:
             CommandError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of another seed.
             OSError: if the disk is full or refuses to be written.
         """
-        target = self.path(shard)
-        if is_whole(target):
-            return target
+        target, plan = self.path(shard), self.plan
         if target.is_dir():
-            shutil.rmtree(target)
-        with new_folder(target) as temporary:
-            plan = self.plan
-            writer = DatasetWriter.for_episodes(
-                temporary, plan.features, plan.encoding, plan.limits, subtasks=plan.subtasks
-            )
-            try:
-                tally = self._fill(shard, writer, tick)
-                writer.finish(plan.identity(), tally)
-            finally:
-                writer.abandon()
-        return target
+            return
+        options = (plan.features, plan.encoding, plan.limits)
+        with (
+            new_folder(target) as folder,
+            DatasetWriter.for_episodes(folder, *options, subtasks=plan.subtasks) as writer,
+        ):
+            tally = self._fill(shard, writer, tick)
+            writer.finish(plan.identity(), tally)
 
-    def _fill(self, shard: int, writer: DatasetWriter, tick: Tick) -> dict[str, int]:
+    def _fill(self, shard: int, writer: DatasetWriter, tick: Callable[[], object]) -> dict[str, int]:
         """Write an episode for every slot of a shard; failed slots are drawn again, with other seeds, after all others.
 
         Returns:
@@ -103,7 +81,7 @@ class ShardMaker:
                 if seed not in missed:
                     raise CommandError(f"the recorder gave an episode of seed {seed}, which was not asked for")
                 missed.remove(seed)
-                if trajectory_problems(episode, limits_of(episode.meta.capture, episode.meta.control_class)):
+                if trajectory_problems(episode):
                     rejected.add(seed)
                     continue
                 writer.add(episode)
@@ -138,7 +116,8 @@ class ShardMaker:
         Returns:
             The shards that were removed.
         """
-        problems = {shard: problem for shard in self.present() if (problem := self.problem(shard))}
+        present = [shard for shard in range(self.plan.shards) if self.path(shard).is_dir()]
+        problems = {shard: problem for shard in present if (problem := self.problem(shard))}
         for shard, problem in problems.items():
             logger.warning("%s is made again: %s", self.path(shard), problem)
             shutil.rmtree(self.path(shard))
@@ -151,18 +130,3 @@ class ShardMaker:
         manifest = merge(sources, whole, limits=self.plan.limits, provenance=self.plan.identity())
         whole.rename(root)
         return manifest
-
-
-def _shard_number(name: str) -> int:
-    """Return the number in the name of a shard's folder, -1 if it is not such a name."""
-    digits = name.removeprefix(SHARD)
-    return int(digits) if digits.isdecimal() else -1
-
-
-def is_whole(folder: Path) -> bool:
-    """Tell whether a shard's files are all there, without reading them; they are renamed into place together."""
-    try:
-        manifest = Manifest.read(folder)
-    except (OSError, ValueError):
-        return False
-    return all((folder / name).is_file() for name in manifest.files)

@@ -57,7 +57,7 @@ class SharpaHand(Hand):
         Raises:
             ValueError: if there is no Menagerie; the message says where it was looked for.
         """
-        model = _compiled(menagerie_model_path())
+        model = mujoco.MjModel.from_xml_path(str(menagerie_model_path()))
         palm = add_palm(spec, float(model.body_mass[WRIST + 1 :].sum()))
         wrist = palm.add_frame(pos=WRIST_POS_M, quat=WRIST_QUAT)
         bodies = {WRIST: palm}
@@ -147,11 +147,6 @@ def menagerie_model_path() -> Path:
             f"github.com/google-deepmind/mujoco_menagerie and let {MENAGERIE_ROOT} name the folder"
         )
     return root / MODEL
-
-
-@functools.cache
-def _compiled(path: Path) -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(path))
 
 
 def _flexions() -> list[str]:

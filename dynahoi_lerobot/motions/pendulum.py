@@ -58,11 +58,6 @@ class SuspendedMotion(PhysicalMotion):
         """Return the initial angular speed about the vertical; none unless a kind says otherwise."""
         return 0.0
 
-    def small_period_s(self, target: TargetObject) -> float:
-        """Return the period of small swings [s], 2 pi sqrt((I + m l^2) / (m g l))."""
-        about_anchor = max(target.inertia[:2]) + target.mass_kg * self.length_m**2
-        return float(2 * np.pi * np.sqrt(about_anchor / (target.mass_kg * GRAVITY_M_S2 * self.length_m)))
-
 
 def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
     """Components of a world vector in a frame that was turned by ``angle`` about ``axis`` (Rodrigues, backwards)."""

@@ -9,7 +9,7 @@ from typing import Any
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.working_folder import working_folder
 
-LOG, STATE, RECORD = "log.jsonl", "state.pt", "run.json"
+LOG, STATE = "log.jsonl", "state.pt"
 
 
 class RunFolder:
@@ -24,7 +24,7 @@ class RunFolder:
         """
         self.path = path
         claim = ExitStack()
-        claim.enter_context(working_folder(path, task, RECORD))
+        claim.enter_context(working_folder(path, task))
         self.release = weakref.finalize(self, claim.close)
 
     def log(self, line: dict[str, Any]) -> None:

@@ -22,11 +22,6 @@ COLORS |= {"target": (230, 50, 50)}
 """RGB of each class in a segmentation image."""
 
 
-def color(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
-    """Return the (n, H, W, 3) uint8 RGB images of worlds ``ids`` (n,)."""
-    return renderer.rgb(ids)
-
-
 def depth(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
     """Return depth along the optical axis as (n, H, W, 3) uint8 grey images, one level per centimetre."""
     depth_m = renderer.depth(ids)  # (n, H, W)
@@ -40,7 +35,7 @@ def segmentation(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
 
 
 MODALITIES: dict[str, Callable[[Renderer, np.ndarray], np.ndarray]] = {
-    "": color,
+    "": lambda renderer, ids: renderer.rgb(ids),
     "_depth": depth,
     "_segmentation": segmentation,
 }
@@ -57,19 +52,6 @@ MOTION_VIEW = EGO_CAMERA + "_motion"
 frame; it is composed from ``ego`` and costs no rendering."""
 OPTIONAL_VIEWS = (*EXTRA_VIEWS, MOTION_VIEW)
 """Views that episodes have only if asked for."""
-
-
-def check_views(names: tuple[str, ...]) -> None:
-    """Refuse extra views that do not exist or that are named twice.
-
-    Raises:
-        ValueError: naming the view received and the ones there are.
-    """
-    for name in names:
-        if name not in OPTIONAL_VIEWS:
-            raise ValueError(f"unknown view {name!r}; known besides {EGO_CAMERA!r}: {', '.join(OPTIONAL_VIEWS)}")
-    if len(set(names)) < len(names):
-        raise ValueError(f"each view may be named once, got {', '.join(names)}")
 
 
 def _palette(scene: Scene) -> np.ndarray:

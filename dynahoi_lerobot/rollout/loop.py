@@ -135,7 +135,7 @@ def play(
         terminated, truncated = session.step(commands, actor.labels)
         for i in np.flatnonzero(terminated | truncated):
             job = session.job(int(i))
-            meeting = actor.first_meeting(job.spec, batch.control, job.attempt)
+            meeting = actor.first_meeting(job.spec, batch.control)
             episode = session.finish(int(i), actor.name, meeting)
             if retry and not episode.success and job.attempt <= actor.retries:
                 again.append(replace(job, attempt=job.attempt + 1))

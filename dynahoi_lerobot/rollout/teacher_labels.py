@@ -99,9 +99,9 @@ class Demonstrator(Expert):
             self.retries = max(expert.retries, PERTURBED_ATTEMPTS)
         self._perturbations: dict[int, Perturbation] = {}
 
-    def first_meeting(self, spec: EpisodeSpec, control: ControlClass, attempt: int) -> Meeting | None:
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting | None:
         """Return the meeting that the expert plans."""
-        return self._expert.first_meeting(spec, control, attempt)
+        return self._expert.first_meeting(spec, control)
 
     def act(self, world: WorldState) -> np.ndarray:
         """Return (N, 18) the labels, with the palms of some worlds perturbed."""

@@ -4,7 +4,7 @@ import hashlib
 import importlib.util
 import platform
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -16,24 +16,11 @@ LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "op
 """Libraries whose versions may change states, pixels or files."""
 
 DECIDING = (
-    "*.py",
-    "core/**/*.py",
-    "objects/**/*.py",
-    "motions/**/*.py",
-    "hands/**/*.py",
-    "scene/**/*.py",
-    "renderers/**/*.py",
-    "experts/**/*.py",
-    "world/**/*.py",
-    "sampling/**/*.py",
-    "rollout/**/*.py",
-    "dataset/**/*.py",
-    "generate/plan.py",
-    "generate/shard.py",
-)
-"""The sources that decide what is in a dataset; all others read datasets, play policies or spread work."""
-NOT_DECIDING = ("doctor.py", "hub.py")
-"""Modules among them that do not."""
+    "core", "objects", "motions", "hands", "scene", "renderers", "experts", "world", "sampling", "rollout", "dataset",
+)  # fmt: skip
+"""Rooms that decide what is in a dataset; all others read datasets, play policies or spread work."""
+DECIDING_MODULES = ("__init__.py", "captures.py", "generate/plan.py", "generate/shard.py")
+"""Modules outside them that do, too."""
 
 
 @cache
@@ -67,14 +54,27 @@ def _module_hash(module: str) -> str:
     return hashlib.sha256(module.encode() + source).hexdigest()[:16]
 
 
+def deciding_sources(package: Path) -> list[Path]:
+    """Return the deciding sources below ``package``."""
+    in_rooms = [path for room in DECIDING for path in (package / room).rglob("*.py")]
+    return sorted([*in_rooms, *(package / module for module in DECIDING_MODULES)])
+
+
 def hash_sources(package: Path) -> bytes:
     """Return the sha256 of the names and contents of the deciding sources below ``package``."""
-    return _hash((path.relative_to(package).as_posix(), path) for path in sorted(deciding_sources(package)))
+    return _hash((path.relative_to(package).as_posix(), path) for path in deciding_sources(package))
 
 
 def hash_packages(names: Iterable[str]) -> bytes:
     """Return the sha256 of the names and contents of the modules of top-level packages; those not found are none."""
-    return _hash((path.name, path) for path in sorted({path for name in names for path in _package_sources(name)}))
+    paths: set[Path] = set()
+    for name in names:
+        spec = importlib.util.find_spec(name)
+        if spec and spec.submodule_search_locations:
+            paths.update(path for folder in spec.submodule_search_locations for path in Path(folder).rglob("*.py"))
+        elif spec and spec.origin:
+            paths.add(Path(spec.origin))  # a module that is no package
+    return _hash((path.name, path) for path in sorted(paths))
 
 
 def _hash(files: Iterable[tuple[str, Path]]) -> bytes:
@@ -83,23 +83,6 @@ def _hash(files: Iterable[tuple[str, Path]]) -> bytes:
         digest.update(name.encode())
         digest.update(path.read_bytes())
     return digest.digest()
-
-
-def _package_sources(name: str) -> Iterator[Path]:
-    """Yield the modules of a top-level package, or the one module of that name; none if it cannot be found."""
-    spec = importlib.util.find_spec(name)
-    if spec is None:
-        return
-    for folder in spec.submodule_search_locations or ():
-        yield from Path(folder).rglob("*.py")
-    if not spec.submodule_search_locations and spec.origin:
-        yield Path(spec.origin)
-
-
-def deciding_sources(package: Path) -> Iterator[Path]:
-    """Yield the deciding sources below ``package``."""
-    for pattern in DECIDING:
-        yield from (path for path in package.glob(pattern) if path.parent != package or path.name not in NOT_DECIDING)
 
 
 def installed_version(name: str) -> str | None:

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_SPEED_M_S
-from dynahoi_lerobot.core.numerics import product, quat_to_matrix, tan
+from dynahoi_lerobot.core.numerics import product, quat_to_matrix, segment_distance, tan
 from dynahoi_lerobot.hands.base import SKIN_GROUP
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.sampling.benchmark import HOLD_CLEARANCE_M
@@ -138,11 +138,7 @@ def _watches(window_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
 
 def _clear_of(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
     """(K,) whether a hand that stays at home is out of the target's way; path (F, 3), straight between frames."""
-    steps = np.diff(path_w, axis=0)  # (F - 1, 3)
-    from_start = homes[:, None] - path_w[:-1]  # (K, F - 1, 3)
-    share = np.einsum("kfd,fd->kf", from_start, steps) / np.maximum((steps**2).sum(axis=1), 1e-12)
-    nearest = from_start - np.clip(share, 0.0, 1.0)[..., None] * steps
-    return (np.linalg.norm(nearest, axis=-1) > HOLD_CLEARANCE_M).all(axis=1)
+    return np.all(segment_distance(homes, path_w) > HOLD_CLEARANCE_M, axis=1)
 
 
 def visible(points: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from dynahoi_lerobot.experts.base import Teacher
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER
-from dynahoi_lerobot.renderers.views import check_views
+from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
@@ -109,6 +109,7 @@ class Recipe:
             (self.instructions, dict.fromkeys(INSTRUCTION_STYLES), "instructions"),
             (self.environment_state, ENVIRONMENT_STATES, "environment_state"),
             *((name, RANDOMIZATIONS, "appearance") for name in self.appearance),
+            *((name, dict.fromkeys(OPTIONAL_VIEWS), "extra view") for name in self.views),
         ):
             known(noun, value, allowed)
         rule = CAPTURES[self.capture]
@@ -124,7 +125,8 @@ class Recipe:
         if len(self.path_speeds) > 1 and PROTOCOLS[self.protocol].has_screen:
             raise ValueError(f"split {self.split!r} has no protocol {self.protocol!r}: screens depend on the speed")
         check_salt(self.salt)
-        check_views(self.views)
+        if len(set(self.views)) < len(self.views):
+            raise ValueError(f"each view may be named once, got {', '.join(self.views)}")
         low, high = IMAGE_SIZES_PX
         if self.image_size and not low <= self.image_size <= high:
             raise ValueError(f"image_size must be {low} to {high} pixels, or 0 for no camera, got {self.image_size}")
@@ -227,17 +229,13 @@ class Recipe:
             raise ValueError(f"split {self.split!r} holds only held-out {noun}s, got {noun} {name!r}")
         raise ValueError(f"{noun} {name!r} is held out for split {splits[0]!r}, got split {self.split!r}")
 
-    def fingerprint(self, code: str | None = None) -> str:
+    def fingerprint(self) -> str:
         """Return 16 hexadecimal digits that identify the recipe and the code that plays it.
 
         The code includes the modules of motions and objects that the recipe names and somebody else registered.
-
-        Args:
-            code: fingerprint of that code; by default of the code that runs.
         """
         named = [*(MOTIONS[name] for name in self.motions), *(OBJECTS[name] for name in self.objects)]
-        text = json.dumps(self.stored(), sort_keys=True)
-        text += (code_fingerprint() if code is None else code) + extension_fingerprint(named)
+        text = json.dumps(self.stored(), sort_keys=True) + code_fingerprint() + extension_fingerprint(named)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -2,8 +2,7 @@
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +51,7 @@ def sample_specs(recipe: Recipe, seeds: Sequence[int], *, threads: int = 1) -> l
     Raises:
         ValueError: for a negative seed, or if no motion ever fits (the message names motion and seed).
     """
-    pending = {i: Candidate.start(recipe, seed) for i, seed in enumerate(seeds)}
+    pending = {i: Candidate(recipe, seed) for i, seed in enumerate(seeds)}
     specs: dict[int, EpisodeSpec] = {}
     for attempt in range(1, MAX_ATTEMPTS + 1):
         specs |= _attempt(recipe, pending, threads)
@@ -71,7 +70,6 @@ def sample_spec(recipe: Recipe, seed: int) -> EpisodeSpec:
     return sample_specs(recipe, [seed])[0]
 
 
-@dataclass(eq=False)
 class Candidate:
     """One episode under construction. Every draw comes from ``rng``, which nothing but recipe and seed decides.
 
@@ -84,17 +82,12 @@ class Candidate:
             the recipe's path speeds: what is accepted or refused is an episode with all its twins.
     """
 
-    recipe: Recipe
-    seed: int
-    kind: type[Motion]
-    rng: np.random.Generator
-    timing: Timing = field(init=False)
-    motions: list[Motion] = field(init=False)
-    target: TargetObject = field(init=False)
+    timing: Timing
+    motions: list[Motion]
+    target: TargetObject
 
-    @classmethod
-    def start(cls, recipe: Recipe, seed: int) -> Self:
-        """Return the candidate of a seed, with its first timing.
+    def __init__(self, recipe: Recipe, seed: int) -> None:
+        """Draw the first timing of a seed.
 
         Raises:
             ValueError: if the seed is negative or too large to be stored, or of the recipe's salt only a hash is known.
@@ -102,10 +95,9 @@ class Candidate:
         if not 0 <= seed <= MAX_SEED:
             raise ValueError(f"a seed must be 0 to {MAX_SEED}, got {seed}")
         names = recipe.motion_names
-        rng = np.random.default_rng([zlib.crc32(recipe.stream.encode()), seed, *salt_words(recipe.salt)])
-        candidate = cls(recipe, seed, MOTIONS[names[seed % len(names)]], rng)
-        candidate.draw_timing()
-        return candidate
+        self.recipe, self.seed, self.kind = recipe, seed, MOTIONS[names[seed % len(names)]]
+        self.rng = np.random.default_rng([zlib.crc32(recipe.stream.encode()), seed, *salt_words(recipe.salt)])
+        self.draw_timing()
 
     def draw_timing(self) -> None:
         """Draw duration and travel, and leave the capture rule the frames it needs after the intercept."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import struct
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +37,6 @@ SEALED = "sha256:"
 LEAST_LENGTH = 16
 """Characters; a hash does not hide a salt that can be guessed."""
 HASH_DIGITS = 16
-WORDS = 8
 JOINT = "+"
 PUBLIC = "none"
 OPTION = "--salt"
@@ -115,7 +115,7 @@ def salt_words(salt: str) -> list[int]:
     if salt.startswith(SEALED):
         raise ValueError(f"these episodes are of the salted stream {salt}; only those who know its salt can make them")
     digest = hashlib.sha256(b"dynahoi salt, drawn from" + salt.encode()).digest()
-    return [int.from_bytes(digest[4 * i : 4 * i + 4], "big") for i in range(WORDS)] if salt else []
+    return list(struct.unpack(">8I", digest)) if salt else []
 
 
 def stream_label(split: str, salt: str) -> str:

@@ -9,7 +9,6 @@ import numpy as np
 from dynahoi_lerobot.core.numerics import norm, sin
 
 TEXTURE_SIZE = 128
-Pattern = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 _random = np.random.default_rng(20260)
 _GRAIN, _CLOUD, _TONES = _random.random((64, 64)), _random.random((6, 6)), _random.random(64)
@@ -44,7 +43,7 @@ def _planks(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return _rectangles(u, v, 1, 6, 0.45) * (0.8 + 0.2 * _noise(_GRAIN, 0.125 * np.floor(8 * v) + v, 0.25 * u))
 
 
-PATTERNS: dict[str, Pattern] = {
+PATTERNS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "plain": lambda u, v: np.ones_like(u),
     "checker": lambda u, v: (np.floor(4 * u) + np.floor(4 * v)) % 2,
     "stripes": lambda u, v: np.clip(4 * _wave(5 * u) - 1.5, 0, 1),

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 from av.error import FFmpegError
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, arrow_schema, bookkeeping_arrays, column_array
+from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, column_array
 from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, MANIFEST_PATH, TASKS_PATH, reading
@@ -60,6 +60,8 @@ def format_problems(store: Store) -> Iterator[str]:
 
 def _info(store: Store) -> Iterator[str]:
     frames = sum(pq.read_metadata(path).num_rows for path in store.data_files())
+    if frames != (told := sum(row["length"] for row in store.rows)):
+        yield f"the data files hold {frames} frames; their episodes have {told}"
     wanted = {
         "codebase_version": CODEBASE_VERSION,
         "fps": CONTROL_HZ,
@@ -108,33 +110,21 @@ def _places(store: Store) -> Iterator[str]:
 
 def _bookkeeping(store: Store) -> Iterator[str]:
     """Yield frames whose numbers, times or instruction are not their episode's."""
-    rows = iter(store.rows)
-    for path in store.data_files():
-        with reading(path):
-            table = pq.read_table(path, columns=list(BOOKKEEPING))
-        columns = {key: column_array(table, key)[:, 0] for key in BOOKKEEPING}
-        done = 0
-        while done < len(table) and (row := next(rows, None)) is not None:
-            found = {key: values[done : done + row["length"]] for key, values in columns.items()}
-            yield from _episode(store, row, found)
-            done += row["length"]
-        if done != len(table):
-            yield f"{path.relative_to(store.root)} holds {len(table)} frames; its episodes have {done}"
-
-
-def _episode(store: Store, row: EpisodeRow, found: dict[str, np.ndarray]) -> Iterator[str]:
-    text = row["tasks"][0] if len(row["tasks"]) == 1 else None
-    task = store.tasks.index(text) if text in store.tasks else -1
-    if row.get("task", text) != text or text is None:
-        yield f"episode {row['episode_index']} has the instructions {row['tasks']}; it was told {row.get('task')!r}"
-    wanted = bookkeeping_arrays(row["length"], row["episode_index"], row["dataset_from_index"], task)
-    for key, values in wanted.items():
-        if len(found[key]) != len(values):
-            yield f"episode {row['episode_index']} has {len(found[key])} frames of {key}, not {len(values)}"
-        elif (wrong := np.flatnonzero(found[key] != values)).size:
-            frame = int(wrong[0])
-            told = f"{key} is {found[key][frame]}, not {values[frame]}"
-            yield f"episode {row['episode_index']}, frame {frame}: {told}"
+    for row, table in store.stored_episodes():
+        name = f"episode {row['episode_index']}"
+        if len(table) != row["length"]:
+            yield f"{name} has {len(table)} frames, not {row['length']}"
+            continue
+        text = row["tasks"][0] if len(row["tasks"]) == 1 else None
+        task = store.tasks.index(text) if text in store.tasks else -1
+        if row.get("task", text) != text or text is None:
+            yield f"{name} has the instructions {row['tasks']}; it was told {row.get('task')!r}"
+        wanted = bookkeeping_arrays(row["length"], row["episode_index"], row["dataset_from_index"], task)
+        for key, values in wanted.items():
+            found = column_array(table, key)[:, 0]
+            if (wrong := np.flatnonzero(found != values)).size:
+                frame = int(wrong[0])
+                yield f"{name}, frame {frame}: {key} is {found[frame]}, not {values[frame]}"
 
 
 def _videos(store: Store, key: str) -> Iterator[str]:

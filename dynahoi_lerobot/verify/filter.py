@@ -4,13 +4,12 @@ Appendix "Post-processing": an episode is an outlier if it leaves the robust ran
 """
 
 import argparse
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from dynahoi_lerobot.core.arguments import names, path
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, column_array, numeric_keys
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, numeric_keys
 from dynahoi_lerobot.dataset.merge import copy_subset
 from dynahoi_lerobot.dataset.store import Store, frame_column
 
@@ -83,19 +82,17 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
     q01, q99 = np.quantile(np.where(np.isfinite(values), values, np.inf), [0.01, 0.99], axis=0, method="inverted_cdf")
     if not np.isfinite([q01, q99]).all():
         raise ValueError(f"{column} is often not finite, so it has no robust range; see `dynahoi verify {root}`")
-    return dict(_outliers(store, column, q01 - margin * (q99 - q01), q99 + margin * (q99 - q01)))
-
-
-def _outliers(store: Store, column: str, low: np.ndarray, high: np.ndarray) -> Iterator[tuple[int, str]]:
-    """Yield episodes, with a sentence, that leave the range from (D,) least to (D,) greatest values allowed."""
+    low, high = q01 - margin * (q99 - q01), q99 + margin * (q99 - q01)
     names = store.features[column]["names"] or range(len(low))
-    for row, table in store.stored_episodes():
-        values = column_array(table, column).astype(np.float64)
-        beyond = np.nan_to_num(np.maximum(low - values, values - high), nan=np.inf)  # (T, D), positive outside
+    outliers: dict[int, str] = {}
+    for row in store.rows:
+        part = values[row["dataset_from_index"] : row["dataset_to_index"]]
+        beyond = np.nan_to_num(np.maximum(low - part, part - high), nan=np.inf)  # (T, D), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
         if beyond[frame, axis] > ROUNDING:
             count = int((beyond[:, axis] > ROUNDING).sum())
             frames = f"{count} frame" + "s" * (count != 1)
-            reach = f"{column}.{names[axis]} reaches {values[frame, axis]:.3f}"
-            allowed = f"{low[axis]:.3f} to {high[axis]:.3f}"
-            yield row["episode_index"], f"episode {row['episode_index']}: {reach}, outside {allowed} in {frames}"
+            reach = f"{column}.{names[axis]} reaches {part[frame, axis]:.3f}"
+            sentence = f"{reach}, outside {low[axis]:.3f} to {high[axis]:.3f} in {frames}"
+            outliers[row["episode_index"]] = f"episode {row['episode_index']}: {sentence}"
+    return outliers

@@ -28,9 +28,6 @@ BLOCK_LEVELS = 32.0
 """Greatest difference of two images' means over a block of 2 x 2 px [levels of 255] where another renderer, such as a
 GPU's, made them."""
 
-Compared = tuple[str, float]
-"""A view of an episode, and how far its images are from those made again: 0 if they are stored in the same bytes."""
-
 
 def replay_problems(
     store: Store, indices: list[int], recipe: Recipe | None, note: Callable[[str], object]
@@ -47,7 +44,7 @@ def replay_problems(
     if recipe is None or made_with != here:
         yield f"the dataset was made by other code ({made_with}, here is {here}); only the same code makes it again"
         return
-    images: list[Compared] = []
+    images: list[tuple[str, float]] = []  # views of episodes, and how far apart they are
     for index in indices:
         table = store.frames(row := store.row(index))
         stored = store.as_episode(row, table, images=False)
@@ -67,7 +64,7 @@ def replay_problems(
     note(f"replayed {len(indices)} episodes; of {len(images)} videos of them {equal} are equal byte for byte")
 
 
-def _image_problems(images: list[Compared]) -> Iterator[str]:
+def _image_problems(images: list[tuple[str, float]]) -> Iterator[str]:
     """Yield images that differ: by anything where others are equal, as codec and renderer then are the same."""
     same_machine = any(apart == 0.0 for _, apart in images)
     for name, apart in images:

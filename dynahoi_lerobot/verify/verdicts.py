@@ -5,25 +5,24 @@ rule give the verdict. Metrics are computed from these columns whenever they are
 """
 
 from collections.abc import Iterator
-from functools import cache
 
 import mujoco
 import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
-from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS, HAND_NAMES
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
-from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix
+from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix, segment_distance
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.columns import LANGUAGE, column_array, holds, subtask_rows
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import not_finite
-from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.recorder import next_frames
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
+from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.world.batch import TOUCH_M
 
@@ -108,44 +107,28 @@ def _fingertips(episode: Episode, hand: str) -> str | None:
 
 def fingertip_poses(state: np.ndarray, hand: str) -> np.ndarray:
     """Return (T, 30), position [m] and rotation vector [rad] of each fingertip, of (T, 18) states of a hand."""
-    model, joints, tips = _hand_model(hand)
-    data = mujoco.MjData(model)
+    scene = compile_scene(hand)
+    data = mujoco.MjData(scene.model)
     position, rotation = np.empty((len(state), len(FINGERS), 3)), np.empty((len(state), len(FINGERS), 3, 3))
     for frame, angles in enumerate(state):
-        data.qpos[joints] = angles
-        mujoco.mj_kinematics(model, data)
-        position[frame], rotation[frame] = data.site_xpos[tips], data.site_xmat[tips].reshape(-1, 3, 3)
+        data.qpos[scene.hand_qpos] = angles
+        mujoco.mj_kinematics(scene.model, data)
+        position[frame] = data.site_xpos[scene.tip_sites]
+        rotation[frame] = data.site_xmat[scene.tip_sites].reshape(-1, 3, 3)
     return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(len(state), -1)
-
-
-@cache
-def _hand_model(hand: str) -> tuple[mujoco.MjModel, np.ndarray, np.ndarray]:
-    """Return a hand without a world around it, the places of its joints, and the sites of its fingertips."""
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    HANDS[hand]().add_to(spec)
-    model = spec.compile()
-    joints = np.array([model.joint(name).qposadr[0] for name in HAND_NAMES])
-    return model, joints, np.array([model.site(f"{finger}_tip").id for finger in FINGERS])
 
 
 def _palm(episode: Episode) -> str | None:
     """Find a least distance of a step that is larger than at its end, or smaller than on the straight line."""
     offset = episode.target_pose[:, :3].astype(float) - episode.palm_pos_h
     distance, found = np.linalg.norm(offset, axis=1), episode.palm_distance
-    low = np.concatenate([distance[:1] - START_TOLERANCE_M, _nearest(offset) - _bend(episode) - BELOW_M])
+    straight = segment_distance(np.zeros((1, 3)), offset)[0]  # (T - 1,)
+    low = np.concatenate([distance[:1] - START_TOLERANCE_M, straight - _bend(episode) - BELOW_M])
     high = distance + np.where(np.arange(len(found)) == 0, START_TOLERANCE_M, ABOVE_M)
     frame = int(np.maximum(found - high, low - found).argmax())
     if low[frame] <= found[frame] <= high[frame]:
         return None
     return f"palm_distance at frame {frame} is {found[frame]:.4f} m; poses give {low[frame]:.4f} to {high[frame]:.4f} m"
-
-
-def _nearest(offset: np.ndarray) -> np.ndarray:
-    """Return (T - 1,) the least distance to the origin of the segments between (T, 3) points."""
-    start, step = offset[:-1], np.diff(offset, axis=0)
-    share = -(start * step).sum(axis=1) / np.maximum((step**2).sum(axis=1), 1e-12)
-    return np.linalg.norm(start + np.clip(share, 0, 1)[:, None] * step, axis=1)
 
 
 def _bend(episode: Episode) -> np.ndarray:

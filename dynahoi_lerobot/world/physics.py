@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.captures import NO_EVENT, CaptureRule, Release, Substeps, Weld
+from dynahoi_lerobot.captures import NO_EVENT, CaptureRule, Substeps
 from dynahoi_lerobot.core.conventions import PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
@@ -67,13 +67,13 @@ class Physics:
         """
         control = self._control(ids, set_points, frame)
         before = self._batch.state[ids].copy()
-        substeps = self._roll(ids, control, acting)
+        substeps = Substeps(acting, *self._roll(ids, control))
         self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
         self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
         events = np.where(self.released[ids], NO_EVENT, self._rule.events(substeps))
         for row in np.flatnonzero(events != NO_EVENT):
             self._batch.state[ids[row]] = before[row]
-            self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1, acting[row : row + 1])
+            self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1)
 
     def _control(self, ids: np.ndarray, set_points: np.ndarray, frame: np.ndarray) -> np.ndarray:
         """(n, 25, nu + nv) what MuJoCo needs for a control step: set points, and the forces [N] that drive targets."""
@@ -85,23 +85,19 @@ class Physics:
                 control[row, :, dof : dof + 3] = self._force_w[i][frame[row]]
         return control
 
-    def _roll_through_event(self, i: int, control: np.ndarray, steps: int, acting: np.ndarray) -> None:
-        """Roll world ``i`` for ``steps`` physics steps, apply the rule's effect, and finish the control step."""
+    def _roll_through_event(self, i: int, control: np.ndarray, steps: int) -> None:
+        """Roll world ``i`` for ``steps`` physics steps, let the event happen, and finish the control step."""
         one = np.array([i])
-        self._roll(one, control[:, :steps], acting)
-        self._apply(self._rule.effect, i)
+        self._roll(one, control[:, :steps])
+        self.released[i] = True
+        self._fields.free_target(i)
+        self._fields.set_collisions(i, self._rule.collides_after)
+        if self._rule.welds:
+            self._weld(i)
         if steps < SUBSTEPS:
             rest = control[:, steps:].copy()
             rest[..., self.n_controls :] = 0.0  # whatever drove the target stops
-            self._roll(one, rest, acting)
-
-    def _apply(self, effect: Weld | Release, i: int) -> None:
-        """Do to the target of world ``i`` what a capture rule's event does."""
-        self._fields.free_target(i)
-        self._fields.set_collisions(i, effect.collides_with if isinstance(effect, Release) else 0)
-        self.released[i] = True
-        if isinstance(effect, Weld):
-            self._weld(i)
+            self._roll(one, rest)
 
     def _weld(self, i: int) -> None:
         scene, fields = self._scene, self._fields
@@ -119,8 +115,8 @@ class Physics:
         fields.qvel[i, dof : dof + 3] = fields.qvel[i, scene.hand_dof[:PALM_DOF]]
         fields.qvel[i, dof + 3 : dof + 6] = 0.0
 
-    def _roll(self, ids: np.ndarray, control: np.ndarray, acting: np.ndarray) -> Substeps:
-        """Roll physics steps; of the contacts in them keep the mean."""
+    def _roll(self, ids: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, TargetContacts | None]:
+        """Roll K physics steps; return the distances (n, K) [m] and contacts in them, of which the mean is kept."""
         sensed = self._rule.uses_contact_sensors
         names = ("qpos", "sensordata") if sensed else ("qpos",)
         record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC, record=names, ids=ids)
@@ -132,4 +128,4 @@ class Physics:
             self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
             self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
             self.contacts.others[ids] = contacts.others.mean(axis=1)
-        return Substeps(acting, distance, contacts)
+        return distance, contacts

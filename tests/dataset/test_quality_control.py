@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_problems
+from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -41,8 +41,7 @@ def test_experts_recordings_pass(capture, options, count):
 
 def problems(episode: Episode, **changes: str) -> list[str]:
     """What is wrong with an episode under its own capture rule and control class, or others."""
-    names = {"capture": episode.meta.capture, "control_class": episode.meta.control_class} | changes
-    return trajectory_problems(episode, limits_of(**names))
+    return trajectory_problems(dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **changes)))
 
 
 def corrupted(name: str, where: object, value: object) -> Episode:

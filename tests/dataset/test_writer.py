@@ -109,7 +109,7 @@ def test_an_episodes_packets_do_not_depend_on_its_place_in_the_file(dataset):
 
 
 def test_what_is_no_dataset_is_refused_and_leaves_nothing(tmp_path, dataset):
-    with pytest.raises(ValueError, match="33 pixels; video needs an even number"):
+    with pytest.raises(ValueError, match="33 pixels; it must be an even number"):
         write_episodes(tmp_path / "d", [varied_episode(1, 33)])
     with pytest.raises(ValueError, match="at least one"):
         write_episodes(tmp_path / "d", [])

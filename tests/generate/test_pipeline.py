@@ -141,9 +141,9 @@ def take_from_another_plan(workspace: Path) -> None:
     """Put a shard of the same seeds and another recipe into the place of ours."""
     other_plan = dataclasses.replace(PLAN, recipe=FakeRecipe(name="other"))
     with open_workspace(other_plan, workspace.parent / "other") as other:
-        made = ShardMaker(other_plan, other, recorder.record).make(1)
+        ShardMaker(other_plan, other, recorder.record).make(1)
     shutil.rmtree(workspace / "shard-000001")
-    made.rename(workspace / "shard-000001")
+    (other / "shard-000001").rename(workspace / "shard-000001")
 
 
 VIDEO = "shard-000001/videos/observation.images.ego/chunk-000/file-000.mp4"

@@ -7,7 +7,7 @@ import warp as wp
 from dynahoi_lerobot.renderers.raycast.rows import Worlds, meet_shape, ray_of, surface_row, trace_row
 from dynahoi_lerobot.renderers.raycast.shadows import sunlight_row
 from dynahoi_lerobot.renderers.raycast.textures import Textures
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, slope
 
 SOLID = wp.constant(1.0)
 """Alpha of an opaque shape."""
@@ -205,14 +205,8 @@ def write_row(images: wp.array3d[wp.uint32], w: int, y: int, column: int, colors
 
 @wp.func
 def ys_of(intrinsics: CameraIntrinsics, y: int) -> Row:
-    """Return the slopes upwards of the rays through pixel row ``y``."""
-    return Row(-slope(intrinsics, y))
-
-
-@wp.func
-def slope(intrinsics: CameraIntrinsics, pixel: int) -> float:
-    """Return the slope, to the right or downwards, of the ray through the middle of a pixel."""
-    return (float(pixel) + 0.5 - 0.5 * float(intrinsics.size)) / intrinsics.focal
+    """Return the slopes upwards of the rays through the middle of pixel row ``y``."""
+    return Row(-slope(intrinsics, float(y) + 0.5))
 
 
 @wp.func
@@ -344,8 +338,10 @@ def _smooth_row(
             members[found] = i
             for k in range(SAMPLES):
                 offset = _offset(k)
-                xs[SAMPLES * found + k] = slope(intrinsics, column * TILE + i) + offset[0] / intrinsics.focal
-                ys[SAMPLES * found + k] = -slope(intrinsics, y) + offset[1] / intrinsics.focal
+                xs[SAMPLES * found + k] = (
+                    slope(intrinsics, float(column * TILE + i) + 0.5) + offset[0] / intrinsics.focal
+                )
+                ys[SAMPLES * found + k] = -slope(intrinsics, float(y) + 0.5) + offset[1] / intrinsics.focal
             found += 1
         if found == GROUP or (found > 0 and i == TILE - 1):
             seen = _trace_seen(worlds, here, above, below, w, tile_of(intrinsics, y, column), xs, ys)

@@ -12,7 +12,7 @@ import warp as wp
 
 from dynahoi_lerobot.renderers.raycast.rows import LightFrame, Worlds, ray_of
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, slab_exit
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, Shape
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, Shape, slope
 
 TINY = wp.constant(1.0e-6)
 FLAT = wp.constant(1.0e-4)
@@ -277,8 +277,8 @@ def sort_casters(
     if far > 0.0:
         low, high = wp.vec3(FAR), wp.vec3(-FAR)
         for corner in range(8):
-            x = _slope(intrinsics, left + TILE * (corner & 1))
-            y = -_slope(intrinsics, top + TILE * ((corner >> 1) & 1))
+            x = slope(intrinsics, float(left + TILE * (corner & 1)))
+            y = -slope(intrinsics, float(top + TILE * ((corner >> 1) & 1)))
             point = frames[w].camera + wp.where(corner < 4, near, far) * ray_of(frames[w].from_camera, x, y)
             low, high = wp.min(low, point), wp.max(high, point)
         count = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
@@ -287,9 +287,3 @@ def sort_casters(
                 casters[w, tile, count] = s
                 count += 1
         counts[w, tile] = count
-
-
-@wp.func
-def _slope(intrinsics: CameraIntrinsics, pixel: int) -> float:
-    """Slope in the camera's frame of the ray through the near edge of a column of pixels."""
-    return (float(pixel) - 0.5 * float(intrinsics.size)) / intrinsics.focal

@@ -44,6 +44,12 @@ class CameraIntrinsics:
     slopes: wp.array[Row]
 
 
+@wp.func
+def slope(intrinsics: CameraIntrinsics, at: float) -> float:
+    """Return the slope, to the right or downwards, of the ray at a distance [px] from the image's edge."""
+    return (at - 0.5 * float(intrinsics.size)) / intrinsics.focal
+
+
 @wp.struct
 class Shape:
     """A geom of one world, ready for rays from the camera; vectors are in the geom's own frame.
@@ -237,8 +243,8 @@ def _corner_depths(intrinsics: CameraIntrinsics, shape: Shape, left: float, top:
     """Depths [m] of one side of the room at the corners of a tile, far where it is not seen."""
     depths = wp.vec4()
     for corner in range(4):
-        x = (left + float(TILE * (corner & 1)) - 0.5 * float(intrinsics.size)) / intrinsics.focal
-        y = (0.5 * float(intrinsics.size) - top - float(TILE * (corner >> 1))) / intrinsics.focal
+        x = slope(intrinsics, left + float(TILE * (corner & 1)))
+        y = -slope(intrinsics, top + float(TILE * (corner >> 1)))
         ray = shape.from_camera * wp.vec3(x, y, -1.0)
         depth = enter_plane(shape.size, shape.camera, ray)
         if shape.geom_type == BOX:
