@@ -291,7 +291,7 @@ def variant(results: Results) -> str:
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
-    words = [info.benchmark, info.split, info.capture, results.control_class]
+    words = [info.benchmark, info.split, info.capture, results.rules["control_class"]]
     words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
     words += [f"{name}_{_text(value)}" for name, (value, _) in changed_rules(results).items() if name != "salt"]
     if len(results.rows) != BENCHMARK.splits[split_of(info.split)].size:

@@ -31,7 +31,7 @@ from dynahoi_lerobot.evaluate.results import (
     command_line,
     read_results,
 )
-from dynahoi_lerobot.evaluate.table import results_table, stratum_table
+from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.rollout.inference import SYNC, Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.fingerprint import surroundings
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     if args.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
     if args.per_kind:
-        print("\n" + stratum_table(results).as_text())
+        print("\n" + kind_table(results).as_text())
     return 0
 
 

@@ -46,7 +46,7 @@ class Comparison:
 
 def unequal_conditions(a: Results, b: Results, across: Collection[str] = ()) -> list[str]:
     """Return the conditions in which two evaluations differ, without those that are compared, ``across``."""
-    return [name for name in CONDITIONS if name not in across and getattr(a, name) != getattr(b, name)]
+    return [name for name in CONDITIONS if name not in across and a.rules[name] != b.rules[name]]
 
 
 def compare(
@@ -71,7 +71,7 @@ def compare(
         refuse_to_mix("benchmark", found, "evaluate both under one version, or allow the mismatch")
     for name in unequal_conditions(a, b, across):
         remedy = f"add --across {name} to compare exactly that" if name in CROSSABLE else "evaluate both under one"
-        refuse_to_mix(name, [(result.folder, getattr(result, name)) for result in (a, b)], remedy)
+        refuse_to_mix(name, [(result.folder, result.rules[name]) for result in (a, b)], remedy)
     differences = command_distances_cm(a, b) if metric == COMMANDS else -np.diff(paired_values(a, b, metric))[:, 0]
     if len(differences) == 0:
         return None

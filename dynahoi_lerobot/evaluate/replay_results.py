@@ -105,14 +105,14 @@ def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
-    rules = Recipe(split=split_of(info.split), capture=info.capture, control_class=results.control_class)
+    rules = Recipe(split=split_of(info.split), capture=info.capture, control_class=results.rules["control_class"])
     played = asdict(results.recipe())
     return {name: (played[name], value) for name, value in asdict(rules).items() if played[name] != value}
 
 
 def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
     """Return what a result says of its policy that is not as in the benchmark, and that no replay can tell."""
-    said = {"inference": results.inference, "privileged": results.privileged}
+    said = {"inference": results.rules["inference"], "privileged": results.privileged}
     said["settings"] = results.info.extra.get("settings") or []
     usual = {"inference": SYNC, "settings": [], "privileged": False}
     return {name: (value, usual[name]) for name, value in said.items() if value != usual[name]}

@@ -48,7 +48,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in results]
         refuse_to_mix("benchmark", found, f"evaluate both under one version, or add {ALLOW_MISMATCH}")
-    results.sort(key=lambda result: -(result.summary()["S_loc"].value or 0.0))
+    results.sort(key=lambda result: -(result.summary["S_loc"].value or 0.0))
     labels = unique_labels(results)
     return [
         Entry(result, label, COLOURS[place % len(COLOURS)])
@@ -71,8 +71,9 @@ def unique_labels(results: Sequence[Results]) -> list[str]:
 
 def _label(result: Results) -> str:
     rules = [result.info.extra.get("inference")]
-    rules += [f"noise {result.render_noise}"] * (result.render_noise != "0")
-    rules += [f"speed {result.path_speed}"] * (result.path_speed != "1")
+    for title, name, usual in (("noise", "render_noise", "0"), ("speed", "path_speed", "1")):
+        if result.rules[name] != usual:
+            rules.append(f"{title} {result.rules[name]}")
     return ", ".join(filter(None, (result.marked(short_name(result.info.policy)), *rules)))
 
 

@@ -123,7 +123,7 @@ def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict
         "other_metrics": table.metrics_table(labels, results, other),
         "comparisons": comparison_tables(entries, across),
         "figures": [(figure, address) for figure, address in drawn if address],
-        "per_kind": [table.stratum_table(entry.results, "kind", caption=entry.label) for entry in entries],
+        "per_kind": [table.kind_table(entry.results, entry.label) for entry in entries],
         "glossary": glossary(),
         "clips": [(label, shown, left_out) for label, shown, left_out in clips if shown],
     }

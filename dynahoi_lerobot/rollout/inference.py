@@ -8,10 +8,8 @@ after the last action of a chunk, where that led.
 """
 
 import math
-import re
 from dataclasses import dataclass
-from math import ceil
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +23,6 @@ INFERENCE_MODES = {
     RTC: "as async, with the new chunk conditioned on actions already committed (real-time chunking)",
 }
 MAX_LATENCY_MS = 60_000.0
-LABEL = re.compile(r"(?P<mode>\w+) (?:(?P<ms>[\d.e+]+) ms|measured)")
-"""What `Inference.label` gives, with its parts."""
 ROUNDING = 1e-9
 """Frames by which a latency may exceed a whole number of them, being computed in floating point."""
 
@@ -64,24 +60,10 @@ class Inference:
         latency = "measured" if self.latency_ms is None else f"{self.latency_ms:g} ms"
         return f"{self.mode} {latency}"
 
-    @classmethod
-    def from_label(cls, label: str) -> Self:
-        """Return the timing that has this ``label``.
-
-        Raises:
-            ValueError: if no timing has it.
-        """
-        if not label:
-            return cls()
-        found = LABEL.fullmatch(label)
-        if not found:
-            raise ValueError(f"no inference is called {label!r}; a name is such as 'async 150 ms'")
-        return cls(found["mode"], float(found["ms"]) if found["ms"] else None)
-
 
 def frames_of(seconds: float) -> int:
     """Return the control steps [frames] until something that takes so long [s] is there: 150 ms are three."""
-    return max(0, ceil(seconds / CONTROL_DT - ROUNDING)) if math.isfinite(seconds) else 0
+    return max(0, math.ceil(seconds / CONTROL_DT - ROUNDING)) if math.isfinite(seconds) else 0
 
 
 @dataclass(frozen=True, eq=False)
