@@ -89,7 +89,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ValueError: for an unknown suffix, source, motion, view or episode, or an unreadable dataset or result folder.
     """
-    check_suffix(args.out)
+    if (suffix := args.out.suffix) not in WRITERS:
+        raise ValueError(f"cannot write {suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
     if args.sample is not None:
         return _sample(args)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
@@ -213,23 +214,8 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{caption}<
 
 
 def write_clip(path: Path, clip: Clip) -> None:
-    """Write ``clip`` atomically, in the format of the suffix of ``path``; create folders.
-
-    Raises:
-        ValueError: as ``check_suffix``, or if the frames cannot be encoded.
-    """
-    check_suffix(path)
+    """Write ``clip`` atomically, in the format of the suffix of ``path``, one of ``WRITERS``; create folders."""
     write_atomically({path: lambda draft: WRITERS[path.suffix](draft, clip)})
-
-
-def check_suffix(path: Path) -> None:
-    """Refuse an unknown file format.
-
-    Raises:
-        ValueError: naming the suffix received and those allowed.
-    """
-    if path.suffix not in WRITERS:
-        raise ValueError(f"cannot write {path.suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
 
 
 def _gif(clip: Clip) -> bytes:

@@ -33,7 +33,6 @@ ONE_EPISODE_OPTION = "lerobot_new_rollout"
 RENDER_MODES = ("rgb_array",)
 RANDOM_SEED_LIMIT = 2**31
 """Seeds that the environment draws itself are below this."""
-POLICY_NAME = "policy"
 SPARSE, DENSE = "sparse", "dense"
 REWARDS = {
     SPARSE: "1 at the frame at which the episode ends in success, else 0",
@@ -156,7 +155,7 @@ class DynahoiVectorEnv(VectorEnv):
                 worlds would begin their next episodes at different frames.
             ClosedEnvironmentError: after ``close``.
         """
-        check_open(self.closed)
+        self._check_open()
         one_episode = bool((options or {}).get(ONE_EPISODE_OPTION, False))
         if self._inference is not None and not one_episode:
             option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
@@ -252,14 +251,13 @@ class DynahoiVectorEnv(VectorEnv):
         self.__init__(**state["arguments"])
         self.spec = state["spec"]
 
-    def _observed(self) -> Observation:
-        """The latest observation.
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ClosedEnvironmentError("this environment was closed; make a new one")
 
-        Raises:
-            ResetNeeded: before the first ``reset``.
-            ClosedEnvironmentError: after ``close``.
-        """
-        check_open(self.closed)
+    def _observed(self) -> Observation:
+        """The latest observation; refused before the first ``reset`` and after ``close``."""
+        self._check_open()
         if self._session.observation is None:
             raise ResetNeeded("call reset first: no episode has begun")
         return self._session.observation
@@ -293,7 +291,7 @@ class DynahoiVectorEnv(VectorEnv):
             self._success[i] = self._session.success(int(i))
         infos: dict[str, Any] = {"is_success": self._success.copy()}
         for i in np.flatnonzero(ending):
-            episode = self._session.finish(int(i), POLICY_NAME)
+            episode = self._session.finish(int(i), "policy")
             if self._on_episode is not None:
                 self._on_episode(episode)
             for name, value in measure(episode).items():
@@ -322,11 +320,7 @@ class DynahoiVectorEnv(VectorEnv):
 
 
 def observation_space(features: Sequence[Feature]) -> spaces.Dict:
-    """Return the space of one world's observations: a Box for each of ``features`` that policies see.
-
-    Args:
-        features: as ``Recipe.features`` returns them.
-    """
+    """Return the space of one world's observations: a Box for each of ``features`` that policies see."""
     groups: dict[str, dict[str, spaces.Space]] = {"": {}}
     for feature in features:
         if feature.observed and feature.gym_key is not None:
@@ -335,16 +329,6 @@ def observation_space(features: Sequence[Feature]) -> spaces.Dict:
             groups.setdefault(group, {})[key] = box
     ungrouped = groups.pop("")
     return spaces.Dict({**{group: spaces.Dict(boxes) for group, boxes in groups.items()}, **ungrouped})
-
-
-def check_open(closed: bool) -> None:
-    """Refuse to use an environment after ``close``.
-
-    Raises:
-        ClosedEnvironmentError: if it is closed.
-    """
-    if closed:
-        raise ClosedEnvironmentError("this environment was closed; make a new one")
 
 
 def check_seed(seed: Any) -> int:

@@ -119,12 +119,7 @@ def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
 
 
 def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
-    """Yield what in results and their folder is wrong by itself, before anything is played.
-
-    Args:
-        results: as ``read_results`` read them.
-        recipe: of ``open_recipe``.
-    """
+    """Yield what in results and their folder is wrong by itself, before anything is played."""
     info, split = results.info, split_of(results.info.split)
     if (here := recipe.fingerprint()) != info.fingerprint:
         yield f"the results were made by {_otherwise(results)} ({info.fingerprint}, here is {here})"

@@ -99,10 +99,7 @@ class RealTimeAgent(Agent):
                 f"inference mode rtc guides a chunk while it is generated, which {agent.name!r} does not support; "
                 "use async"
             )
-        for name in (
-            "name", "sees_images", "views", "environment_state", "privileged", "weights",
-            "trained_for",
-        ):  # fmt: skip
+        for name in ("name", "sees_images", "views", "environment_state", "privileged", "weights", "trained_for"):
             setattr(self, name, getattr(agent, name))
         if inference.mode == RTC:
             agent.enable_guidance()
@@ -128,7 +125,10 @@ class RealTimeAgent(Agent):
             self._receive()
         else:
             self._agent.watch(observation)
-        commands = self._commands(observation)
+        commands = observation.state.astype(np.float64)
+        for i, chunk in enumerate(self._running):
+            if chunk is not None:
+                commands[i] = chunk.action(self._frame)
         self._frame += 1
         return commands
 
@@ -136,14 +136,6 @@ class RealTimeAgent(Agent):
         """Return the agent's report, and how many frames an inference took on average."""
         frames = self._waited_frames / max(self._inferences, 1)
         return {**self._agent.report(), "inference_frames": round(frames, 3)}
-
-    def _commands(self, observation: Observation) -> np.ndarray:
-        """Return what is due of the running chunks."""
-        commands = observation.state.astype(np.float64)
-        for i, chunk in enumerate(self._running):
-            if chunk is not None:
-                commands[i] = chunk.action(self._frame)
-        return commands
 
     def _receive(self) -> None:
         """Go on with the chunks that are ready at this frame."""

@@ -24,9 +24,6 @@ DEFAULT_BATCH = 32
 """Worlds played side by side. A network's rounding may depend on what else is in its batch, so a policy that is
 recorded plays consecutive seeds of a shard together, whoever records them."""
 
-MakeAgent = Callable[[int], Agent]
-"""Returns the policy, whose random numbers follow from the seed given."""
-
 
 class Session:
     """Some of the worlds of a batch, each in the middle of its job.
@@ -72,10 +69,8 @@ class Session:
 
         Raises:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
-            RuntimeError: if nothing was observed yet.
         """
-        if self.observation is None:
-            raise RuntimeError("observe before the first step")
+        assert self.observation is not None, "observe before the first step"
         checked, ids = self.batch.as_commands(commands, self.observation), self.playing
         columns = frame_columns(self.batch, self.observation)
         images = self.observation.images if self.record_images else {}
@@ -148,11 +143,9 @@ def record(
 ) -> Iterator[Episode]:
     """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are left out.
 
-    Each frame's ``action`` is the expert's label, see `teacher_labels`; an episode ends soon after its outcome.
-
-    With ``recipe.keep_failures`` the last attempt at them is yielded instead.
-
-    Each is a function of (recipe, seed): batch size and threads do not matter.
+    With ``recipe.keep_failures`` the last attempt at them is yielded instead. Each frame's ``action`` is the expert's
+    label, see `teacher_labels`; an episode ends soon after its outcome. Each is a function of (recipe, seed): batch
+    size and threads do not matter.
     """
     if len(recipe.path_speeds) > 1:
         raise ValueError(f"split {recipe.split!r} is for evaluations; record another one")
@@ -164,14 +157,14 @@ def record(
 
 
 def record_on_policy(
-    recipe: Recipe, seeds: Sequence[int], *, make_agent: MakeAgent, threads: int = 0
+    recipe: Recipe, seeds: Sequence[int], *, make_agent: Callable[[int], Agent], threads: int = 0
 ) -> Iterator[Episode]:
     """Yield the episodes of ``seeds`` in their order, those that the policy fails included.
 
     Args:
         recipe: with an ``actor``, whose states its expert labels.
         seeds: of the episodes; what a policy does may depend, in the last bit, on which are played in a group.
-        make_agent: returns the policy that the recipe names.
+        make_agent: returns the policy that the recipe names, whose random numbers follow from the seed given.
         threads: for physics, 0 for all cores; without influence on the result.
     """
     for first in range(0, len(seeds), DEFAULT_BATCH):
@@ -197,9 +190,8 @@ def evaluate(
 ) -> Iterator[Episode]:
     """Yield one evaluated episode per spec, as they end: the window, then up to L control steps.
 
-    The frame after the last step is recorded as well, as its outcome; what is commanded there has none.
-
-    An expert that may try again does so here as well; ``meta.attempts`` says how often it had to.
+    The frame after the last step is recorded as well, as its outcome; what is commanded there has none. An expert that
+    may try again does so here as well; ``meta.attempts`` says how often it had to.
     """
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
     for _, episode in play(batch, actor, jobs, images=images, retry=True):

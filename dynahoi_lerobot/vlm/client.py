@@ -24,10 +24,7 @@ from dynahoi_lerobot.vlm.reply import Answer, ReplyError, parse_reply
 MAX_TOKENS = 4096
 MOST_ANSWERS = 3
 """Answers that a decision asks for until one is valid."""
-KEY_VARIABLE = "OPENAI_API_KEY"
 HTTP_URL = re.compile(r"https?://(\[[\da-fA-F:]+\]|[\w.-]+)(:\d+)?(/[^\s@]*)?")
-NO_KEY = "none"
-"""Sent where no key is set; local servers check none."""
 
 
 class VlmClient:
@@ -157,14 +154,10 @@ class VlmClient:
 
 
 def _connect(base_url: str | None) -> Any:
-    """Return an `openai.AsyncOpenAI` client with the key of the environment variable ``OPENAI_API_KEY``.
-
-    Raises:
-        ValueError: if ``base_url`` is no HTTP URL or holds a password, or OpenAI's endpoint has no key.
-    """
-    key = os.environ.get(KEY_VARIABLE, "").strip()
+    """Return an `openai.AsyncOpenAI` client, unless the URL or the environment's key cannot be right."""
+    key = os.environ.get("OPENAI_API_KEY", "").strip()
     if base_url is None and not key:
-        raise ValueError(f"without --base-url the endpoint is OpenAI's and {KEY_VARIABLE} must be set; it is not")
+        raise ValueError("without --base-url the endpoint is OpenAI's and OPENAI_API_KEY must be set; it is not")
     if base_url is not None and not HTTP_URL.fullmatch(base_url):  # not repeated: results hold the command line
         raise ValueError("the base URL must be like http://localhost:8000/v1, without user name or password")
-    return openai.AsyncOpenAI(api_key=key or NO_KEY, base_url=base_url)
+    return openai.AsyncOpenAI(api_key=key or "none", base_url=base_url)  # local servers check no key

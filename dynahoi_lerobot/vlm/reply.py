@@ -8,10 +8,6 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_valid
 from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS
 
-FENCE = "```"
-MAX_REASON = 200
-"""Characters of the reason for which an answer is refused."""
-
 
 class ReplyError(ValueError):
     """An answer that is not in the requested format; the message says why."""
@@ -56,13 +52,13 @@ def parse_reply(text: str) -> tuple[np.ndarray, list[tuple[str, int]]]:
         ReplyError: if the text is not JSON or not an ``Answer``.
     """
     body = text.strip()
-    if body.startswith(FENCE):
-        body = body.removeprefix(FENCE).removeprefix("json").removesuffix(FENCE)
+    if body.startswith("```"):
+        body = body.removeprefix("```").removeprefix("json").removesuffix("```")
     try:
         answer = Answer.model_validate_json(body, strict=True)  # numbers are neither text nor truth values
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = ".".join(map(str, first["loc"])) or "the answer"
-        raise ReplyError(f"{place}: {first['msg']}"[:MAX_REASON]) from None
+        raise ReplyError(f"{place}: {first['msg']}"[:200]) from None
     commands = np.array([frame.hand_params for frame in answer.predicted_motion], np.float64)
     return commands, [(step.skill, step.duration) for step in answer.action_sequence]
