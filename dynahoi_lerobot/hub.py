@@ -103,13 +103,7 @@ def kind_of(folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Repository:
-    """A repository and the account that writes to it.
-
-    Attributes:
-        api: the Hub's client.
-        name: ``user/name``.
-        kind: ``dataset`` or ``model``.
-    """
+    """A repository ``user/name`` of a ``kind``, dataset or model, and the account that writes to it."""
 
     api: HfApi
     name: str
@@ -147,10 +141,6 @@ class Repository:
 
     def claim(self, folder: Path, *, private: bool) -> set[str]:
         """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``, and return its files.
-
-        Args:
-            folder: what is pushed.
-            private: make a private repository.
 
         Raises:
             CommandError: if it holds other content, or is public where a private one is asked for.
@@ -241,15 +231,14 @@ def push_results(args: argparse.Namespace, repository: Repository) -> str:
 
     results = read_results(args.folder)
     name, played = variant(results), [METRICS_FILE, EPISODES_FILE, ACTIONS_FILE]
-    if not repository.api.repo_exists(repository.name) or CONFIG not in (
-        held := repository.api.list_repo_files(repository.name)
-    ):
+    api = repository.api
+    held = api.list_repo_files(repository.name) if api.repo_exists(repository.name) else []
+    if CONFIG not in held:
         raise CommandError(f"{repository.name} holds no checkpoint; push it before its results")
     _check_policy(results, repository, args.policy or "")
     repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
     if CARD_PATH in held:
-        there = repository.api.hf_hub_download(repository.name, CARD_PATH)
-        card = ModelCard.load(there, ignore_metadata_errors=True)
+        card = ModelCard.load(api.hf_hub_download(repository.name, CARD_PATH), ignore_metadata_errors=True)
         repository.upload_card(with_results(card, repository.name, results, name))
     return repository.address
 

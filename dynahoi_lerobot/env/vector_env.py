@@ -301,12 +301,7 @@ class DynahoiVectorEnv(VectorEnv):
         return infos
 
     def _rewards(self, acted: np.ndarray, ending: np.ndarray) -> np.ndarray:
-        """(N,) reward of the step just made, before the next episodes begin; see ``REWARDS``.
-
-        Args:
-            acted: (N,) bool, whether the step's action took effect.
-            ending: (N,) bool, whether the episode ends with this step.
-        """
+        """(N,) reward of a step, see ``REWARDS``; (N,) bool each: its action took effect, the episode ends with it."""
         rewards = (self._success & ending).astype(np.float64)
         if self.reward == DENSE:
             before_m, self._distance_m = self._distance_m, self._measured_distance_m()

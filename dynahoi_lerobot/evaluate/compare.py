@@ -9,7 +9,7 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
-from dynahoi_lerobot.evaluate.summary import bootstrap_means
+from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap_means
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
 
@@ -24,21 +24,16 @@ COMMANDS = "commands"
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """Evaluation A against evaluation B on the episodes that both played.
+class Comparison(Estimate):
+    """The mean of A - B over the episodes that both played, with the paired bootstrap's 95 % interval.
+
+    Of ``commands`` it is the mean distance, in cm.
 
     Attributes:
-        metric: the compared metric.
-        n: paired episodes in which it applies to both.
-        difference: mean of A - B, in the metric's unit; of ``commands`` the mean distance [cm].
-        low: lower end of the paired bootstrap's 95 % interval of the difference.
-        high: upper end of that interval.
         p_value: exact McNemar for rates, paired bootstrap for means; two-sided. None for ``commands``.
     """
 
-    metric: str
-    n: int
-    difference: float
+    value: float
     low: float
     high: float
     p_value: float | None
@@ -77,8 +72,10 @@ def compare(
         return None
     means = bootstrap_means(differences)
     low, high = np.percentile(means, [2.5, 97.5])
-    p_value = None if metric == COMMANDS else _p_value(METRICS[metric], differences, means)
-    return Comparison(metric, len(differences), float(differences.mean()), float(low), float(high), p_value)
+    unit, p_value = "cm", None
+    if metric != COMMANDS:
+        unit, p_value = METRICS[metric].unit, _p_value(METRICS[metric], differences, means)
+    return Comparison(float(differences.mean()), float(low), float(high), unit, len(differences), p_value)
 
 
 def paired_values(a: Results, b: Results, metric: str) -> np.ndarray:

@@ -98,6 +98,7 @@ class Results:
     rows: tuple[Row, ...]
     actions: tuple[np.ndarray, ...] = field(repr=False)
     head: dict[str, Any] = field(default_factory=dict, repr=False)
+    _by: dict[str, dict[str, Summary]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def rules(self) -> dict[str, str]:
@@ -134,13 +135,9 @@ class Results:
 
     def by(self, stratum: str) -> dict[str, Summary]:
         """Return every metric for every label of ``stratum``; computed once."""
-        if stratum not in self._by_stratum:
-            self._by_stratum[stratum] = summarise_by(self.rows, stratum)
-        return self._by_stratum[stratum]
-
-    @cached_property
-    def _by_stratum(self) -> dict[str, dict[str, Summary]]:
-        return {}
+        if stratum not in self._by:
+            self._by[stratum] = summarise_by(self.rows, stratum)
+        return self._by[stratum]
 
     def recipe(self) -> Recipe:
         """Return what was played.

@@ -22,13 +22,7 @@ GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One evaluation of a report.
-
-    Attributes:
-        results: its result folder.
-        label: short and unique within the report.
-        colour: hexadecimal RGB.
-    """
+    """One evaluation of a report: its results, a label unique within the report, and a colour in hexadecimal RGB."""
 
     results: Results
     label: str
