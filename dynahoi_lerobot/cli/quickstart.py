@@ -108,9 +108,13 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
 
 
 def _generate(out: Path, size: Size) -> None:
-    arguments = ["--root", str(out / "dataset"), "--episodes", str(size["episodes"]), "--image-size", str(IMAGE_SIZE)]
-    if cli.main(["generate", *arguments, "--workers", str(cores())]):
-        raise CommandError("generation failed; see the message above")
+    root, episodes = out / "dataset", size["episodes"]
+    _dynahoi("generate", "--root", root, "--episodes", episodes, "--image-size", IMAGE_SIZE, "--workers", cores())
+
+
+def _dynahoi(*words: object) -> None:
+    if cli.main([str(word) for word in words]):
+        raise CommandError(f"dynahoi {words[0]} failed; see the message above")
 
 
 def _checkpoint(out: Path) -> Path:
@@ -192,9 +196,7 @@ def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: t
 
 def _film(checkpoint: Path, scratch: Path, results: Path) -> None:
     """Record the first episodes as GIFs beside ``results``."""
-    arguments = ["--policy", str(checkpoint), "--out", str(scratch), "--episodes", str(GIFS), "--gifs", str(GIFS)]
-    if cli.main(["evaluate", *arguments]):
-        raise CommandError("recording clips failed; see the message above")
+    _dynahoi("evaluate", "--policy", checkpoint, "--out", scratch, "--episodes", GIFS, "--gifs", GIFS)
     for clip in scratch.glob("*.gif"):
         clip.rename(results / clip.name)
 
@@ -208,12 +210,10 @@ def _device() -> str:
 
 def _baselines(out: Path, size: Size) -> None:
     """Evaluate the privileged baselines on the same episodes."""
-    count = str(len(read_results(out / "results" / POLICY).rows))
+    count = len(read_results(out / "results" / POLICY).rows)
     for name in BASELINES:
-        folder = str(out / "results" / name)
-        arguments = ["--policy", name, "--out", folder, "--episodes", count, "--image-size", "0"]
-        if cli.main(["evaluate", *arguments]):
-            raise CommandError(f"the baseline {name!r} failed")
+        folder = out / "results" / name
+        _dynahoi("evaluate", "--policy", name, "--out", folder, "--episodes", count, "--image-size", 0)
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:

@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.cli.sample_page import write_sample
+from dynahoi_lerobot.cli.sample_page import column, read_episode, write_sample
 from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, path, whole
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.dataset.store import frame_column
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
@@ -165,11 +164,8 @@ def _from_dataset(args: argparse.Namespace) -> Clip:
     dataset = _open_dataset(args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
-    key = _camera_key(args, dataset)
-    row: dict[str, Any] = dataset.meta.episodes[args.episode]
-    items = [dataset[i] for i in range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))]
-    frames = np.stack([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
-    return Clip(frames, str(items[0]["task"]), _stored_phases(args, items), dataset.fps)
+    frames, items, images = read_episode(dataset, args.episode, _camera_key(args, dataset))
+    return Clip(images, str(items[0]["task"]), _stored_phases(args.dataset, frames), dataset.fps)
 
 
 def _camera_key(args: argparse.Namespace, dataset: Any) -> str:
@@ -180,14 +176,12 @@ def _camera_key(args: argparse.Namespace, dataset: Any) -> str:
     return key
 
 
-def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:
+def _stored_phases(root: Path, frames: range) -> list[str] | None:
     """Return the phase of each frame, None if the dataset lacks it."""
-    frames = [int(item["index"]) for item in items]
-    try:
-        phase, localized = (frame_column(args.dataset, key)[frames] for key in ("observation.phase", "localized"))
-    except ValueError:
+    phase, localized = (column(root, name) for name in ("observation.phase", "localized"))
+    if phase is None or localized is None:
         return None
-    return frame_phases(is_acting(phase), localized[:, 0].astype(bool))
+    return frame_phases(is_acting(phase[frames]), localized[frames, 0].astype(bool))
 
 
 def _open_dataset(root: Path) -> Any:

@@ -13,13 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.evaluate.results import (
-    ResultsError,
-    ResultsRecorder,
-    RunInfo,
-    command_line,
-    read_results,
-)
+from dynahoi_lerobot.evaluate.results import ResultsError, ResultsRecorder, RunInfo, command_line, read_results
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
