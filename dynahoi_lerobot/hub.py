@@ -21,7 +21,7 @@ from dynahoi_lerobot.core.arguments import CommandError, path
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, hint_at_checkpoint, trained_for
 from dynahoi_lerobot.evaluate.replay_results import changed_rules
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, WEIGHTS, Results, read_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -40,7 +40,7 @@ RESULTS = "results"
 IGNORED = [".cache/**", "training_state/**", "**/__pycache__/**", "__pycache__/**"]
 NAME_LENGTH = 120
 """Characters of the longest name of a result folder; a longer one is cut and ends with digits of a hash."""
-SHOWN_METRICS = ("S_loc", "S_joint", "S_hold")
+SHOWN_METRICS = ("S_hold", "S_joint", "S_loc")
 """Metrics of results that a model card lists."""
 
 RESUME = "nothing is lost; run the same command to resume"
@@ -95,10 +95,8 @@ def kind_of(folder: Path) -> str:
     for kind, file in KIND_FILES.items():
         if (folder / file).is_file():
             return kind
-    nested = sorted(folder.glob(f"**/pretrained_model/{CONFIG}"))
-    hint = f"; did you mean {nested[-1].parent}?" if nested else ""
     known = ", ".join(f"{kind} ({file})" for kind, file in KIND_FILES.items())
-    raise ValueError(f"{folder} holds none of these: {known}{hint}")
+    raise ValueError(f"{folder} holds none of these: {known}{hint_at_checkpoint(folder)}")
 
 
 @dataclass(frozen=True)
@@ -335,14 +333,13 @@ def with_results(card: ModelCard, repo: str, results: Results, name: str) -> Mod
 
     data: Any = card.data
     held = [entry for entry in data.eval_results or [] if entry.dataset_name != name]
-    values = {key: value["value"] for key, value in results.as_json()["metrics"].items() if key in SHOWN_METRICS}
     held += [
         EvalResult(
             task_type="robotics", dataset_type="dynahoi", dataset_name=name, dataset_split=results.info.split,
             metric_type=metric, metric_value=round(value, 4),
         )
-        for metric, value in values.items()
-        if value is not None
+        for metric in SHOWN_METRICS
+        if (value := results.summary[metric].value) is not None
     ]  # fmt: skip
     data.eval_results, data.model_name = held, repo
     return card

@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
             info.extra.update(actor.report())
             if args.out:
                 recorder.write(args.out, info)
-        results = _results(args, info, recorder, played=bool(specs))
+        results = recorder.results(info, args.out or Path()) if specs else _finished(args.out, info, recorder)
     print(results_table([results]))
     if args.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
@@ -94,13 +94,11 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _results(args: argparse.Namespace, info: RunInfo, recorder: ResultsRecorder, *, played: bool) -> Results:
-    """Return all that is recorded; what an earlier run wrote whole stays as it is if nothing was left to play."""
-    if not args.out or played:
-        return recorder.results(info, args.out or Path())
+def _finished(folder: Path, info: RunInfo, recorder: ResultsRecorder) -> Results:
+    """Return results of which nothing was left to play, as they are if they are whole."""
     with suppress(ResultsError):
-        return read_results(args.out)
-    return recorder.write(args.out, info)  # it ended between the renaming of two files
+        return read_results(folder)
+    return recorder.write(folder, info)  # the earlier run ended between the renaming of two files
 
 
 def _real_time(actor: Actor, inference: Inference) -> Actor:

@@ -147,7 +147,11 @@ class RealTimeAgent(Agent):
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
         continued = self._continued(worlds) if self._continues else {}
         for i, actions, seconds in zip(worlds, *self._agent.plan(observation, worlds, **continued), strict=True):
-            self._check(len(actions))
+            if self._delay is not None and self._delay >= len(actions):
+                raise ValueError(
+                    f"the chunks of {self.name!r} have {len(actions)} actions, all of them past when a chunk is ready "
+                    f"after {self._delay} frames; allowed are less than {len(actions)} frames"
+                )
             took = frames_of(seconds) if self._delay is None else self._delay
             self._coming[i] = Chunk(actions, self._frame, self._frame + took)
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
@@ -159,14 +163,6 @@ class RealTimeAgent(Agent):
             return {}
         lasted = [chunk.ready - chunk.first if self._delay is None else self._delay for chunk in old]
         return {"delays": np.array(lasted), "executed": np.array([self._frame - chunk.first for chunk in old])}
-
-    def _check(self, length: int) -> None:
-        """Raise ValueError if a chunk is over before it is ready."""
-        if self._delay is not None and self._delay >= length:
-            raise ValueError(
-                f"the chunks of {self.name!r} have {length} actions, all of them past when a chunk is ready after "
-                f"{self._delay} frames; allowed are less than {length} frames"
-            )
 
 
 @dataclass(frozen=True)

@@ -43,9 +43,9 @@ class Job:
     stop_settled: bool = False
 
     @classmethod
-    def evaluation(cls, index: int, spec: EpisodeSpec) -> Self:
+    def evaluation(cls, index: int, spec: EpisodeSpec, attempt: int = 1) -> Self:
         """Return the job of an evaluation: the window, up to L control steps, and the frame the last of them led to."""
-        return cls(index, spec, spec.window_frames + spec.length_frames + 1, stop_settled=True)
+        return cls(index, spec, spec.window_frames + spec.length_frames + 1, attempt, stop_settled=True)
 
 
 MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {

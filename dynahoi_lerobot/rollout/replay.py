@@ -1,7 +1,7 @@
 """Make an episode again: from its seed alone, or by stored actions in the world that the seed describes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -73,10 +73,9 @@ def replay(
             stops; by default it ends with its log.
     """
     specs = sample_specs(recipe, [log.seed for log in logs])
-    ends = [{} if as_evaluated else {"frames": len(log.actions), "stop_settled": False} for log in logs]
     jobs = [
-        replace(Job.evaluation(i, spec), attempt=log.attempt, **end)
-        for i, (spec, log, end) in enumerate(zip(specs, logs, ends, strict=True))
+        Job.evaluation(i, spec, log.attempt) if as_evaluated else Job(i, spec, len(log.actions), log.attempt)
+        for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
     ]
     played = play(WorldBatch(recipe, len(logs)), Player(logs), jobs, images=images)
     return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]
