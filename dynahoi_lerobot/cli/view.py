@@ -24,8 +24,7 @@ from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, 
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.renderers.views import VIEWS
-from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.loop import evaluate, replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs

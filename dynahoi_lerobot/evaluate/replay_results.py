@@ -23,7 +23,7 @@ from dynahoi_lerobot.core.files import sha256
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.rollout.inference import SYNC
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.loop import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe

@@ -19,7 +19,7 @@ from dynahoi_lerobot.core.files import printable, write_atomically
 from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
-from dynahoi_lerobot.rollout.replay import ActionLog
+from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 

@@ -15,7 +15,7 @@ import pytest
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.replay_results import drawn
 from dynahoi_lerobot.evaluate.results import Results, read_results
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.loop import replay
 from tests.synthetic import write_results
 from tests.tools import edit_json
 
