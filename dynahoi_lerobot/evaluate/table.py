@@ -70,7 +70,7 @@ def metrics_table(labels: Sequence[str], results: Sequence[Results], columns: Se
     rows = tuple(
         (
             Cell(label),
-            *(_condition(CONDITIONS[i], found[place][i]) for i in differing),
+            *(Cell(found[place][i], key=len(result.rows) if CONDITIONS[i] == "n" else None) for i in differing),
             *(metric_cell(result.summary[name], "best" if (place, name) in best else "") for name in columns),
         )
         for place, (label, result) in enumerate(zip(labels, results, strict=True))
@@ -82,7 +82,7 @@ def kind_table(results: Results, caption: str = "") -> Table:
     """Return one row per kind of motion, each metric with its interval."""
     columns, counts = columns_for([results]), Counter(row["kind"] for row in results.rows)
     rows = tuple(
-        (Cell(kind), _count(counts[kind]), *(metric_cell(summary[name]) for name in columns))
+        (Cell(kind), Cell(str(counts[kind]), key=counts[kind]), *(metric_cell(summary[name]) for name in columns))
         for kind, summary in results.by("kind").items()
     )
     return Table(caption, ("kind", "n", *map(heading, columns)), rows)
@@ -126,11 +126,3 @@ def _best(results: Sequence[Results], columns: Sequence[str]) -> set[tuple[int, 
             top = max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
             best |= {(place, name) for place, value in known.items() if value == top}
     return best
-
-
-def _condition(title: str, value: str) -> Cell:
-    return _count(int(value)) if title == "n" else Cell(value)
-
-
-def _count(number: int) -> Cell:
-    return Cell(str(number), key=number)
