@@ -26,13 +26,9 @@ JPEG_QUALITY = 80
 
 
 def write_sample(out: Path, dataset: Any, key: str, per_kind: int) -> int:
-    """Write the page; return how many episodes it shows.
+    """Write a page with ``per_kind`` episodes of each kind of motion, spread evenly over a dataset; return how many.
 
-    Args:
-        out: its file.
-        dataset: LeRobot's dataset, whose episode table has the column ``motion``.
-        key: of the images to show.
-        per_kind: episodes of each kind of motion, spread evenly over the dataset.
+    The episode table of ``dataset``, LeRobot's, has the column ``motion``; ``key`` is that of the images to show.
     """
     chosen = stratified(list(dataset.meta.episodes["motion"]), per_kind)
     columns = {name: column(dataset.root, name) for name in ("target.pose", "observation.phase")}

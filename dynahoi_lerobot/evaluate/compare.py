@@ -50,8 +50,7 @@ def compare(
     """Compare two evaluations on one metric, episode by episode; None if no episode has a value of both.
 
     Args:
-        a: evaluation A.
-        b: evaluation B.
+        a, b: the evaluations.
         metric: name of a registered metric, or ``commands``.
         across: conditions that may differ, of ``CROSSABLE``: what is compared.
         allow_version_mismatch: compare them even if they were played under different versions of the benchmark.

@@ -87,9 +87,7 @@ def _svg_address(drawing: Figure) -> str:
     buffer = io.StringIO()
     metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # nothing that changes between runs
     drawing.savefig(buffer, format="svg", metadata=metadata)
-    head, body = buffer.getvalue().replace(INK, "var(--ink)").split("<svg", 1)
-    tag, rest = body.split(">", 1)
-    svg = f"{head}<svg{tag}>{INK_CSS}{rest}"
+    svg = re.sub("<svg[^>]*>", rf"\g<0>{INK_CSS}", buffer.getvalue().replace(INK, "var(--ink)"), count=1)
     return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
 
 
