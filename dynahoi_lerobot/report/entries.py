@@ -78,10 +78,10 @@ def short_name(policy: str) -> str:
     return clip((distinctive or parts or ["?"])[-1])
 
 
-def clip(text: str, length: int = LABEL_LENGTH) -> str:
+def clip(text: str) -> str:
     """Return ``text`` in printable characters, shortened in the middle."""
-    clean, half = printable(text.strip()), (length - 1) // 2
-    return clean if len(clean) <= length else f"{clean[:half]}…{clean[-half:]}"
+    clean, half = printable(text.strip()), (LABEL_LENGTH - 1) // 2
+    return clean if len(clean) <= LABEL_LENGTH else f"{clean[:half]}…{clean[-half:]}"
 
 
 def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
