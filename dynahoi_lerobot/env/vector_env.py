@@ -265,12 +265,11 @@ class DynahoiVectorEnv(VectorEnv):
     def _draw_numbers(self, seed: int | Sequence[int | None] | None) -> np.ndarray:
         """(N,) int64, the number of each world's first episode, see ``reset``."""
         n = self.num_envs
-        if isinstance(seed, int | np.integer):
-            super().reset(seed=check_seed(seed))
         if seed is None:
             return self.np_random.integers(0, RANDOM_SEED_LIMIT, n)
         if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
-            return np.array([check_seed(check_seed(seed) + i) for i in range(n)], np.int64)
+            super().reset(seed=(first := check_seed(seed)))
+            return np.array([check_seed(first + i) for i in range(n)], np.int64)
         if len(seed) != n:
             raise ValueError(f"reset needs one seed for each of {n} worlds, got {len(seed)}")
         drawn = (self.np_random.integers(0, RANDOM_SEED_LIMIT) if one is None else check_seed(one) for one in seed)
@@ -327,11 +326,7 @@ def observation_space(features: Sequence[Feature]) -> spaces.Dict:
 
 
 def check_seed(seed: Any) -> int:
-    """Return ``seed`` as an int.
-
-    Raises:
-        ValueError: if it is not an integer from 0 to 2^40 - 1.
-    """
+    """Return ``seed`` as an int; ValueError if it is not an integer from 0 to 2^40 - 1."""
     if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer) or not 0 <= seed < SEED_LIMIT:
         raise ValueError(f"a seed must be an integer from 0 to 2^40 - 1, got {seed!r}")
     return int(seed)

@@ -29,7 +29,6 @@ from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seal, split_of, split_seeds, stream_label
 
-SAME, DIFFERS = 0, 1
 TOLERANCE = 1e-5
 """Greatest difference of a number, in its unit, for replays on another processor; on one machine they are equal."""
 PLAYED_TOGETHER = 32
@@ -66,11 +65,11 @@ def run(args: argparse.Namespace) -> int:
     print(f"{len(chosen)} episodes drawn with --replay-seed {seed}, of {of}")
     if findings:
         print(f"not the same: {len(findings)} found")
-        return DIFFERS
+        return 1
     print(
         "every number is the same; no command tells the policy, its settings, its observations and its inference time"
     )
-    return SAME
+    return 0
 
 
 def drawn(n_rows: int, count: int | None, seed: int) -> list[int]:
@@ -88,13 +87,10 @@ def open_recipe(results: Results, salt: str = "") -> Recipe:
         ValueError: if the results are of another salt.
     """
     recipe = results.recipe()
-    if (stored := seal(recipe.salt)) != seal(salt):
-        raise ValueError(f"the results are of {_stream(stored)}, not of {_stream(seal(salt))}, as --salt says")
+    if seal(recipe.salt) != seal(salt):
+        found, said = (f"salt {seal(one)}" if one else "the public stream" for one in (recipe.salt, salt))
+        raise ValueError(f"the results are of {found}, not of {said}, as --salt says")
     return replace(recipe, salt=salt)
-
-
-def _stream(sealed: str) -> str:
-    return f"salt {sealed}" if sealed else "the public stream"
 
 
 def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
