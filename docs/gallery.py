@@ -20,8 +20,7 @@ from dynahoi_lerobot.evaluate.arguments import make_actor
 from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
-from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.rollout.replay import ActionLog, replay
+from dynahoi_lerobot.rollout.loop import ActionLog, evaluate, replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs

@@ -33,9 +33,6 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
-SOUND, PROBLEMS = 0, 1
-"""Exit codes."""
-
 
 @dataclass(frozen=True)
 class Fact:
@@ -75,8 +72,6 @@ def run(args: argparse.Namespace) -> int:
         ValueError: if the folder or the file is not writable.
     """
     check_output(args.folder)
-    if args.json:
-        check_output(args.json)
     facts = []
     for fact in chain(examine(args.folder), compare(play(EPISODES), read_reference()) if args.reference else ()):
         print(fact, flush=True)
@@ -85,15 +80,11 @@ def run(args: argparse.Namespace) -> int:
         args.json.write_text(json.dumps([asdict(fact) for fact in facts], indent=2) + "\n", encoding="utf-8")
     problems = [fact.name for fact in facts if fact.problem]
     print(f"problems: {', '.join(problems)}" if problems else "no problems")
-    return PROBLEMS if problems else SOUND
+    return 1 if problems else 0
 
 
 def examine(folder: Path) -> Iterator[Fact]:
-    """Yield the facts of every part; a part that raises is a problem.
-
-    Args:
-        folder: output folder.
-    """
+    """Yield the facts of every part, of the disk that of the output ``folder``; a part that raises is a problem."""
     parts: tuple[tuple[str, Callable[[], Iterator[Fact]]], ...] = (
         ("processor", processor), ("disk", lambda: disk(folder)), ("gpu", gpu), ("codecs", codecs),
         ("versions", versions), ("plugins", plugins), ("pace", pace),
@@ -313,7 +304,7 @@ def compare(found: Reference, wanted: Reference) -> Iterator[Fact]:
 
 
 def _count(same: np.ndarray) -> str:
-    return f"{int(same.sum())} of {len(same)} episodes are bit-identical to ours"
+    return f"{same.sum()} of {len(same)} episodes are bit-identical to ours"
 
 
 if __name__ == "__main__":  # rewrites the file on the reference machine

@@ -21,7 +21,7 @@ from dynahoi_lerobot.core.arguments import CommandError, path
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, hint_at_checkpoint, trained_for
 from dynahoi_lerobot.evaluate.replay_results import changed_rules
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, WEIGHTS, Results, read_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -40,7 +40,7 @@ RESULTS = "results"
 IGNORED = [".cache/**", "training_state/**", "**/__pycache__/**", "__pycache__/**"]
 NAME_LENGTH = 120
 """Characters of the longest name of a result folder; a longer one is cut and ends with digits of a hash."""
-SHOWN_METRICS = ("S_loc", "S_joint", "S_hold")
+SHOWN_METRICS = ("S_hold", "S_joint", "S_loc")
 """Metrics of results that a model card lists."""
 
 RESUME = "nothing is lost; run the same command to resume"
@@ -95,21 +95,13 @@ def kind_of(folder: Path) -> str:
     for kind, file in KIND_FILES.items():
         if (folder / file).is_file():
             return kind
-    nested = sorted(folder.glob(f"**/pretrained_model/{CONFIG}"))
-    hint = f"; did you mean {nested[-1].parent}?" if nested else ""
     known = ", ".join(f"{kind} ({file})" for kind, file in KIND_FILES.items())
-    raise ValueError(f"{folder} holds none of these: {known}{hint}")
+    raise ValueError(f"{folder} holds none of these: {known}{hint_at_checkpoint(folder)}")
 
 
 @dataclass(frozen=True)
 class Repository:
-    """A repository and the account that writes to it.
-
-    Attributes:
-        api: the Hub's client.
-        name: ``user/name``.
-        kind: ``dataset`` or ``model``.
-    """
+    """A repository ``user/name`` of a ``kind``, dataset or model, and the account that writes to it."""
 
     api: HfApi
     name: str
@@ -147,10 +139,6 @@ class Repository:
 
     def claim(self, folder: Path, *, private: bool) -> set[str]:
         """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``, and return its files.
-
-        Args:
-            folder: what is pushed.
-            private: make a private repository.
 
         Raises:
             CommandError: if it holds other content, or is public where a private one is asked for.
@@ -241,15 +229,14 @@ def push_results(args: argparse.Namespace, repository: Repository) -> str:
 
     results = read_results(args.folder)
     name, played = variant(results), [METRICS_FILE, EPISODES_FILE, ACTIONS_FILE]
-    if not repository.api.repo_exists(repository.name) or CONFIG not in (
-        held := repository.api.list_repo_files(repository.name)
-    ):
+    api = repository.api
+    held = api.list_repo_files(repository.name) if api.repo_exists(repository.name) else []
+    if CONFIG not in held:
         raise CommandError(f"{repository.name} holds no checkpoint; push it before its results")
     _check_policy(results, repository, args.policy or "")
     repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
     if CARD_PATH in held:
-        there = repository.api.hf_hub_download(repository.name, CARD_PATH)
-        card = ModelCard.load(there, ignore_metadata_errors=True)
+        card = ModelCard.load(api.hf_hub_download(repository.name, CARD_PATH), ignore_metadata_errors=True)
         repository.upload_card(with_results(card, repository.name, results, name))
     return repository.address
 
@@ -291,7 +278,7 @@ def variant(results: Results) -> str:
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
-    words = [info.benchmark, info.split, info.capture, results.control_class]
+    words = [info.benchmark, info.split, info.capture, results.rules["control_class"]]
     words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
     words += [f"{name}_{_text(value)}" for name, (value, _) in changed_rules(results).items() if name != "salt"]
     if len(results.rows) != BENCHMARK.splits[split_of(info.split)].size:
@@ -346,14 +333,13 @@ def with_results(card: ModelCard, repo: str, results: Results, name: str) -> Mod
 
     data: Any = card.data
     held = [entry for entry in data.eval_results or [] if entry.dataset_name != name]
-    values = {key: value["value"] for key, value in results.as_json()["metrics"].items() if key in SHOWN_METRICS}
     held += [
         EvalResult(
             task_type="robotics", dataset_type="dynahoi", dataset_name=name, dataset_split=results.info.split,
             metric_type=metric, metric_value=round(value, 4),
         )
-        for metric, value in values.items()
-        if value is not None
+        for metric in SHOWN_METRICS
+        if (value := results.summary[metric].value) is not None
     ]  # fmt: skip
     data.eval_results, data.model_name = held, repo
     return card

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
+
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.evaluate.results import Results, ResultsRecorder, RunInfo
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
 from dynahoi_lerobot.rollout.recorder import next_frames
@@ -88,3 +92,10 @@ def _straight(meeting: np.ndarray, velocity: np.ndarray, time_s: float) -> str:
     """Return the parameters of the motion that passes ``meeting`` at a time."""
     speed = float(np.linalg.norm(velocity))
     return Constant(tuple(meeting.tolist()), tuple((velocity / speed).tolist()), time_s, speed, 0.0).parameters()
+
+
+def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:
+    """Write a result folder of ``episodes``, in place of earlier results."""
+    recorder = ResultsRecorder()
+    recorder.extend(episodes)
+    return recorder.write(folder, info)

@@ -53,8 +53,8 @@ def _metrics() -> list[Row]:
 
 
 def _features() -> list[Row]:
-    images = image_feature("*", 0)
-    return [_feature(images, "H, W, 3"), *(_feature(feature, _shape(feature)) for feature in FEATURES.values())]
+    rows = [_feature(image_feature("*", 0), "H, W, 3")]
+    return rows + [_feature(entry, ", ".join(map(str, entry.column_shape)) + ",") for entry in FEATURES.values()]
 
 
 def _feature(feature: Feature, shape: str) -> Row:
@@ -70,10 +70,6 @@ def _feature(feature: Feature, shape: str) -> Row:
         "unit": "" if feature.unit == "1" else feature.unit,
         "meaning": f"{feature.meaning} ({notes})" if notes else feature.meaning,
     }
-
-
-def _shape(feature: Feature) -> str:
-    return ", ".join(str(size) for size in feature.column_shape) + ","
 
 
 LISTS: dict[str, Callable[[], list[Row]]] = {

@@ -30,8 +30,6 @@ FAILED, BAD_INPUT, STOPPED = 1, 2, 130
 EXTRAS = {"datatrove": "scale", "ray": "scale", "openai": "vlm", "pydantic": "vlm"}
 EXTRAS |= dict.fromkeys(("lerobot", "torch", "huggingface_hub", "httpx"), "lerobot")
 """Extra that installs a package."""
-VERBOSE_LOGGERS = ("lerobot.utils.import_utils",)
-"""Loggers that warn in 90 lines that torchcodec is unusable, which `dynahoi doctor` reports in one."""
 LONGEST = 800
 """Longest message [characters]; the longest without user input lists 24 motions."""
 
@@ -50,8 +48,8 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 success, 1 failure, 2 bad input, 130 interrupted."""
-    for name in VERBOSE_LOGGERS:
-        logging.getLogger(name).setLevel(logging.ERROR)
+    # it warns in 90 lines that torchcodec is unusable, which `dynahoi doctor` reports in one
+    logging.getLogger("lerobot.utils.import_utils").setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
     commands = parser.add_subparsers(dest="command", required=True)

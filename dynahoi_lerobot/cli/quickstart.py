@@ -33,7 +33,6 @@ from dynahoi_lerobot.sampling.splits import SMALL_TEST
 IMAGE_SIZE = 96
 TRAINING = Path(__file__).with_suffix(".yaml")
 """LeRobot's training config: recipes/train/obact.yaml without evaluation; the command line sets folders and steps."""
-BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
 KINDS = BENCHMARK.splits[SMALL_TEST].motions
 GIFS = 6
 BASELINES = ("intercept", "constant_velocity", "hold")
@@ -45,8 +44,6 @@ TASK_DONE = "metrics so far:"
 """What the environment prints after each kind of motion."""
 STEPS_DONE, LOG_STEPS = " step:", 5
 """What `lerobot-train` prints, and every how many steps."""
-ONE_THREAD = {"OMP_NUM_THREADS": "1"}
-"""One compute thread beside those that decode images; more would compete for two cores."""
 POLICY = "obact"
 """Name of the trained policy's results."""
 
@@ -111,9 +108,13 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
 
 
 def _generate(out: Path, size: Size) -> None:
-    arguments = ["--root", str(out / "dataset"), "--episodes", str(size["episodes"]), "--image-size", str(IMAGE_SIZE)]
-    if cli.main(["generate", *arguments, "--workers", str(cores())]):
-        raise CommandError("generation failed; see the message above")
+    root, episodes = out / "dataset", size["episodes"]
+    _dynahoi("generate", "--root", root, "--episodes", episodes, "--image-size", IMAGE_SIZE, "--workers", cores())
+
+
+def _dynahoi(*words: object) -> None:
+    if cli.main([str(word) for word in words]):
+        raise CommandError(f"dynahoi {words[0]} failed; see the message above")
 
 
 def _checkpoint(out: Path) -> Path:
@@ -132,7 +133,8 @@ def _train(out: Path, size: Size) -> None:
         f"--save_freq={size['steps']}",
         f"--log_freq={LOG_STEPS}",
     ]
-    bar = {"total": size["steps"] // LOG_STEPS, "desc": "encoding and training", "bar_format": BAR}
+    total, looks = size["steps"] // LOG_STEPS, "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+    bar = {"total": total, "desc": "encoding and training", "bar_format": looks}
     with _run_into("train", arguments, out, partial, STEPS_DONE, **bar):
         checkpoint.parent.mkdir(exist_ok=True)
         (partial / "run" / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)
@@ -161,11 +163,7 @@ def _evaluate(out: Path, size: Size) -> None:
 
 @contextmanager
 def _run_into(command: str, arguments: list[str], out: Path, partial: Path, step: str, **bar: Any) -> Iterator[None]:
-    """Run ``lerobot-train`` or ``lerobot-eval``; the body moves out of ``partial`` what is kept, the rest is deleted.
-
-    Raises:
-        CommandError: if the command fails.
-    """
+    """Run ``lerobot-train`` or ``lerobot-eval``; the body moves what is kept out of ``partial``."""
     log = out / f"lerobot_{command}.log"
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
@@ -179,16 +177,12 @@ def _run_into(command: str, arguments: list[str], out: Path, partial: Path, step
 
 
 def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: tqdm) -> int:
-    """Run ``lerobot-<command>`` with its output in ``log``; ``bar`` advances by one at each line with ``step`` in it.
-
-    Returns:
-        Its exit code.
-    """
+    """Return the exit code of ``lerobot-<command>``, which prints into ``log``; ``bar`` counts lines with ``step``."""
     process = subprocess.Popen(
         [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        env=os.environ | ONE_THREAD,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},  # beside threads that decode images, on two cores
         encoding="utf-8",
         errors="replace",
     )
@@ -202,9 +196,7 @@ def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: t
 
 def _film(checkpoint: Path, scratch: Path, results: Path) -> None:
     """Record the first episodes as GIFs beside ``results``."""
-    arguments = ["--policy", str(checkpoint), "--out", str(scratch), "--episodes", str(GIFS), "--gifs", str(GIFS)]
-    if cli.main(["evaluate", *arguments]):
-        raise CommandError("recording clips failed; see the message above")
+    _dynahoi("evaluate", "--policy", checkpoint, "--out", scratch, "--episodes", GIFS, "--gifs", GIFS)
     for clip in scratch.glob("*.gif"):
         clip.rename(results / clip.name)
 
@@ -218,12 +210,10 @@ def _device() -> str:
 
 def _baselines(out: Path, size: Size) -> None:
     """Evaluate the privileged baselines on the same episodes."""
-    count = str(len(read_results(out / "results" / POLICY).rows))
+    count = len(read_results(out / "results" / POLICY).rows)
     for name in BASELINES:
-        folder = str(out / "results" / name)
-        arguments = ["--policy", name, "--out", folder, "--episodes", count, "--image-size", "0"]
-        if cli.main(["evaluate", *arguments]):
-            raise CommandError(f"the baseline {name!r} failed")
+        folder = out / "results" / name
+        _dynahoi("evaluate", "--policy", name, "--out", folder, "--episodes", count, "--image-size", 0)
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:

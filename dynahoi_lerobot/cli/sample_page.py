@@ -26,16 +26,12 @@ JPEG_QUALITY = 80
 
 
 def write_sample(out: Path, dataset: Any, key: str, per_kind: int) -> int:
-    """Write the page; return how many episodes it shows.
+    """Write a page with ``per_kind`` episodes of each kind of motion, spread evenly over a dataset; return how many.
 
-    Args:
-        out: its file.
-        dataset: LeRobot's dataset, whose episode table has the column ``motion``.
-        key: of the images to show.
-        per_kind: episodes of each kind of motion, spread evenly over the dataset.
+    The episode table of ``dataset``, LeRobot's, has the column ``motion``; ``key`` is that of the images to show.
     """
     chosen = stratified(list(dataset.meta.episodes["motion"]), per_kind)
-    columns = {name: _column(dataset.root, name) for name in ("target.pose", "observation.phase")}
+    columns = {name: column(dataset.root, name) for name in ("target.pose", "observation.phase")}
     episodes = [_episode(dataset, index, key, columns) for index in chosen]
     _scale_closing(episodes)
     data = {"episodes": episodes, "columns": SHEET_COLUMNS, "command": removal_command(dataset.root)}
@@ -58,6 +54,15 @@ def stratified(kinds: list[str], per_kind: int) -> list[int]:
     return [found[kind][round(place)] for kind in sorted(found) for place in spread[kind]]
 
 
+def read_episode(dataset: Any, index: int, key: str) -> tuple[range, list[dict[str, Any]], np.ndarray]:
+    """Return an episode's T frames within the dataset, the item of each, and its (T, H, W, 3) uint8 images ``key``."""
+    row = dataset.meta.episodes[index]
+    frames = range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))
+    items = [dataset[i] for i in frames]
+    images = [(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items]
+    return frames, items, np.stack(images)
+
+
 def removal_command(root: Path) -> str:
     """Return the command that writes the dataset without some episodes, up to their list."""
     kept = root.with_name(f"{root.name}_kept")
@@ -66,7 +71,7 @@ def removal_command(root: Path) -> str:
     return f"{shlex.join(words)} --operation.episode_indices"
 
 
-def _column(root: Path, name: str) -> np.ndarray | None:
+def column(root: Path, name: str) -> np.ndarray | None:
     """Return a column of all frames, None if the dataset lacks it."""
     try:
         return frame_column(root, name)
@@ -76,9 +81,7 @@ def _column(root: Path, name: str) -> np.ndarray | None:
 
 def _episode(dataset: Any, index: int, key: str, columns: dict[str, np.ndarray | None]) -> dict[str, Any]:
     """Return what the page shows of an episode; positions are (T, 3) lists [m], home frame."""
-    row = dataset.meta.episodes[index]
-    frames = range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))
-    items = [dataset[i] for i in frames]
+    row, (frames, items, images) = dataset.meta.episodes[index], read_episode(dataset, index, key)
     state, action = (np.stack([item[name].numpy() for item in items]) for name in ("observation.state", "action"))
     grasp = mode_of(action.shape[1]) == GRASP
     goal = action[:, :PALM_DOF] + (state[:, :PALM_DOF] if grasp else 0.0)
@@ -91,7 +94,7 @@ def _episode(dataset: Any, index: int, key: str, columns: dict[str, np.ndarray |
     return {
         "index": index, "kind": row["motion"], "task": str(items[0]["task"]), "success": bool(row.get("success", True)),
         "frames": len(items), "window": window, "grasp": grasp, "closing": closing,
-        "sheet": _sheet([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items]),
+        "sheet": _sheet(images),
     } | {name: np.round(values, 4).tolist() for name, values in told.items()}  # fmt: skip
 
 
@@ -105,9 +108,9 @@ def _scale_closing(episodes: list[dict[str, Any]]) -> None:
             episode["closing"][name] = np.round(np.clip(share, 0.0, 1.0), 3).tolist()
 
 
-def _sheet(images: list[np.ndarray]) -> str:
+def _sheet(images: np.ndarray) -> str:
     """Return a data URL of all images, row by row."""
-    height, width = images[0].shape[:2]
+    height, width = images.shape[1:3]
     sheet = Image.new("RGB", (SHEET_COLUMNS * width, -(-len(images) // SHEET_COLUMNS) * height))
     for i, image in enumerate(images):
         sheet.paste(Image.fromarray(image), (i % SHEET_COLUMNS * width, i // SHEET_COLUMNS * height))

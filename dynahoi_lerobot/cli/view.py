@@ -13,20 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.cli.sample_page import write_sample
+from dynahoi_lerobot.cli.sample_page import column, read_episode, write_sample
 from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, path, whole
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.dataset.store import frame_column
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.renderers.views import VIEWS
-from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.loop import evaluate, replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -89,7 +87,8 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         ValueError: for an unknown suffix, source, motion, view or episode, or an unreadable dataset or result folder.
     """
-    check_suffix(args.out)
+    if (suffix := args.out.suffix) not in WRITERS:
+        raise ValueError(f"cannot write {suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
     if args.sample is not None:
         return _sample(args)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
@@ -164,11 +163,8 @@ def _from_dataset(args: argparse.Namespace) -> Clip:
     dataset = _open_dataset(args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
-    key = _camera_key(args, dataset)
-    row: dict[str, Any] = dataset.meta.episodes[args.episode]
-    items = [dataset[i] for i in range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))]
-    frames = np.stack([(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items])
-    return Clip(frames, str(items[0]["task"]), _stored_phases(args, items), dataset.fps)
+    frames, items, images = read_episode(dataset, args.episode, _camera_key(args, dataset))
+    return Clip(images, str(items[0]["task"]), _stored_phases(args.dataset, frames), dataset.fps)
 
 
 def _camera_key(args: argparse.Namespace, dataset: Any) -> str:
@@ -179,14 +175,12 @@ def _camera_key(args: argparse.Namespace, dataset: Any) -> str:
     return key
 
 
-def _stored_phases(args: argparse.Namespace, items: list[dict[str, Any]]) -> list[str] | None:
+def _stored_phases(root: Path, frames: range) -> list[str] | None:
     """Return the phase of each frame, None if the dataset lacks it."""
-    frames = [int(item["index"]) for item in items]
-    try:
-        phase, localized = (frame_column(args.dataset, key)[frames] for key in ("observation.phase", "localized"))
-    except ValueError:
+    phase, localized = (column(root, name) for name in ("observation.phase", "localized"))
+    if phase is None or localized is None:
         return None
-    return frame_phases(is_acting(phase), localized[:, 0].astype(bool))
+    return frame_phases(is_acting(phase[frames]), localized[frames, 0].astype(bool))
 
 
 def _open_dataset(root: Path) -> Any:
@@ -213,23 +207,8 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{caption}<
 
 
 def write_clip(path: Path, clip: Clip) -> None:
-    """Write ``clip`` atomically, in the format of the suffix of ``path``; create folders.
-
-    Raises:
-        ValueError: as ``check_suffix``, or if the frames cannot be encoded.
-    """
-    check_suffix(path)
+    """Write ``clip`` atomically, in the format of the suffix of ``path``, one of ``WRITERS``; create folders."""
     write_atomically({path: lambda draft: WRITERS[path.suffix](draft, clip)})
-
-
-def check_suffix(path: Path) -> None:
-    """Refuse an unknown file format.
-
-    Raises:
-        ValueError: naming the suffix received and those allowed.
-    """
-    if path.suffix not in WRITERS:
-        raise ValueError(f"cannot write {path.suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
 
 
 def _gif(clip: Clip) -> bytes:

@@ -33,7 +33,6 @@ ONE_EPISODE_OPTION = "lerobot_new_rollout"
 RENDER_MODES = ("rgb_array",)
 RANDOM_SEED_LIMIT = 2**31
 """Seeds that the environment draws itself are below this."""
-POLICY_NAME = "policy"
 SPARSE, DENSE = "sparse", "dense"
 REWARDS = {
     SPARSE: "1 at the frame at which the episode ends in success, else 0",
@@ -156,7 +155,7 @@ class DynahoiVectorEnv(VectorEnv):
                 worlds would begin their next episodes at different frames.
             ClosedEnvironmentError: after ``close``.
         """
-        check_open(self.closed)
+        self._check_open()
         one_episode = bool((options or {}).get(ONE_EPISODE_OPTION, False))
         if self._inference is not None and not one_episode:
             option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
@@ -252,14 +251,13 @@ class DynahoiVectorEnv(VectorEnv):
         self.__init__(**state["arguments"])
         self.spec = state["spec"]
 
-    def _observed(self) -> Observation:
-        """The latest observation.
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ClosedEnvironmentError("this environment was closed; make a new one")
 
-        Raises:
-            ResetNeeded: before the first ``reset``.
-            ClosedEnvironmentError: after ``close``.
-        """
-        check_open(self.closed)
+    def _observed(self) -> Observation:
+        """The latest observation; refused before the first ``reset`` and after ``close``."""
+        self._check_open()
         if self._session.observation is None:
             raise ResetNeeded("call reset first: no episode has begun")
         return self._session.observation
@@ -267,12 +265,11 @@ class DynahoiVectorEnv(VectorEnv):
     def _draw_numbers(self, seed: int | Sequence[int | None] | None) -> np.ndarray:
         """(N,) int64, the number of each world's first episode, see ``reset``."""
         n = self.num_envs
-        if isinstance(seed, int | np.integer):
-            super().reset(seed=check_seed(seed))
         if seed is None:
             return self.np_random.integers(0, RANDOM_SEED_LIMIT, n)
         if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
-            return np.array([check_seed(check_seed(seed) + i) for i in range(n)], np.int64)
+            super().reset(seed=(first := check_seed(seed)))
+            return np.array([check_seed(first + i) for i in range(n)], np.int64)
         if len(seed) != n:
             raise ValueError(f"reset needs one seed for each of {n} worlds, got {len(seed)}")
         drawn = (self.np_random.integers(0, RANDOM_SEED_LIMIT) if one is None else check_seed(one) for one in seed)
@@ -293,7 +290,7 @@ class DynahoiVectorEnv(VectorEnv):
             self._success[i] = self._session.success(int(i))
         infos: dict[str, Any] = {"is_success": self._success.copy()}
         for i in np.flatnonzero(ending):
-            episode = self._session.finish(int(i), POLICY_NAME)
+            episode = self._session.finish(int(i), "policy")
             if self._on_episode is not None:
                 self._on_episode(episode)
             for name, value in measure(episode).items():
@@ -303,12 +300,7 @@ class DynahoiVectorEnv(VectorEnv):
         return infos
 
     def _rewards(self, acted: np.ndarray, ending: np.ndarray) -> np.ndarray:
-        """(N,) reward of the step just made, before the next episodes begin; see ``REWARDS``.
-
-        Args:
-            acted: (N,) bool, whether the step's action took effect.
-            ending: (N,) bool, whether the episode ends with this step.
-        """
+        """(N,) reward of a step, see ``REWARDS``; (N,) bool each: its action took effect, the episode ends with it."""
         rewards = (self._success & ending).astype(np.float64)
         if self.reward == DENSE:
             before_m, self._distance_m = self._distance_m, self._measured_distance_m()
@@ -322,11 +314,7 @@ class DynahoiVectorEnv(VectorEnv):
 
 
 def observation_space(features: Sequence[Feature]) -> spaces.Dict:
-    """Return the space of one world's observations: a Box for each of ``features`` that policies see.
-
-    Args:
-        features: as ``Recipe.features`` returns them.
-    """
+    """Return the space of one world's observations: a Box for each of ``features`` that policies see."""
     groups: dict[str, dict[str, spaces.Space]] = {"": {}}
     for feature in features:
         if feature.observed and feature.gym_key is not None:
@@ -337,22 +325,8 @@ def observation_space(features: Sequence[Feature]) -> spaces.Dict:
     return spaces.Dict({**{group: spaces.Dict(boxes) for group, boxes in groups.items()}, **ungrouped})
 
 
-def check_open(closed: bool) -> None:
-    """Refuse to use an environment after ``close``.
-
-    Raises:
-        ClosedEnvironmentError: if it is closed.
-    """
-    if closed:
-        raise ClosedEnvironmentError("this environment was closed; make a new one")
-
-
 def check_seed(seed: Any) -> int:
-    """Return ``seed`` as an int.
-
-    Raises:
-        ValueError: if it is not an integer from 0 to 2^40 - 1.
-    """
+    """Return ``seed`` as an int; ValueError if it is not an integer from 0 to 2^40 - 1."""
     if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer) or not 0 <= seed < SEED_LIMIT:
         raise ValueError(f"a seed must be an integer from 0 to 2^40 - 1, got {seed!r}")
     return int(seed)

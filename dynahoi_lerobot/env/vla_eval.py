@@ -9,6 +9,7 @@ With ``inference: async``, ``latency_ms: 150`` and the server's ``n_action_steps
 infers, one inference at a time. What the requests really take counts in vla-eval's own live mode, with ``hz: 20``.
 """
 
+import math
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,9 +18,8 @@ from vla_eval.specs import DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
 from dynahoi_lerobot.core.conventions import HAND_DOF
-from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.env.vector_env import ONE_EPISODE_OPTION, DynahoiVectorEnv
-from dynahoi_lerobot.metrics import METRICS, measure
+from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.inference import SYNC, Inference, QueuedPolicy, StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -66,7 +66,6 @@ class DynahoiBenchmark(StepBenchmark):
         self._recipe = Recipe(split="test_small").changed(**fields)
         self._kinds, self._send_state = kinds, send_state
         self._env: DynahoiVectorEnv | None = None
-        self._episode: Episode | None = None
 
     def get_tasks(self) -> list[Task]:
         """Return one task per motion, in suites by category."""
@@ -77,10 +76,7 @@ class DynahoiBenchmark(StepBenchmark):
         """Start episode ``episode_idx`` of the task; return the first observation."""
         if self._env is None or self._env.kind != task["name"]:
             self.cleanup()
-            self._env = DynahoiVectorEnv(
-                1, recipe=self._recipe, kind=task["name"], on_episode=self._keep, inference=self._inference
-            )
-        self._episode = None
+            self._env = DynahoiVectorEnv(1, recipe=self._recipe, kind=task["name"], inference=self._inference)
         observation, _ = self._env.reset(seed=[int(task.get("episode_idx", 0))], options={ONE_EPISODE_OPTION: True})
         return observation
 
@@ -102,10 +98,12 @@ class DynahoiBenchmark(StepBenchmark):
 
     def get_step_result(self, step_result: StepResult) -> EpisodeResult:
         """Return success and every metric that applies to the episode."""
-        if self._episode is None:  # the harness gave up before the episode ended
+        info = step_result.info
+        values = {name: float(info[name][0]) for name in METRICS.names() if name in info}
+        if not values:  # the harness gave up before the episode ended
             return {"success": False}
-        values = {name: value for name, value in measure(self._episode).items() if value is not None}
-        return {"success": self._episode.success, **values}
+        applying = {name: value for name, value in values.items() if not math.isnan(value)}
+        return {"success": bool(info["is_success"][0]), **applying}
 
     def get_metric_keys(self) -> dict[str, str]:
         """Return how to aggregate: rates and means alike are averages over the episodes they apply to."""
@@ -139,6 +137,3 @@ class DynahoiBenchmark(StepBenchmark):
         """Return the current image of the hand's camera, (H, W, 3) uint8 RGB."""
         frames = None if self._env is None else self._env.render()
         return None if frames is None else np.asarray(frames[0])
-
-    def _keep(self, episode: Episode) -> None:
-        self._episode = episode

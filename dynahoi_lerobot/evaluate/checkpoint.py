@@ -152,6 +152,12 @@ def trained_for(folder: Path) -> dict[str, Any]:
     return told
 
 
+def hint_at_checkpoint(folder: Path) -> str:
+    """Return the end of a message about a folder that is no checkpoint; empty if there is none below it."""
+    nested = sorted(folder.glob(f"**/pretrained_model/{CONFIG}"))
+    return f"; did you mean {nested[-1].parent}?" if nested else ""
+
+
 def _recipe_of(root: str | None) -> dict[str, Any]:
     """Return the recipe of the dataset in ``root``, as far as there is one."""
     try:
@@ -178,10 +184,7 @@ def _download(repository: str, patterns: list[str], revision: str | None = None)
 def _check_files(folder: Path, trust: bool) -> None:
     """Refuse, or print if it is trusted, whatever in the folder could run code."""
     if not (folder / CONFIG).is_file():
-        nested = sorted(str(path.parent) for path in folder.glob("**/pretrained_model/config.json"))
-        raise PolicyError(
-            f"{folder} holds no policy (no {CONFIG})" + (f"; did you mean {nested[-1]}?" if nested else "")
-        )
+        raise PolicyError(f"{folder} holds no policy (no {CONFIG}){hint_at_checkpoint(folder)}")
     findings = list(_findings(folder))
     if findings and not trust:
         raise PolicyError(f"{findings[0]}; give --trust only if you would run a program from the same source")

@@ -31,7 +31,7 @@ from dynahoi_lerobot.evaluate.results import (
     command_line,
     read_results,
 )
-from dynahoi_lerobot.evaluate.table import results_table, stratum_table
+from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.rollout.inference import SYNC, Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.fingerprint import surroundings
@@ -85,22 +85,20 @@ def run(args: argparse.Namespace) -> int:
             info.extra.update(actor.report())
             if args.out:
                 recorder.write(args.out, info)
-        results = _results(args, info, recorder, played=bool(specs))
+        results = recorder.results(info, args.out or Path()) if specs else _finished(args.out, info, recorder)
     print(results_table([results]))
     if args.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
     if args.per_kind:
-        print("\n" + stratum_table(results).as_text())
+        print("\n" + kind_table(results).as_text())
     return 0
 
 
-def _results(args: argparse.Namespace, info: RunInfo, recorder: ResultsRecorder, *, played: bool) -> Results:
-    """Return all that is recorded; what an earlier run wrote whole stays as it is if nothing was left to play."""
-    if not args.out or played:
-        return recorder.results(info, args.out or Path())
+def _finished(folder: Path, info: RunInfo, recorder: ResultsRecorder) -> Results:
+    """Return results of which nothing was left to play, as they are if they are whole."""
     with suppress(ResultsError):
-        return read_results(args.out)
-    return recorder.write(args.out, info)  # it ended between the renaming of two files
+        return read_results(folder)
+    return recorder.write(folder, info)  # the earlier run ended between the renaming of two files
 
 
 def _real_time(actor: Actor, inference: Inference) -> Actor:

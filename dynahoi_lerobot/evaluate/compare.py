@@ -9,7 +9,7 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
-from dynahoi_lerobot.evaluate.summary import bootstrap_means
+from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap_means
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
 
@@ -24,21 +24,16 @@ COMMANDS = "commands"
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """Evaluation A against evaluation B on the episodes that both played.
+class Comparison(Estimate):
+    """The mean of A - B over the episodes that both played, with the paired bootstrap's 95 % interval.
+
+    Of ``commands`` it is the mean distance, in cm.
 
     Attributes:
-        metric: the compared metric.
-        n: paired episodes in which it applies to both.
-        difference: mean of A - B, in the metric's unit; of ``commands`` the mean distance [cm].
-        low: lower end of the paired bootstrap's 95 % interval of the difference.
-        high: upper end of that interval.
         p_value: exact McNemar for rates, paired bootstrap for means; two-sided. None for ``commands``.
     """
 
-    metric: str
-    n: int
-    difference: float
+    value: float
     low: float
     high: float
     p_value: float | None
@@ -46,7 +41,7 @@ class Comparison:
 
 def unequal_conditions(a: Results, b: Results, across: Collection[str] = ()) -> list[str]:
     """Return the conditions in which two evaluations differ, without those that are compared, ``across``."""
-    return [name for name in CONDITIONS if name not in across and getattr(a, name) != getattr(b, name)]
+    return [name for name in CONDITIONS if name not in across and a.rules[name] != b.rules[name]]
 
 
 def compare(
@@ -55,8 +50,7 @@ def compare(
     """Compare two evaluations on one metric, episode by episode; None if no episode has a value of both.
 
     Args:
-        a: evaluation A.
-        b: evaluation B.
+        a, b: the evaluations.
         metric: name of a registered metric, or ``commands``.
         across: conditions that may differ, of ``CROSSABLE``: what is compared.
         allow_version_mismatch: compare them even if they were played under different versions of the benchmark.
@@ -71,14 +65,16 @@ def compare(
         refuse_to_mix("benchmark", found, "evaluate both under one version, or allow the mismatch")
     for name in unequal_conditions(a, b, across):
         remedy = f"add --across {name} to compare exactly that" if name in CROSSABLE else "evaluate both under one"
-        refuse_to_mix(name, [(result.folder, getattr(result, name)) for result in (a, b)], remedy)
+        refuse_to_mix(name, [(result.folder, result.rules[name]) for result in (a, b)], remedy)
     differences = command_distances_cm(a, b) if metric == COMMANDS else -np.diff(paired_values(a, b, metric))[:, 0]
     if len(differences) == 0:
         return None
     means = bootstrap_means(differences)
     low, high = np.percentile(means, [2.5, 97.5])
-    p_value = None if metric == COMMANDS else _p_value(METRICS[metric], differences, means)
-    return Comparison(metric, len(differences), float(differences.mean()), float(low), float(high), p_value)
+    unit, p_value = "cm", None
+    if metric != COMMANDS:
+        unit, p_value = METRICS[metric].unit, _p_value(METRICS[metric], differences, means)
+    return Comparison(float(differences.mean()), float(low), float(high), unit, len(differences), p_value)
 
 
 def paired_values(a: Results, b: Results, metric: str) -> np.ndarray:

@@ -49,12 +49,7 @@ def phases_of(episode: Episode) -> list[str]:
 
 
 def frame_phases(acting: np.ndarray, localized: np.ndarray) -> list[str]:
-    """Return the name of each frame's phase.
-
-    Args:
-        acting: (T,) bool, whether the frame belongs to the control phase.
-        localized: (T,) bool, whether the target has been localised by then.
-    """
+    """Return the T names, given (T,) bool each: it is in the control phase, the target has been localised by then."""
     return np.where(acting, np.where(localized, "localized", "acting"), "observing").tolist()
 
 

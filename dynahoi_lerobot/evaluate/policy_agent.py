@@ -43,17 +43,7 @@ class PolicyAgent(ChunkAgent):
     def __init__(
         self, path: str, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
     ) -> None:
-        """Load the policy and its processors.
-
-        Args:
-            path: a ``pretrained_model`` folder, or a Hub repository id.
-            device: torch device, the policy's own if None.
-            settings: overrides of its config, ``KEY=VALUE`` each.
-            trust: load it even if that can run code of its own.
-
-        Raises:
-            PolicyError: as ``checked_folder`` and ``load_policy``.
-        """
+        """Load a policy and its processors; arguments and errors as of ``checked_folder`` and ``load_policy``."""
         self.name = path
         folder = checkpoint.checked_folder(path, trust=trust)
         _register_plugins()
@@ -176,8 +166,7 @@ def note_frame(policy: Any, batch: dict[str, Any]) -> None:
 def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
     """Add a frame to the observation queues of a policy that has them (Diffusion Policy, VQ-BeT, multi-task DiT).
 
-    Returns:
-        What ``predict_action_chunk`` of such a policy takes: the batch, with its images stacked under one key.
+    What ``predict_action_chunk`` of such a policy takes is returned: the batch, its images stacked under one key.
     """
     import torch
     from lerobot.policies.utils import populate_queues

@@ -23,13 +23,12 @@ from dynahoi_lerobot.core.files import sha256
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.rollout.inference import SYNC
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.rollout.loop import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seal, split_of, split_seeds, stream_label
 
-SAME, DIFFERS = 0, 1
 TOLERANCE = 1e-5
 """Greatest difference of a number, in its unit, for replays on another processor; on one machine they are equal."""
 PLAYED_TOGETHER = 32
@@ -66,11 +65,11 @@ def run(args: argparse.Namespace) -> int:
     print(f"{len(chosen)} episodes drawn with --replay-seed {seed}, of {of}")
     if findings:
         print(f"not the same: {len(findings)} found")
-        return DIFFERS
+        return 1
     print(
         "every number is the same; no command tells the policy, its settings, its observations and its inference time"
     )
-    return SAME
+    return 0
 
 
 def drawn(n_rows: int, count: int | None, seed: int) -> list[int]:
@@ -88,13 +87,10 @@ def open_recipe(results: Results, salt: str = "") -> Recipe:
         ValueError: if the results are of another salt.
     """
     recipe = results.recipe()
-    if (stored := seal(recipe.salt)) != seal(salt):
-        raise ValueError(f"the results are of {_stream(stored)}, not of {_stream(seal(salt))}, as --salt says")
+    if seal(recipe.salt) != seal(salt):
+        found, said = (f"salt {seal(one)}" if one else "the public stream" for one in (recipe.salt, salt))
+        raise ValueError(f"the results are of {found}, not of {said}, as --salt says")
     return replace(recipe, salt=salt)
-
-
-def _stream(sealed: str) -> str:
-    return f"salt {sealed}" if sealed else "the public stream"
 
 
 def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
@@ -105,26 +101,21 @@ def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
-    rules = Recipe(split=split_of(info.split), capture=info.capture, control_class=results.control_class)
+    rules = Recipe(split=split_of(info.split), capture=info.capture, control_class=results.rules["control_class"])
     played = asdict(results.recipe())
     return {name: (played[name], value) for name, value in asdict(rules).items() if played[name] != value}
 
 
 def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
     """Return what a result says of its policy that is not as in the benchmark, and that no replay can tell."""
-    said = {"inference": results.inference, "privileged": results.privileged}
+    said = {"inference": results.rules["inference"], "privileged": results.privileged}
     said["settings"] = results.info.extra.get("settings") or []
     usual = {"inference": SYNC, "settings": [], "privileged": False}
     return {name: (value, usual[name]) for name, value in said.items() if value != usual[name]}
 
 
 def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
-    """Yield what in results and their folder is wrong by itself, before anything is played.
-
-    Args:
-        results: as ``read_results`` read them.
-        recipe: of ``open_recipe``.
-    """
+    """Yield what in results and their folder is wrong by itself, before anything is played."""
     info, split = results.info, split_of(results.info.split)
     if (here := recipe.fingerprint()) != info.fingerprint:
         yield f"the results were made by {_otherwise(results)} ({info.fingerprint}, here is {here})"

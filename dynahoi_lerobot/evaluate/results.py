@@ -5,7 +5,7 @@ Whatever is damaged in it is one ``ResultsError``.
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -19,7 +19,7 @@ from dynahoi_lerobot.core.files import printable, write_atomically
 from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows
 from dynahoi_lerobot.rollout.inference import SYNC
-from dynahoi_lerobot.rollout.replay import ActionLog
+from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -38,16 +38,6 @@ UNIFORM = ("capture", "benchmark", "protocol", "control_class")
 """Columns with one value in all rows; the first two have that of ``metrics.json``."""
 
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
-RULES = {
-    "protocol": "protocol",
-    "capture": "capture",
-    "control": "control_class",
-    "inference": "inference",
-    "noise": "render_noise",
-    "speed": "path_speed",
-}
-"""Attributes of `Results` that must be equal for two evaluations to be compared, by their titles in tables."""
-
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
 
@@ -108,42 +98,26 @@ class Results:
     rows: tuple[Row, ...]
     actions: tuple[np.ndarray, ...] = field(repr=False)
     head: dict[str, Any] = field(default_factory=dict, repr=False)
+    _by: dict[str, dict[str, Summary]] = field(default_factory=dict, init=False, repr=False)
 
-    @property
-    def control_class(self) -> str:
-        """The control class of its episodes."""
-        return self.rows[0]["control_class"]
+    @cached_property
+    def rules(self) -> dict[str, str]:
+        """What must be equal for two evaluations to be compared.
 
-    @property
-    def protocol(self) -> str:
-        """The protocol of its episodes."""
-        return self.rows[0]["protocol"]
-
-    @property
-    def capture(self) -> str:
-        """The capture rule of its episodes."""
-        return self.info.capture
-
-    @property
-    def render_noise(self) -> str:
-        """By how many of 255 levels the images were changed at most, ``0`` if they were not."""
-        return self._rule("render_noise", 0)
-
-    @property
-    def path_speed(self) -> str:
-        """How many times as fast targets were on their paths, ``1`` unless they are twins."""
-        return self._rule("path_speed", 1)
-
-    def _rule(self, name: str, usual: float) -> str:
-        """A number of the recipe; the usual one if it does not tell."""
+        ``inference`` is ``sync`` if the world waited for the policy, else such as ``async 150 ms``; ``render_noise``
+        how many of 255 levels the images were changed by at most, ``0`` if they were not; ``path_speed`` how many times
+        as fast targets were on their paths, ``1`` unless they are twins.
+        """
         recipe = self.info.extra.get("recipe")
-        value = recipe.get(name, usual) if isinstance(recipe, dict) else usual
-        return f"{value:g}" if isinstance(value, int | float) else f"{usual:g}"
-
-    @property
-    def inference(self) -> str:
-        """How long inference took: ``sync`` if the world waited for it, else such as ``async 150 ms``."""
-        return self.info.extra.get("inference") or SYNC
+        told = recipe if isinstance(recipe, dict) else {}
+        return {
+            "protocol": self.rows[0]["protocol"],
+            "capture": self.info.capture,
+            "control_class": self.rows[0]["control_class"],
+            "inference": self.info.extra.get("inference") or SYNC,
+            "render_noise": f"{told.get('render_noise', 0):g}",
+            "path_speed": f"{told.get('path_speed', 1):g}",
+        }
 
     @property
     def privileged(self) -> bool:
@@ -154,23 +128,16 @@ class Results:
         """Return a name of the policy as tables and reports show it: marked if it is privileged."""
         return printable(f"{name} (privileged)" if self.privileged else name)
 
-    def summary(self) -> Summary:
-        """Return every metric with its interval over all episodes; computed once."""
-        return self._summary
-
     @cached_property
-    def _summary(self) -> Summary:
+    def summary(self) -> Summary:
+        """Every metric with its interval over all episodes."""
         return summarise_rows(self.rows)
 
     def by(self, stratum: str) -> dict[str, Summary]:
         """Return every metric for every label of ``stratum``; computed once."""
-        if stratum not in self._by_stratum:
-            self._by_stratum[stratum] = summarise_by(self.rows, stratum)
-        return self._by_stratum[stratum]
-
-    @cached_property
-    def _by_stratum(self) -> dict[str, dict[str, Summary]]:
-        return {}
+        if stratum not in self._by:
+            self._by[stratum] = summarise_by(self.rows, stratum)
+        return self._by[stratum]
 
     def recipe(self) -> Recipe:
         """Return what was played.
@@ -199,13 +166,24 @@ class Results:
             "split": info.split,
             "policy": info.policy,
             "capture": info.capture,
-            "metrics": _plain(self.summary()),
+            "metrics": _plain(self.summary),
             "per_kind": {kind: _plain(summary) for kind, summary in self.by("kind").items()},
             "fingerprint": info.fingerprint,
             "benchmark": info.benchmark,
             "command": info.command,
             "extra": info.extra,
         }
+
+    def write(self) -> None:
+        """Write the three files; ``metrics.json`` is renamed last, so it is there only if the others are."""
+        text = json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n"
+        write_atomically(
+            {
+                self.folder / EPISODES_FILE: lambda path: _write_rows(path, self.rows),
+                self.folder / ACTIONS_FILE: lambda path: _write_actions(path, self.rows, self.actions),
+                self.folder / METRICS_FILE: lambda path: path.write_text(text, encoding="utf-8"),
+            }
+        )
 
 
 class ResultsRecorder:
@@ -248,8 +226,8 @@ class ResultsRecorder:
         Raises:
             ValueError: if nothing was recorded.
         """
-        results = self.results(info, Path(folder))
-        write_files(results.folder, results.as_json(), results.rows, results.actions)
+        results = self.results(info, folder)
+        results.write()
         return results
 
     def results(self, info: RunInfo, folder: Path = Path()) -> Results:
@@ -261,17 +239,6 @@ class ResultsRecorder:
         if not self._rows:
             raise ValueError("no episode was recorded; results need at least one")
         return Results(folder, info, tuple(self._rows), tuple(self._actions))
-
-
-def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:
-    """Write the result folder of ``episodes``, which may be a generator, in place of earlier results; return it.
-
-    Raises:
-        ValueError: if there is no episode.
-    """
-    recorder = ResultsRecorder()
-    recorder.extend(episodes)
-    return recorder.write(folder, info)
 
 
 def read_results(folder: Path) -> Results:
@@ -287,10 +254,10 @@ def read_results(folder: Path) -> Results:
         counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
         raise ResultsError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
     for name in UNIFORM:
-        if len(found := sorted({row[name] for row in rows} | {head[name] for name in [name] if name in head})) > 1:
+        found = sorted({head.get(name, rows[0][name]), *(row[name] for row in rows)})
+        if len(found) > 1:
             raise ResultsError(f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}")
-    names = ("policy", "split", "capture", "command", "fingerprint", "extra", "benchmark")
-    info = RunInfo(**{name: head[name] for name in names})
+    info = RunInfo(**{entry.name: head[entry.name] for entry in fields(RunInfo)})
     return Results(folder, info, tuple(rows), tuple(actions), head)
 
 
@@ -301,31 +268,8 @@ def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
 # -- the three files --------------------------------------------------------------------------------------------------
 
 
-def write_files(folder: Path, head: dict[str, Any], rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
-    """Write the three files; ``metrics.json`` is renamed last, so it is there only if the others are.
-
-    Args:
-        folder: made if it does not exist.
-        head: the content of ``metrics.json``.
-        rows: one row an episode.
-        actions: one (T, 18) float32 array an episode.
-    """
-    text = json.dumps(head, indent=2, allow_nan=False) + "\n"
-    write_atomically(
-        {
-            folder / EPISODES_FILE: lambda path: _write_rows(path, rows),
-            folder / ACTIONS_FILE: lambda path: _write_actions(path, rows, actions),
-            folder / METRICS_FILE: lambda path: path.write_text(text, encoding="utf-8"),
-        }
-    )
-
-
 def _read_saved(folder: Path) -> tuple[list[Row], list[np.ndarray]]:
-    """Return the rows and actions of a folder, whose numbers differ if its last save ended between two files.
-
-    Raises:
-        ResultsError: one sentence that says what is missing or damaged.
-    """
+    """Return the rows and actions of a folder, whose numbers differ if its last save ended between two files."""
     rows = _load(folder / EPISODES_FILE, _read_rows)
     return rows, _load(folder / ACTIONS_FILE, lambda path: _read_actions(path, rows))
 

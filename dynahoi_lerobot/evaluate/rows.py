@@ -3,7 +3,6 @@
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,18 +27,11 @@ own label.
 ELSEWHERE = ("other", "other")
 """Tier and periodicity of a category outside the paper's eight."""
 
-DURATION_EDGES = (20, 40, 60, 80, 120)
-"""Upper edges [frames] of the duration bins (Figure "Data statistics", c), each part of the lower bin."""
+DURATIONS, DURATION_EDGES = ("<20", "20-40", "40-60", "60-80", "80-120", ">120"), (20, 40, 60, 80, 120)
+"""Duration bins and their upper edges [frames] (Figure "Data statistics", c), each part of the lower bin."""
 
-TRAVEL_EDGES = (0.5, 2.0, 4.0)
-"""Upper edges [u] of the travel bins (Figure "Data statistics", d), each part of the lower bin."""
-
-
-def _bin_names(edges: tuple[float, ...], lowest: str) -> tuple[str, ...]:
-    return (lowest, *(f"{low:g}-{high:g}" for low, high in pairwise(edges)), f">{edges[-1]:g}")
-
-
-DURATIONS, TRAVELS = _bin_names(DURATION_EDGES, "<20"), _bin_names(TRAVEL_EDGES, "0-0.5")
+TRAVELS, TRAVEL_EDGES = ("0-0.5", "0.5-2", "2-4", ">4"), (0.5, 2.0, 4.0)
+"""Travel bins and their upper edges [u] (Figure "Data statistics", d), each part of the lower bin."""
 
 
 def travel_u(episode: Episode) -> float:

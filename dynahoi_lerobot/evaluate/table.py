@@ -1,17 +1,18 @@
 """Results as tables, which the terminal prints and the report shows."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
-from dynahoi_lerobot.evaluate.results import RULES, Results
+from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.metrics import METRICS
 
 MAIN_COLUMNS = ("S_loc", "S_joint", "S_gra_two_sided", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
 """The paper's seven metrics, and beside its S_gra, which a fist passes, the grasp that a fist fails."""
 
-CONDITIONS = ("split", *RULES, "benchmark", "n")
+CONDITIONS = ("split", "protocol", "capture", "control", "inference", "noise", "speed", "benchmark", "n")
 """Titles of what is said about an evaluation beside its numbers: under others they do not compare."""
 
 
@@ -69,28 +70,22 @@ def metrics_table(labels: Sequence[str], results: Sequence[Results], columns: Se
     rows = tuple(
         (
             Cell(label),
-            *(_condition(CONDITIONS[i], found[place][i]) for i in differing),
-            *(metric_cell(result.summary()[name], "best" if (place, name) in best else "") for name in columns),
+            *(Cell(found[place][i], key=len(result.rows) if CONDITIONS[i] == "n" else None) for i in differing),
+            *(metric_cell(result.summary[name], "best" if (place, name) in best else "") for name in columns),
         )
         for place, (label, result) in enumerate(zip(labels, results, strict=True))
     )
     return Table(", ".join(shared), ("policy", *(CONDITIONS[i] for i in differing), *map(heading, columns)), rows)
 
 
-def stratum_table(
-    results: Results, stratum: str = "kind", columns: Sequence[str] | None = None, caption: str = ""
-) -> Table:
-    """Return one row per label of ``stratum``, each metric with its interval."""
-    columns = columns or columns_for([results])
+def kind_table(results: Results, caption: str = "") -> Table:
+    """Return one row per kind of motion, each metric with its interval."""
+    columns, counts = columns_for([results]), Counter(row["kind"] for row in results.rows)
     rows = tuple(
-        (
-            Cell(label),
-            _count(sum(row[stratum] == label for row in results.rows)),
-            *(metric_cell(summary[name]) for name in columns),
-        )
-        for label, summary in results.by(stratum).items()
+        (Cell(kind), Cell(str(counts[kind]), key=counts[kind]), *(metric_cell(summary[name]) for name in columns))
+        for kind, summary in results.by("kind").items()
     )
-    return Table(caption, (stratum, "n", *map(heading, columns)), rows)
+    return Table(caption, ("kind", "n", *map(heading, columns)), rows)
 
 
 def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
@@ -100,8 +95,7 @@ def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
 
 def conditions(result: Results) -> list[str]:
     """Return what ``CONDITIONS`` says about an evaluation."""
-    rules = [getattr(result, name) for name in RULES.values()]
-    return [result.info.split, *rules, result.info.benchmark, str(len(result.rows))]
+    return [result.info.split, *result.rules.values(), result.info.benchmark, str(len(result.rows))]
 
 
 def heading(name: str) -> str:
@@ -125,25 +119,10 @@ def _best(results: Sequence[Results], columns: Sequence[str]) -> set[tuple[int, 
     groups: dict[tuple[str, ...], list[int]] = defaultdict(list)
     for place, result in enumerate(results):
         groups[tuple(conditions(result)[:-1])].append(place)
-    return {
-        (place, name)
-        for places in groups.values()
-        for name in columns
-        for place in _winners({place: results[place].summary()[name].value for place in places}, name)
-    }
-
-
-def _winners(values: dict[int, float | None], name: str) -> list[int]:
-    known = {place: value for place, value in values.items() if value is not None}
-    if len(known) < 2:
-        return []
-    top = max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
-    return [place for place, value in known.items() if value == top]
-
-
-def _condition(title: str, value: str) -> Cell:
-    return _count(int(value)) if title == "n" else Cell(value)
-
-
-def _count(number: int) -> Cell:
-    return Cell(str(number), key=number)
+    best = set()
+    for places, name in product(groups.values(), columns):
+        known = {place: value for place in places if (value := results[place].summary[name].value) is not None}
+        if len(known) > 1:
+            top = max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
+            best |= {(place, name) for place, value in known.items() if value == top}
+    return best

@@ -22,13 +22,7 @@ GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One evaluation of a report.
-
-    Attributes:
-        results: its result folder.
-        label: short and unique within the report.
-        colour: hexadecimal RGB.
-    """
+    """One evaluation of a report: its results, a label unique within the report, and a colour in hexadecimal RGB."""
 
     results: Results
     label: str
@@ -48,7 +42,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in results]
         refuse_to_mix("benchmark", found, f"evaluate both under one version, or add {ALLOW_MISMATCH}")
-    results.sort(key=lambda result: -(result.summary()["S_loc"].value or 0.0))
+    results.sort(key=lambda result: -(result.summary["S_loc"].value or 0.0))
     labels = unique_labels(results)
     return [
         Entry(result, label, COLOURS[place % len(COLOURS)])
@@ -71,8 +65,9 @@ def unique_labels(results: Sequence[Results]) -> list[str]:
 
 def _label(result: Results) -> str:
     rules = [result.info.extra.get("inference")]
-    rules += [f"noise {result.render_noise}"] * (result.render_noise != "0")
-    rules += [f"speed {result.path_speed}"] * (result.path_speed != "1")
+    for title, name, usual in (("noise", "render_noise", "0"), ("speed", "path_speed", "1")):
+        if result.rules[name] != usual:
+            rules.append(f"{title} {result.rules[name]}")
     return ", ".join(filter(None, (result.marked(short_name(result.info.policy)), *rules)))
 
 
@@ -83,10 +78,10 @@ def short_name(policy: str) -> str:
     return clip((distinctive or parts or ["?"])[-1])
 
 
-def clip(text: str, length: int = LABEL_LENGTH) -> str:
+def clip(text: str) -> str:
     """Return ``text`` in printable characters, shortened in the middle."""
-    clean, half = printable(text.strip()), (length - 1) // 2
-    return clean if len(clean) <= length else f"{clean[:half]}…{clean[-half:]}"
+    clean, half = printable(text.strip()), (LABEL_LENGTH - 1) // 2
+    return clean if len(clean) <= LABEL_LENGTH else f"{clean[:half]}…{clean[-half:]}"
 
 
 def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import inspect
 import io
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,6 @@ from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import columns_for, heading
 from dynahoi_lerobot.report.entries import COLOURS, Entry, clip, distinct_episodes, short_name
-from dynahoi_lerobot.rollout.inference import SYNC, Inference
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,9 +87,7 @@ def _svg_address(drawing: Figure) -> str:
     buffer = io.StringIO()
     metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # nothing that changes between runs
     drawing.savefig(buffer, format="svg", metadata=metadata)
-    head, body = buffer.getvalue().replace(INK, "var(--ink)").split("<svg", 1)
-    tag, rest = body.split(">", 1)
-    svg = f"{head}<svg{tag}>{INK_CSS}{rest}"
+    svg = re.sub("<svg[^>]*>", rf"\g<0>{INK_CSS}", buffer.getvalue().replace(INK, "var(--ink)"), count=1)
     return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
 
 
@@ -193,7 +191,7 @@ def main_metrics(entries: Sequence[Entry]) -> Figure:
     names = shown_metrics(entries)
     drawing, axes = metric_panels(names, 0.8 + 0.26 * len(entries), sharey=True)
     for panel, name in zip(axes, names, strict=True):
-        values, errors = error_bars([entry.results.summary()[name] for entry in entries])
+        values, errors = error_bars([entry.results.summary[name] for entry in entries])
         colours = [entry.colour for entry in entries]
         panel.barh([entry.label for entry in entries], values, xerr=errors, color=colours, height=0.65, **BARS)
         panel.grid(visible=False, axis="y")
@@ -249,7 +247,7 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     kinds = [kind for group in groups for kind in group]
     if len(kinds) < 2:
         return None
-    contact = [entry for entry in entries if entry.results.capture == "contact"]
+    contact = [entry for entry in entries if entry.results.info.capture == "contact"]
     maps = {"S_loc": entries, "S_hold": contact} if contact else {"S_loc": entries}
     heights = [0.36 * len(shown) + 0.2 for shown in maps.values()]
     drawing, axes = subplots(len(maps), 1, sum(heights) + 1.7, sharex=True, height_ratios=heights)
@@ -316,7 +314,7 @@ def per_frame_grasp(entries: Sequence[Entry]) -> Figure:
     drawing, (panel,) = subplots(1, 1, 3.0)
     width = 0.8 / len(entries)
     for place, entry in enumerate(entries):
-        values, errors = error_bars([entry.results.summary()[f"grasp_{setting}"] for setting in FINGERS_AT_LEAST])
+        values, errors = error_bars([entry.results.summary[f"grasp_{setting}"] for setting in FINGERS_AT_LEAST])
         x = np.arange(len(values)) + (place - (len(entries) - 1) / 2) * width
         panel.bar(x, values, 0.9 * width, yerr=errors, color=entry.colour, **BARS)
     panel.set_xticks(range(3), [f"{setting}\n≥ {n} fingers" for setting, n in FINGERS_AT_LEAST.items()])
@@ -331,11 +329,11 @@ def per_frame_grasp(entries: Sequence[Entry]) -> Figure:
 
 def latency_ms(entry: Entry) -> float | None:
     """Return the declared latency of an evaluation [ms]; None if it was measured, or its label does not state it."""
-    label = entry.results.inference
-    try:
-        return Inference.from_label("" if label == SYNC else label).latency_ms
-    except ValueError:
-        return None
+    label = entry.results.info.extra.get("inference")
+    if not label:
+        return 0.0
+    told = re.fullmatch(r"\w+ ([\d.e+]+) ms", label)  # as `Inference.label` says it
+    return float(told[1]) if told else None
 
 
 @figure("latency", "Inference latency")
@@ -349,15 +347,15 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
         return None
     lines: dict[str, list[tuple[float, Entry]]] = {}
     for ms, entry in known:
-        results = entry.results
-        rules = (short_name(results.info.policy), results.info.split, results.capture, results.control_class)
+        info, control_class = entry.results.info, entry.results.rules["control_class"]
+        rules = (short_name(info.policy), info.split, info.capture, control_class)
         lines.setdefault(", ".join(rules), []).append((ms, entry))
     names, colours = shown_metrics([entry for _, entry in known]), dict(zip(lines, cycle(COLOURS), strict=False))
     drawing, axes = metric_panels(names, 2.0)
     legend(drawing, [(clip(label), colour) for label, colour in colours.items()])
     for panel, name in zip(axes, names, strict=True):
         for label, line in lines.items():
-            estimates = [entry.results.summary()[name] for _, entry in line]
+            estimates = [entry.results.summary[name] for _, entry in line]
             points(panel, np.array([ms for ms, _ in line]), estimates, colours[label])
         panel.set_xlabel("latency of an inference [ms]")
     return drawing

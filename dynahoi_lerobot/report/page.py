@@ -11,7 +11,6 @@ from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.core.files import printable, write_atomically
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, unequal_conditions
-from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import Cell, Table
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures
@@ -68,8 +67,8 @@ def _difference(a: Entry, b: Entry, across: list[str]) -> str:
     )
     if loc is None or apart is None:
         return f"{a.label} and {b.label} share no episode"
-    points = f"S_loc {100 * loc.difference:+.1f} [{100 * loc.low:+.1f}, {100 * loc.high:+.1f}] points"
-    commands = f"commands {apart.difference:.2f} [{apart.low:.2f}, {apart.high:.2f}] cm apart"
+    points = f"S_loc {100 * loc.value:+.1f} [{100 * loc.low:+.1f}, {100 * loc.high:+.1f}] points"
+    commands = f"commands {apart.value:.2f} [{apart.low:.2f}, {apart.high:.2f}] cm apart"
     return f"{a.label} minus {b.label}, {loc.n} episodes: {points}, {commands}"
 
 
@@ -123,7 +122,7 @@ def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict
         "other_metrics": table.metrics_table(labels, results, other),
         "comparisons": comparison_tables(entries, across),
         "figures": [(figure, address) for figure, address in drawn if address],
-        "per_kind": [table.stratum_table(entry.results, "kind", caption=entry.label) for entry in entries],
+        "per_kind": [table.kind_table(entry.results, entry.label) for entry in entries],
         "glossary": glossary(),
         "clips": [(label, shown, left_out) for label, shown, left_out in clips if shown],
     }
@@ -159,13 +158,12 @@ def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> 
     result = compare(row.results, column.results, name, across=across, allow_version_mismatch=True)
     if row is column or result is None:
         return Cell("–")
-    unit = "cm" if name == COMMANDS else METRICS[name].unit
-    cell = table.metric_cell(Estimate(result.difference, result.low, result.high, unit, result.n))
+    cell = table.metric_cell(result)
     if result.p_value is None:
         return Cell(cell.text, f"{cell.detail} n = {result.n}", cell.key)
     p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"
-    better = (result.difference > 0) == (METRICS[name].direction == "higher")
-    mark = ("better" if better else "worse") if result.p_value < SIGNIFICANT and result.difference else ""
+    better = (result.value > 0) == (METRICS[name].direction == "higher")
+    mark = ("better" if better else "worse") if result.p_value < SIGNIFICANT and result.value else ""
     return Cell(cell.text, f"{cell.detail} {p_value}, n = {result.n}", cell.key, mark)
 
 

@@ -8,10 +8,8 @@ after the last action of a chunk, where that led.
 """
 
 import math
-import re
 from dataclasses import dataclass
-from math import ceil
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +23,6 @@ INFERENCE_MODES = {
     RTC: "as async, with the new chunk conditioned on actions already committed (real-time chunking)",
 }
 MAX_LATENCY_MS = 60_000.0
-LABEL = re.compile(r"(?P<mode>\w+) (?:(?P<ms>[\d.e+]+) ms|measured)")
-"""What `Inference.label` gives, with its parts."""
 ROUNDING = 1e-9
 """Frames by which a latency may exceed a whole number of them, being computed in floating point."""
 
@@ -64,24 +60,10 @@ class Inference:
         latency = "measured" if self.latency_ms is None else f"{self.latency_ms:g} ms"
         return f"{self.mode} {latency}"
 
-    @classmethod
-    def from_label(cls, label: str) -> Self:
-        """Return the timing that has this ``label``.
-
-        Raises:
-            ValueError: if no timing has it.
-        """
-        if not label:
-            return cls()
-        found = LABEL.fullmatch(label)
-        if not found:
-            raise ValueError(f"no inference is called {label!r}; a name is such as 'async 150 ms'")
-        return cls(found["mode"], float(found["ms"]) if found["ms"] else None)
-
 
 def frames_of(seconds: float) -> int:
     """Return the control steps [frames] until something that takes so long [s] is there: 150 ms are three."""
-    return max(0, ceil(seconds / CONTROL_DT - ROUNDING)) if math.isfinite(seconds) else 0
+    return max(0, math.ceil(seconds / CONTROL_DT - ROUNDING)) if math.isfinite(seconds) else 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,10 +99,7 @@ class RealTimeAgent(Agent):
                 f"inference mode rtc guides a chunk while it is generated, which {agent.name!r} does not support; "
                 "use async"
             )
-        for name in (
-            "name", "sees_images", "views", "environment_state", "privileged", "weights",
-            "trained_for",
-        ):  # fmt: skip
+        for name in ("name", "sees_images", "views", "environment_state", "privileged", "weights", "trained_for"):
             setattr(self, name, getattr(agent, name))
         if inference.mode == RTC:
             agent.enable_guidance()
@@ -146,7 +125,10 @@ class RealTimeAgent(Agent):
             self._receive()
         else:
             self._agent.watch(observation)
-        commands = self._commands(observation)
+        commands = observation.state.astype(np.float64)
+        for i, chunk in enumerate(self._running):
+            if chunk is not None:
+                commands[i] = chunk.action(self._frame)
         self._frame += 1
         return commands
 
@@ -154,14 +136,6 @@ class RealTimeAgent(Agent):
         """Return the agent's report, and how many frames an inference took on average."""
         frames = self._waited_frames / max(self._inferences, 1)
         return {**self._agent.report(), "inference_frames": round(frames, 3)}
-
-    def _commands(self, observation: Observation) -> np.ndarray:
-        """Return what is due of the running chunks."""
-        commands = observation.state.astype(np.float64)
-        for i, chunk in enumerate(self._running):
-            if chunk is not None:
-                commands[i] = chunk.action(self._frame)
-        return commands
 
     def _receive(self) -> None:
         """Go on with the chunks that are ready at this frame."""
@@ -173,7 +147,11 @@ class RealTimeAgent(Agent):
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
         continued = self._continued(worlds) if self._continues else {}
         for i, actions, seconds in zip(worlds, *self._agent.plan(observation, worlds, **continued), strict=True):
-            self._check(len(actions))
+            if self._delay is not None and self._delay >= len(actions):
+                raise ValueError(
+                    f"the chunks of {self.name!r} have {len(actions)} actions, all of them past when a chunk is ready "
+                    f"after {self._delay} frames; allowed are less than {len(actions)} frames"
+                )
             took = frames_of(seconds) if self._delay is None else self._delay
             self._coming[i] = Chunk(actions, self._frame, self._frame + took)
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
@@ -185,14 +163,6 @@ class RealTimeAgent(Agent):
             return {}
         lasted = [chunk.ready - chunk.first if self._delay is None else self._delay for chunk in old]
         return {"delays": np.array(lasted), "executed": np.array([self._frame - chunk.first for chunk in old])}
-
-    def _check(self, length: int) -> None:
-        """Raise ValueError if a chunk is over before it is ready."""
-        if self._delay is not None and self._delay >= length:
-            raise ValueError(
-                f"the chunks of {self.name!r} have {length} actions, all of them past when a chunk is ready after "
-                f"{self._delay} frames; allowed are less than {length} frames"
-            )
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ Generation, evaluation and the environments all play here, so that they cannot d
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -23,9 +23,6 @@ from dynahoi_lerobot.world.batch import WorldBatch
 DEFAULT_BATCH = 32
 """Worlds played side by side. A network's rounding may depend on what else is in its batch, so a policy that is
 recorded plays consecutive seeds of a shard together, whoever records them."""
-
-MakeAgent = Callable[[int], Agent]
-"""Returns the policy, whose random numbers follow from the seed given."""
 
 
 class Session:
@@ -72,10 +69,8 @@ class Session:
 
         Raises:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
-            RuntimeError: if nothing was observed yet.
         """
-        if self.observation is None:
-            raise RuntimeError("observe before the first step")
+        assert self.observation is not None, "observe before the first step"
         checked, ids = self.batch.as_commands(commands, self.observation), self.playing
         columns = frame_columns(self.batch, self.observation)
         images = self.observation.images if self.record_images else {}
@@ -148,11 +143,9 @@ def record(
 ) -> Iterator[Episode]:
     """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are left out.
 
-    Each frame's ``action`` is the expert's label, see `teacher_labels`; an episode ends soon after its outcome.
-
-    With ``recipe.keep_failures`` the last attempt at them is yielded instead.
-
-    Each is a function of (recipe, seed): batch size and threads do not matter.
+    With ``recipe.keep_failures`` the last attempt at them is yielded instead. Each frame's ``action`` is the expert's
+    label, see `teacher_labels`; an episode ends soon after its outcome. Each is a function of (recipe, seed): batch
+    size and threads do not matter.
     """
     if len(recipe.path_speeds) > 1:
         raise ValueError(f"split {recipe.split!r} is for evaluations; record another one")
@@ -164,14 +157,14 @@ def record(
 
 
 def record_on_policy(
-    recipe: Recipe, seeds: Sequence[int], *, make_agent: MakeAgent, threads: int = 0
+    recipe: Recipe, seeds: Sequence[int], *, make_agent: Callable[[int], Agent], threads: int = 0
 ) -> Iterator[Episode]:
     """Yield the episodes of ``seeds`` in their order, those that the policy fails included.
 
     Args:
         recipe: with an ``actor``, whose states its expert labels.
         seeds: of the episodes; what a policy does may depend, in the last bit, on which are played in a group.
-        make_agent: returns the policy that the recipe names.
+        make_agent: returns the policy that the recipe names, whose random numbers follow from the seed given.
         threads: for physics, 0 for all cores; without influence on the result.
     """
     for first in range(0, len(seeds), DEFAULT_BATCH):
@@ -197,9 +190,8 @@ def evaluate(
 ) -> Iterator[Episode]:
     """Yield one evaluated episode per spec, as they end: the window, then up to L control steps.
 
-    The frame after the last step is recorded as well, as its outcome; what is commanded there has none.
-
-    An expert that may try again does so here as well; ``meta.attempts`` says how often it had to.
+    The frame after the last step is recorded as well, as its outcome; what is commanded there has none. An expert that
+    may try again does so here as well; ``meta.attempts`` says how often it had to.
     """
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
     for _, episode in play(batch, actor, jobs, images=images, retry=True):
@@ -220,3 +212,74 @@ def _begin(session: Session, actor: Actor, again: deque[Job], fresh: Iterator[Jo
     if jobs:
         session.begin(idle[: len(jobs)], jobs)
         actor.reset(session.batch.size)
+
+
+# -- again, from the seed alone or by stored actions in the world that the seed describes ------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class ActionLog:
+    """The commands that one episode was played with.
+
+    Attributes:
+        seed: of the episode.
+        actions: (T, 18) palm positions [m], home frame, and joint angles [rad].
+        attempt: the try that was recorded.
+    """
+
+    seed: int
+    actions: np.ndarray
+    attempt: int = 1
+
+
+class Player(Agent):
+    """Repeats given commands, those of one log a world, and looks at nothing."""
+
+    name = "player"
+
+    def __init__(self, logs: Sequence[ActionLog]) -> None:
+        self._logs = logs
+        self._frame = 0
+
+    def reset(self, count: int) -> None:
+        """Start from the first command."""
+        self._frame = 0
+
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (N, 18), the next command of each world, the last one where a log is over."""
+        commands = [log.actions[min(self._frame, len(log.actions) - 1)] for log in self._logs]
+        self._frame += 1
+        return np.stack(commands).astype(np.float64)
+
+
+def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
+    """Return what recording the episode's seed gives now; None if the expert does not manage it.
+
+    Nothing but its seed matters, or in an on-policy recording the executed commands, in the policy's place.
+    """
+    seed = recorded.meta.seed
+    if not recipe.actor:
+        return next(record(recipe, [seed]), None)
+    player = Player([ActionLog(seed, recorded.executed_action)])
+    return next(record_on_policy(recipe, [seed], make_agent=lambda _: player, threads=1))
+
+
+def replay(
+    recipe: Recipe, logs: Sequence[ActionLog], *, images: bool = True, as_evaluated: bool = False
+) -> list[Episode]:
+    """Return the episodes that logged commands lead to, played again from their seeds, in the order of the logs.
+
+    Args:
+        recipe: what was played.
+        logs: one an episode; all are played side by side.
+        images: whether to record images.
+        as_evaluated: whether an episode ends when an evaluation ends it, before a log that continues and after one that
+            stops; by default it ends with its log.
+    """
+    specs = sample_specs(recipe, [log.seed for log in logs])
+    jobs = [
+        Job.evaluation(i, spec, log.attempt) if as_evaluated else Job(i, spec, len(log.actions), log.attempt)
+        for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
+    ]
+    played = play(WorldBatch(recipe, len(logs)), Player(logs), jobs, images=images)
+    return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]

@@ -43,9 +43,9 @@ class Job:
     stop_settled: bool = False
 
     @classmethod
-    def evaluation(cls, index: int, spec: EpisodeSpec) -> Self:
+    def evaluation(cls, index: int, spec: EpisodeSpec, attempt: int = 1) -> Self:
         """Return the job of an evaluation: the window, up to L control steps, and the frame the last of them led to."""
-        return cls(index, spec, spec.window_frames + spec.length_frames + 1, stop_settled=True)
+        return cls(index, spec, spec.window_frames + spec.length_frames + 1, attempt, stop_settled=True)
 
 
 MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {
@@ -85,13 +85,7 @@ class WorldRecorder:
     localized_frames: int = 0
 
     def add_frame(self, columns: dict[str, np.ndarray], i: int, images: dict[str, np.ndarray]) -> None:
-        """Record world ``i`` at this frame.
-
-        Args:
-            columns: what ``frame_columns`` returned.
-            i: the world.
-            images: (N, H, W, 3) uint8 of each view; empty to record none.
-        """
+        """Record world ``i`` at this frame: its ``frame_columns`` and (N, H, W, 3) uint8 images by view, if any."""
         self.frames.append({name: values[i] for name, values in columns.items()})
         self.localized_frames += bool(columns["localized"][i])
         for view, pixels in images.items():
@@ -100,9 +94,7 @@ class WorldRecorder:
     def add_action(self, executed: np.ndarray, label: np.ndarray | None = None) -> None:
         """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad].
 
-        Args:
-            executed: the command.
-            label: (18,) what a teacher wanted instead; the episode's ``action``. Without one it is what was executed.
+        ``label`` (18,) is what a teacher wanted instead, the episode's ``action``; without one, what was executed is.
         """
         self.actions.append(executed.copy())
         self.labels.append(self.actions[-1] if label is None else label.copy())
@@ -198,13 +190,7 @@ def _meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta
 
 
 def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | None) -> dict[str, Any]:
-    """Return what does not change in an episode that ``batch`` played, by name in ``Episode``.
-
-    Args:
-        batch: the worlds, which share hand, cameras and control class.
-        spec: the episode.
-        meeting: what the actor planned at control start.
-    """
+    """Return what does not change in an episode, by name in ``Episode``; ``meeting`` is the plan at control start."""
     model = batch.scene.model
     return object_constants(spec.motion, spec.target) | {
         "home_position": spec.home_pos_w,

@@ -17,7 +17,7 @@ from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, decode, encode, encoded_stream, stored_packets
-from dynahoi_lerobot.rollout.replay import played_again
+from dynahoi_lerobot.rollout.loop import played_again
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from dynahoi_lerobot.sampling.recipe import Recipe
 

@@ -20,7 +20,6 @@ class VlmAgent(ChunkAgent):
     After a failed decision the hand holds its pose for as many frames as a chunk has, and the failure is counted.
     """
 
-    name = "vlm"
     sees_images = True
 
     def __init__(self, client: VlmClient, *, name: str = "vlm", concurrency: int = 8) -> None:
@@ -34,11 +33,7 @@ class VlmAgent(ChunkAgent):
         self._planned = [deque() for _ in range(count)]
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return the next command of each world, after waiting for the decisions that are due.
-
-        Returns:
-            (N, 18) palm centre position [m], home frame, and joint angles [rad].
-        """
+        """Return (N, 18) commands, palm centre [m], home frame, and joints [rad], once the decisions due are made."""
         in_play = is_acting(observation.phase) & observation.images[EGO_VIEW].any(axis=(1, 2, 3))  # others are black
         due = [i for i, queue in enumerate(self._planned) if not queue and in_play[i]]
         states = observation.state.astype(np.float64)

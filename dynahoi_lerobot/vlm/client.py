@@ -11,23 +11,21 @@ import threading
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import openai
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
+from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
-from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS, messages
-from dynahoi_lerobot.vlm.reply import Answer, ReplyError, parse_reply
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, HORIZON, PROMPTS, SKILLS, messages
 
 MAX_TOKENS = 4096
 MOST_ANSWERS = 3
 """Answers that a decision asks for until one is valid."""
-KEY_VARIABLE = "OPENAI_API_KEY"
 HTTP_URL = re.compile(r"https?://(\[[\da-fA-F:]+\]|[\w.-]+)(:\d+)?(/[^\s@]*)?")
-NO_KEY = "none"
-"""Sent where no key is set; local servers check none."""
 
 
 class VlmClient:
@@ -157,14 +155,68 @@ class VlmClient:
 
 
 def _connect(base_url: str | None) -> Any:
-    """Return an `openai.AsyncOpenAI` client with the key of the environment variable ``OPENAI_API_KEY``.
-
-    Raises:
-        ValueError: if ``base_url`` is no HTTP URL or holds a password, or OpenAI's endpoint has no key.
-    """
-    key = os.environ.get(KEY_VARIABLE, "").strip()
+    """Return an `openai.AsyncOpenAI` client, unless the URL or the environment's key cannot be right."""
+    key = os.environ.get("OPENAI_API_KEY", "").strip()
     if base_url is None and not key:
-        raise ValueError(f"without --base-url the endpoint is OpenAI's and {KEY_VARIABLE} must be set; it is not")
+        raise ValueError("without --base-url the endpoint is OpenAI's and OPENAI_API_KEY must be set; it is not")
     if base_url is not None and not HTTP_URL.fullmatch(base_url):  # not repeated: results hold the command line
         raise ValueError("the base URL must be like http://localhost:8000/v1, without user name or password")
-    return openai.AsyncOpenAI(api_key=key or NO_KEY, base_url=base_url)
+    return openai.AsyncOpenAI(api_key=key or "none", base_url=base_url)  # local servers check no key
+
+
+# -- the answer, as pydantic reads it: anything that differs from the requested format is refused ----------------------
+
+
+class ReplyError(ValueError):
+    """An answer that is not in the requested format; the message says why."""
+
+
+class Step(BaseModel):
+    """One skill of the program. The simulator plays the rollout, so a step changes no command."""
+
+    skill: Literal[SKILLS]  # type: ignore[valid-type]
+    duration: Annotated[int, Field(ge=1, le=HORIZON)]
+    params: Any = None
+    terminate_if: Any = None
+
+
+class Frame(BaseModel):
+    """One frame of the rollout: palm centre position [m], home frame, and joint angles [rad]."""
+
+    hand_params: Annotated[list[FiniteFloat], Field(min_length=HAND_DOF, max_length=HAND_DOF)]
+
+
+class Answer(BaseModel):
+    """A skill program and the rollout of the next ``HORIZON`` frames (appendix "Details for Evaluating VLMs")."""
+
+    action_sequence: Annotated[list[Step], Field(min_length=1)]
+    predicted_motion: Annotated[list[Frame], Field(min_length=HORIZON, max_length=HORIZON)]
+
+    @model_validator(mode="after")
+    def _durations_fill_the_horizon(self) -> Self:
+        if (total := sum(step.duration for step in self.action_sequence)) != HORIZON:
+            raise ValueError(f"the durations sum to {total}; they must sum to {HORIZON}")
+        return self
+
+
+def parse_reply(text: str) -> tuple[np.ndarray, list[tuple[str, int]]]:
+    """Return the commands of an answer and its skills; a Markdown fence around the JSON is accepted, no other text is.
+
+    Returns:
+        (10, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but not clipped; and the
+        name of each skill with its duration [frames].
+
+    Raises:
+        ReplyError: if the text is not JSON or not an ``Answer``.
+    """
+    body = text.strip()
+    if body.startswith("```"):
+        body = body.removeprefix("```").removeprefix("json").removesuffix("```")
+    try:
+        answer = Answer.model_validate_json(body, strict=True)  # numbers are neither text nor truth values
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        place = ".".join(map(str, first["loc"])) or "the answer"
+        raise ReplyError(f"{place}: {first['msg']}"[:200]) from None
+    commands = np.array([frame.hand_params for frame in answer.predicted_motion], np.float64)
+    return commands, [(step.skill, step.duration) for step in answer.action_sequence]

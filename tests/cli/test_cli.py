@@ -45,7 +45,7 @@ def test_evaluate_writes_results_and_goes_on_where_it_stopped(tmp_path, capsys):
     results = read_results(out)
     assert [row["seed"] for row in results.rows[:3]] == [row["seed"] for row in first.rows]
     assert sorted(row["seed"] for row in results.rows) == [0, 1, 2, 3, 4]
-    assert results.summary()["S_loc"].value == 1.0
+    assert results.summary["S_loc"].value == 1.0
     assert "S_loc %" in capsys.readouterr().out
     (gif,) = out.glob("*.gif")
     assert len(pages(gif.read_bytes())) > 5, "equal neighbours are stored once"

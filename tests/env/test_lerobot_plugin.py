@@ -51,7 +51,7 @@ def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path, monkey
     kinds = [row["kind"] for row in results.rows]
     assert (kinds.count("constant"), kinds.count("ramp")) == (4, 4), "two batches of two per task, none twice"
     assert len({row["seed"] for row in results.rows}) == 8
-    summary = results.summary()
+    summary = results.summary
     assert summary["S_loc"].n == 8
     assert (summary["E_loc"].value or 0.0) > 0.3
 

@@ -41,7 +41,7 @@ def test_mcnemar_of_many_episodes_does_not_overflow():
 
 def test_rates_are_compared_by_their_discordant_episodes():
     found = compare(results([1.0] * 6 + [0.0] * 4), results([1.0] + [0.0] * 9), "S_loc")
-    assert (found.n, found.difference) == (10, pytest.approx(0.5))
+    assert (found.n, found.value) == (10, pytest.approx(0.5))
     assert found.p_value == pytest.approx(2 / 32)
     assert found.low < 0.5 < found.high
 
@@ -49,11 +49,11 @@ def test_rates_are_compared_by_their_discordant_episodes():
 def test_a_constant_paired_difference_has_no_spread():
     a, b = results([1.0, 2.0, 3.0, 9.0], "E_loc"), results([0.5, 1.5, 2.5, 8.5], "E_loc")
     found = compare(a, b, "E_loc")
-    assert (found.difference, found.low, found.high) == (0.5, 0.5, 0.5)
+    assert (found.value, found.low, found.high) == (0.5, 0.5, 0.5)
     assert found.p_value < 0.01
-    assert compare(b, a, "E_loc").difference == -0.5
+    assert compare(b, a, "E_loc").value == -0.5
     same = compare(a, a, "E_loc")
-    assert (same.difference, same.low, same.high, same.p_value) == (0.0, 0.0, 0.0, 1.0)
+    assert (same.value, same.low, same.high, same.p_value) == (0.0, 0.0, 0.0, 1.0)
 
 
 def test_commands_are_as_far_apart_as_the_palms_in_the_control_frames_that_both_have():
@@ -64,10 +64,10 @@ def test_commands_are_as_far_apart_as_the_palms_in_the_control_frames_that_both_
     shorter = Results(b.folder, b.info, b.rows, (b.actions[0][:10], b.actions[1]))
     for other in (b, shorter):
         found = compare(a, other, COMMANDS)
-        assert (found.n, found.difference) == (2, pytest.approx(4.0))
+        assert (found.n, found.value) == (2, pytest.approx(4.0))
         assert found.low == pytest.approx(3.0)
         assert found.high == pytest.approx(5.0)
-    assert compare(a, a, COMMANDS).difference == 0
+    assert compare(a, a, COMMANDS).value == 0
 
 
 def test_only_the_same_episodes_are_paired_whatever_their_order():
@@ -109,4 +109,4 @@ def test_other_conditions_are_refused_unless_they_are_what_is_compared(other: di
         compare(a, b, "S_loc", across=[crossed for crossed in CROSSABLE if crossed != name])
     if name in CROSSABLE or name == "benchmark":
         allowed = compare(a, b, "S_loc", across=CROSSABLE, allow_version_mismatch=True)
-        assert allowed.difference == pytest.approx(0.5)
+        assert allowed.value == pytest.approx(0.5)

@@ -14,15 +14,16 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.replay_results import drawn
-from dynahoi_lerobot.evaluate.results import Results, read_results, write_files, write_results
-from dynahoi_lerobot.rollout.replay import replay
+from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.rollout.loop import replay
+from tests.synthetic import write_results
 from tests.tools import edit_json
 
 
 def rewritten(folder: Path, **changes: object) -> None:
     """Write results again with other contents, its sums made to fit."""
     results: Results = replace(read_results(folder), **changes)
-    write_files(folder, results.as_json(), results.rows, results.actions)
+    results.write()
 
 
 def set_head(**changes: object) -> Callable[[Path], None]:

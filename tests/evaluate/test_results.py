@@ -13,19 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.evaluate.results import (
-    ResultsError,
-    ResultsRecorder,
-    RunInfo,
-    command_line,
-    read_results,
-    write_results,
-)
+from dynahoi_lerobot.evaluate.results import ResultsError, ResultsRecorder, RunInfo, command_line, read_results
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.evaluate.test_replay_results import set_head
-from tests.synthetic import synthetic_episode
+from tests.synthetic import synthetic_episode, write_results
 
 RUN = {"policy": "reach", "split": "test", "capture": "attach", "command": "dynahoi evaluate", "fingerprint": "f1"}
 INFO = RunInfo(**RUN, extra={"n_obs_frames": 5})
@@ -80,7 +73,7 @@ def test_reading_gives_back_what_was_written(folder: Path):
     found = read_results(folder)
     assert found.info == expected.info
     assert found.rows == expected.rows
-    assert found.summary() == expected.summary()
+    assert found.summary == expected.summary
     for mine, theirs in zip(found.actions, expected.actions, strict=True):
         np.testing.assert_array_equal(mine, theirs)
     for name in ("metrics.json", "episodes.parquet"):

@@ -14,11 +14,11 @@ import yaml
 from huggingface_hub import constants
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.evaluate.results import METRICS_FILE, RunInfo, write_results
+from dynahoi_lerobot.evaluate.results import METRICS_FILE, RunInfo
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.hub.server import TOKEN, Hub, serving
-from tests.synthetic import synthetic_episode
+from tests.synthetic import synthetic_episode, write_results
 from tests.tools import generated
 
 Push = Callable[..., tuple[int, str, str]]

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.results import Results, RunInfo, write_results
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from tests.synthetic import synthetic_episode
+from tests.synthetic import synthetic_episode, write_results
 
 PAIRS = [(motion.category, kind) for kind, motion in MOTIONS.items()]
 LENGTHS = (32, 48, 52, 70, 96, 130)

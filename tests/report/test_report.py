@@ -19,6 +19,7 @@ from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries, short_name, unique_labels
 from dynahoi_lerobot.report.page import clips_of, comparison_tables, page_content
+from dynahoi_lerobot.rollout.inference import Inference
 from tests.report.example_runs import example_run
 
 HOSTILE = "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ 7*7 }} $x^{"
@@ -39,7 +40,8 @@ def entries(tmp_path_factory: pytest.TempPathFactory) -> list[Entry]:
 
 
 def named(policy: str, folder: str = "run", **extra: object) -> Results:
-    return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f", extra), (), ())
+    rows = ({"protocol": "observe_before_act", "control_class": "standard"},)
+    return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f", extra), rows, ())
 
 
 @pytest.mark.parametrize(
@@ -125,10 +127,10 @@ def test_a_figure_of_one_episode_is_drawn_or_left_out(name: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("inference", "latency_ms"), [("", 0.0), ("rtc 370 ms", 370.0), ("async measured", None), ("soon", None)]
+    "timing", [Inference(), Inference("rtc", 370.0), Inference("async", 12.5), Inference("async", None)]
 )
-def test_the_latency_of_an_evaluation_is_the_one_that_its_label_declares(inference: str, latency_ms: float | None):
-    assert figures.latency_ms(Entry(named("a", inference=inference), "a", "#000")) == latency_ms
+def test_the_latency_of_an_evaluation_is_the_one_that_its_label_declares(timing: Inference):
+    assert figures.latency_ms(Entry(named("a", inference=timing.label), "a", "#000")) == timing.latency_ms
 
 
 def test_deltas_are_those_of_the_control_phase(entries: list[Entry]):
@@ -160,7 +162,7 @@ def test_both_tables_together_hold_every_estimate_once(entries: list[Entry], con
     for name in METRICS.names():
         (table,) = [table for table in tables if any(head.split()[0] == name for head in table.head)]
         for entry in entries:
-            cell, wanted = column(table, name)[entry.label], metric_cell(entry.results.summary()[name])
+            cell, wanted = column(table, name)[entry.label], metric_cell(entry.results.summary[name])
             assert (cell.text, cell.detail, cell.key) == (wanted.text, wanted.detail, wanted.key)
 
 

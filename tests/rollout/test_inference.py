@@ -100,13 +100,6 @@ def test_real_time_chunking_tells_what_is_executed_and_how_long_it_will_take():
 
 
 @pytest.mark.parametrize(
-    "timing", [Inference(), Inference("async", 150.0), Inference("rtc", 12.5), Inference("async", None)]
-)
-def test_a_label_gives_its_timing_back(timing: Inference):
-    assert Inference.from_label(timing.label) == timing
-
-
-@pytest.mark.parametrize(
     ("mode", "latency_ms"), [("late", 0.0), ("sync", 50.0), ("sync", None), ("async", -1.0), ("async", float("nan"))]
 )
 def test_impossible_timings_are_refused(mode: str, latency_ms: float | None):

@@ -12,9 +12,8 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
-from dynahoi_lerobot.rollout.loop import evaluate, play, record
+from dynahoi_lerobot.rollout.loop import ActionLog, evaluate, play, record, replay
 from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.rollout.replay import ActionLog, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch

@@ -20,9 +20,8 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.vlm import agent as vlm_agent
 from dynahoi_lerobot.vlm.agent import VlmAgent
-from dynahoi_lerobot.vlm.client import VlmClient
+from dynahoi_lerobot.vlm.client import Answer, ReplyError, VlmClient, parse_reply
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, messages
-from dynahoi_lerobot.vlm.reply import Answer, ReplyError, parse_reply
 from tests.vlm.server import Exchange, Handler, serving
 
 IMAGE = np.full((32, 32, 3), 200, np.uint8)

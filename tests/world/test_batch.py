@@ -14,8 +14,7 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions.straight_line import Constant
-from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.rollout.replay import ActionLog, replay
+from dynahoi_lerobot.rollout.loop import ActionLog, evaluate, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
