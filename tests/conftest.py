@@ -1,7 +1,5 @@
 """What several core tests need and is expensive: built once per worker, and never changed by a test."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

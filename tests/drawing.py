@@ -1,7 +1,5 @@
 """Motions as the sampler draws them, without the search for a home."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Real dynamics at 500 Hz, without a hand: what the theory of each physical motion is compared with."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

@@ -1,7 +1,5 @@
 """Synthetic episodes for tests that need no simulator: a straight reach that catches a constantly moving point."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M

@@ -1,7 +1,5 @@
 """Capture rules: the weld at the closest step, the touch that lets go, and what counts as a catch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

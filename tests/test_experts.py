@@ -1,7 +1,5 @@
 """The demonstrator solves the benchmark; the floor does not; between them lies a straight extrapolation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

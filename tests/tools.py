@@ -1,7 +1,5 @@
 """What tests of several parts need: Python in a process of its own, plugins, small datasets, changed files."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Episodes and small datasets for tests without a simulator; worker processes import this, so it stays light."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """No recording of an expert is rejected; corrupt ones are."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every recipe is what its folder says; those of ``recipes/train`` run as their headers or pages say."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

@@ -1,7 +1,5 @@
 """``--env.type=dynahoi``: found by LeRobot, played by its evaluation loop, measured in the result folder."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

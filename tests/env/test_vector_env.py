@@ -1,7 +1,5 @@
 """The environments keep gymnasium's promises and the benchmark's protocol."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The benchmark through vla-eval's own runner, and the entry that it reads."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import shlex

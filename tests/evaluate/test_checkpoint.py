@@ -1,7 +1,5 @@
 """A checkpoint that would run code is refused before it can: the marker that its code would leave never appears."""
 
-from __future__ import annotations
-
 import fnmatch
 import inspect
 import shutil

@@ -1,7 +1,5 @@
 """A checkpoint as an agent: its config is changed on request, and it remembers the frames it is shown."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import shutil

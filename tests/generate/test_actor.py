@@ -1,7 +1,5 @@
 """`dynahoi generate --actor`: a policy moves the hand, the expert labels every frame; the dataset is as any other."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Datasets of the simulator: physical ones, with further views, with failures; each verifies and replays."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A Hub in memory: the routes that uploading, tagging and downloading need, on a local port."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """``dynahoi push``: sound content only, resumed after an interruption, never over something else."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -1,7 +1,5 @@
 """What must hold of every registered motion, with no line per motion."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -3,8 +3,6 @@
 An event takes one physics step h, in which gravity adds g h to a speed or leaves it out; tolerances follow from that.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

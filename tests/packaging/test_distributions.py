@@ -1,7 +1,5 @@
 """The distributions agree with each other, with their metadata and with what is tested."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Images of random poses show the target where they say it is."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 

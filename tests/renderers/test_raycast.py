@@ -1,7 +1,5 @@
 """What the ray casters show is what is there, in the colours it has, and as mujoco_warp draws it."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

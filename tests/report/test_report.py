@@ -1,7 +1,5 @@
 """The report: figures of any results, labels that tell them apart, a page that loads nothing, honest comparisons."""
 
-from __future__ import annotations
-
 import base64
 import re
 from html.parser import HTMLParser

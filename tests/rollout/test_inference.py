@@ -1,7 +1,5 @@
 """Inference that takes time, against timelines computed by hand."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

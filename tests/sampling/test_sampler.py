@@ -1,7 +1,5 @@
 """Specs are functions of (recipe, seed); the hand waits where it can watch, near no table; timings are the paper's."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import mujoco

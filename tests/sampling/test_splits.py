@@ -1,7 +1,5 @@
 """Splits are disjoint seed streams, what is held out is never in training; salts, and twins at another speed."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from dataclasses import fields, replace

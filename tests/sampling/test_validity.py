@@ -1,7 +1,5 @@
 """The benchmark cannot be solved without seeing and predicting: what baselines score stays below a bound."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

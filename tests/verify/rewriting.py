@@ -1,7 +1,5 @@
 """Changes to a dataset as a forger makes them: files, statistics and hashes agree afterwards."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 from collections.abc import Callable

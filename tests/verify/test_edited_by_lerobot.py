@@ -1,7 +1,5 @@
 """Datasets that LeRobot's own tools edited: a sentence says what is gone, and the rest is checked as LeRobot's."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

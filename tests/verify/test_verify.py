@@ -1,7 +1,5 @@
 """``dynahoi verify`` refutes each of its three claims where it does not hold, also where a forger signed anew."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil

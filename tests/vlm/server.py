@@ -1,7 +1,5 @@
 """A local server that speaks enough of the chat-completions protocol, well or badly."""
 
-from __future__ import annotations
-
 import json
 import threading
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """N worlds: the same bytes in any batch, limits of the hand, and what is observed from home."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

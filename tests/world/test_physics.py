@@ -1,7 +1,5 @@
 """The target keeps to its path: prescribed ones to the closed form, all of them to the oracle."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What policies read of the target besides images: the simulator's truth, or where the eye sees it, on request."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gymnasium as gym

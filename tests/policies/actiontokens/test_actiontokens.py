@@ -1,7 +1,5 @@
 """Actions as tokens, alone or with the image to come: bins, who sees whom, what is learned, padding, checkpoints."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """OpenVLA's checkpoints: opened without remote code, read and written as their authors do, made LeRobot policies."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The policy through LeRobot's own commands: any dataset, recorded episodes, checkpoints, history, servers."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import subprocess
