@@ -113,7 +113,8 @@ def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, importe
     action = postprocess(policy.select_action(batch))[0]
     prompt = "<image>In: What action should the robot take to catch the moving ball?\nOut: "
     inputs = processor(images=[[image]], text=[prompt])
-    allowed = range(model.config.vocabulary - 256, model.config.vocabulary)
+    vocabulary = processor.tokenizer.vocab_size
+    allowed = range(vocabulary - 256, vocabulary)
     written = []
     for _ in range(SIZE):
         logits = model(**inputs).logits[0, -1, allowed.start : allowed.stop]
@@ -121,7 +122,7 @@ def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, importe
         inputs["input_ids"] = torch.cat([inputs["input_ids"], torch.tensor([[written[-1]]])], dim=1)
         inputs["attention_mask"] = torch.ones_like(inputs["input_ids"])
     edges = torch.linspace(-1, 1, 256)
-    bins = (model.config.vocabulary - torch.tensor(written) - 1).clamp(0, 254)
+    bins = (vocabulary - torch.tensor(written) - 1).clamp(0, 254)
     normalised = (edges[bins] + edges[bins + 1]) / 2
     expected = torch.cat([0.5 * (normalised[:-1] + 1) * (4.0 - -2.0) + -2.0, normalised[-1:]])
     torch.testing.assert_close(action, expected)
