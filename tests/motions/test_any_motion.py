@@ -12,7 +12,7 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene.model import ARENA_HALF_M
-from tests.drawing import draw_motion
+from tests.simulation import draw_motion
 
 KINDS = MOTIONS.names()
 PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, PrescribedMotion)]

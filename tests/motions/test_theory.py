@@ -15,8 +15,7 @@ from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, heading
 from dynahoi_lerobot.motions.pendulum import SuspendedMotion
 from dynahoi_lerobot.motions.projectile import ThrowMotion
 from dynahoi_lerobot.objects import OBJECTS
-from tests.drawing import Drawn, draw_motion
-from tests.simulation import Track, simulate
+from tests.simulation import Drawn, Track, draw_motion, simulate
 
 THROWS, ROLLING, PENDULUMS = (
     [name for name, kind in MOTIONS.items() if issubclass(kind, base)]
