@@ -12,6 +12,7 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.rollout.teacher_labels import Perturbation
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -129,3 +130,11 @@ def test_the_expert_finds_back_when_its_palm_is_pulled_away():
     again = record(pulled, range(5, 10), batch_size=2)
     for one, other in zip((e for e in episodes if 5 <= e.meta.seed < 10), again, strict=True):
         np.testing.assert_array_equal(one.executed_action, other.executed_action)
+
+
+def test_three_attempts_are_perturbed_each_differently_and_a_further_one_is_not(specs: list[EpisodeSpec]):
+    *perturbed, last = (Perturbation.drawn(specs[0], attempt, share=1.0) for attempt in range(1, 5))
+    assert all((drawn.pull_begin >= 0).any() and drawn.tremor_m.any() for drawn in perturbed)
+    assert len({drawn.pull_m.tobytes() for drawn in perturbed}) == 3
+    assert not (last.pull_begin >= 0).any()
+    assert not last.tremor_m.any()
