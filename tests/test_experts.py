@@ -10,6 +10,7 @@ from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.experts.match import approach
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.rollout.teacher_labels import Perturbation
@@ -130,6 +131,16 @@ def test_the_expert_finds_back_when_its_palm_is_pulled_away():
     again = record(pulled, range(5, 10), batch_size=2)
     for one, other in zip((e for e in episodes if 5 <= e.meta.seed < 10), again, strict=True):
         np.testing.assert_array_equal(one.executed_action, other.executed_action)
+
+
+def test_a_palm_beyond_the_target_goes_around_it_to_close_from_behind():
+    ways = [np.array([0.25, 0.02, 0.0])]
+    while not (step := approach(ways[-1]))[1]:
+        ways.append(step[0])
+        assert len(ways) < 20
+    along, across = np.array(ways)[:, 0], np.linalg.norm(np.array(ways)[:, 1:], axis=1)
+    assert across[(along > -0.01) & (along < 0.11)].min() > 0.07
+    assert along[-1] < 0
 
 
 def test_three_attempts_are_perturbed_each_differently_and_a_further_one_is_not(specs: list[EpisodeSpec]):

@@ -101,12 +101,16 @@ def column(path: str, key: str, change: Callable[[list], list]) -> Callable[[Pat
     return apply
 
 
-def without_a_packet(root: Path) -> None:
-    *kept, _ = stored_packets(root / VIDEO)
-    video = VideoFile(root / "again.mp4", lambda container: copied_stream(container, root / VIDEO))
-    video.append(kept)
-    video.close()
-    (root / "again.mp4").replace(root / VIDEO)
+def packets(change: Callable[[list], list]) -> Callable[[Path], None]:
+    """Return a damage of the packets of a video."""
+
+    def apply(root: Path) -> None:
+        video = VideoFile(root / "again.mp4", lambda container: copied_stream(container, root / VIDEO))
+        video.append(change(list(stored_packets(root / VIDEO))))
+        video.close()
+        (root / "again.mp4").replace(root / VIDEO)
+
+    return apply
 
 
 def one_fewer_frame(root: Path) -> None:
@@ -123,7 +127,8 @@ FORMAT: dict[str, Callable[[Path], object]] = {
     ),
     "a file that is not there": column(ROWS, "data/file_index", lambda files: [7] * len(files)),
     "a frame fewer": one_fewer_frame,
-    "an image fewer": without_a_packet,
+    "an image fewer": packets(lambda packets: packets[:-1]),
+    "an episode that begins without a key frame": packets(lambda packets: [packets[1], packets[0], *packets[2:]]),
     "more episodes": lambda root: edit_json(root / "meta/info.json", lambda info: info.update(total_episodes=9)),
     "another shape": lambda root: edit_json(
         root / "meta/info.json", lambda info: info["features"]["action"].update(dtype="int64")
