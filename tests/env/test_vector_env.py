@@ -85,16 +85,15 @@ def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_
 
 
 def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
-    env = DynahoiVectorEnv(1, kind="constant", **BLIND)
+    env = DynahoiVectorEnv(2, kind="constant", **BLIND)
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    env.reset(seed=[0])
+    env.reset(seed=[0, 1])
     first = env._batch.specs[0]
     while not follow_expert(env, 1)[0][2][0]:
         pass
     assert env._batch.specs[0] is first, "the terminal observation still belongs to the episode that ended"
-    observation, reward, terminated, truncated, _ = env.step(np.zeros((1, 18), np.float32))
-    fresh = env._batch.specs[0]
-    assert fresh is not first
+    observation, reward, terminated, truncated, _ = env.step(np.zeros((2, 18), np.float32))
+    assert env._batch.specs[0].seed == kind_seed(env.recipe, "constant", 2), "its number plus those of worlds"
     assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
     np.testing.assert_allclose(observation["agent_pos"][0, :3], 0.0, atol=1e-6)
 

@@ -71,6 +71,15 @@ def test_the_velocity_of_a_prescribed_path_never_jumps(kind: str):
         assert np.abs(np.diff(path, n=2, axis=0)).max() / PHYSICS_DT**2 < MAX_ACCELERATION_M_S2
 
 
+@pytest.mark.parametrize("kind", ["constant", "line_then_arc", "horizontal_circle", "vertical_circle", "helix"])
+def test_lines_and_circles_have_constant_speed(kind: str):
+    for seed in SEEDS:
+        drawn = draw_motion(kind, seed)
+        path = drawn.motion.position(np.arange(0.0, drawn.horizon_s, PHYSICS_DT))
+        step_m = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        np.testing.assert_allclose(step_m, step_m[0], rtol=1e-4)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_sampled_path_is_finite_inside_the_arena_and_moving(kind: str):
     for spec in sampled(kind):
