@@ -10,8 +10,8 @@ from dynahoi_lerobot.dataset.quality_control import limits_of, trajectory_proble
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
+from tests.dataset.episodes import changed
 from tests.synthetic import synthetic_episode
-from tests.verify.rewriting import changed
 
 KINDS = len(BENCHMARK.splits["train"].motions)
 STRAYING = {"perturbed_share": 1.0}

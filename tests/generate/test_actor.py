@@ -16,8 +16,8 @@ from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.generate.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.verify.command import verify
+from tests.dataset.episodes import changed, rewrite
 from tests.tools import edit_json
-from tests.verify.rewriting import changed, rewrite
 
 SEEDS = 4
 

@@ -10,9 +10,8 @@ from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
-from tests.dataset.episodes import varied_episode
+from tests.dataset.episodes import changed, varied_episode
 from tests.dataset.lerobot_api import open_dataset
-from tests.verify.rewriting import changed
 
 SENTENCE = "episode 7: action.thumb_tip reaches 2.200, outside -0.500 to 1.500 in 1 frame"
 

@@ -20,9 +20,8 @@ from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import Finding, drawn_evenly, verify
-from tests.dataset.episodes import write
+from tests.dataset.episodes import changed, rewrite, sign, write
 from tests.tools import edit_json, flip_byte, generated
-from tests.verify.rewriting import changed, rewrite, sign
 
 DATA, ROWS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = "videos/observation.images.ego/chunk-000/file-000.mp4"
