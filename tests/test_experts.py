@@ -1,5 +1,7 @@
 """The demonstrator solves the benchmark; the floor does not; between them lies a straight extrapolation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,13 +11,16 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.experts.baselines import home_table
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.experts.match import approach
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.rollout.teacher_labels import Perturbation
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.world.playing import wait, world
 
 
 def mean(episodes: list[Episode], metric: str) -> float:
@@ -78,6 +83,25 @@ def test_every_expert_is_deterministic_and_commands_every_joint(name: str, specs
         assert commands.shape == (4, 18)
         assert np.isfinite(commands).all()
         batch.step(commands[:3], np.arange(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("constant_velocity", "constant"), ("constant_acceleration", "accelerating"), ("constant_acceleration", "lob")],
+)
+def test_who_extrapolates_rightly_goes_where_the_expert_goes(name: str, kind: str):
+    batch = world(sample_specs(Recipe(split="test", motions=(kind,)), range(6)))
+    wait(batch)
+    seen = batch.world_state(batch.observe(images=False))
+    np.testing.assert_allclose(EXPERTS[name]().act(seen)[:, :3], Intercept().act(seen)[:, :3], atol=1e-3)
+
+
+def test_a_hand_at_a_tabulated_home_follows_the_path_from_there(specs: list[EpisodeSpec]):
+    homes_w, paths = home_table()
+    batch = world([replace(specs[0], home_pos_w=homes_w[7])])
+    wait(batch)
+    (command,) = EXPERTS["nearest_home"]().act(batch.world_state(batch.observe(images=False)))
+    np.testing.assert_allclose(command[:3], paths[7][0], atol=1e-9)
 
 
 @pytest.mark.parametrize("control_class", CONTROL_CLASSES)

@@ -52,6 +52,7 @@ def problems(episode: Episode, **changes: str) -> list[str]:
         (changed("action", (9, 5), 2.4), "action has joint angles"),
         (changed("state", (9, 1), lambda y: y + 0.25), "state jumps by 0.2"),
         (changed("state", (9, 8), 1.5), "state jumps by 1.5"),
+        (changed("executed_action", (9, 1), lambda y: y + 0.25), "executed_action jumps by 0.2"),
         (changed("target_pose", (9, 1), lambda y: y + 1), "target_pose jumps by 1.0"),
         (changed("action", (slice(8, None), 0), 2.0), "action[0] is at its limit"),
         (changed("state", slice(9, 20), lambda s: s[:1]), "state is frozen"),
