@@ -170,6 +170,13 @@ def test_verdicts_that_do_not_follow_are_found_though_they_are_signed(copy, name
     assert "verdicts" in found(copy)
 
 
+def test_contacts_that_forces_contradict_are_found_though_they_are_signed(tmp_path):
+    root = generated(tmp_path / "d", "--image-size", "0", "--motions", "constant", "--capture", "contact")
+    first, *others = read_episodes(root)
+    rewrite(root, [changed("touch", 3, 5.0)(first), *others])
+    assert found(root) == {"verdicts"}
+
+
 @pytest.mark.parametrize("key", ["next.reward", "observation.environment_state", "language_persistent"])
 def test_derived_columns_that_do_not_follow_are_found_though_they_are_signed(tmp_path, key):
     root = generated(tmp_path / "d", *SMALL, "--environment-state", "truth", "--subtasks", "--image-size", "0")
