@@ -28,15 +28,11 @@ def mean(episodes: list[Episode], metric: str) -> float:
     return float(np.mean(values))
 
 
-def test_the_expert_catches_everything_at_the_first_attempt(expert_episodes: list[Episode]):
+def test_the_expert_catches_everything_at_the_first_attempt_straight_smooth_and_early(expert_episodes: list[Episode]):
     assert len(expert_episodes) == 44
-    assert mean(expert_episodes, "S_loc") == 1.0
-    assert mean(expert_episodes, "S_gra") == 1.0
-    assert all(episode.success and episode.stage == "captured" for episode in expert_episodes)
-    assert {episode.meta.attempts for episode in expert_episodes} == {1}
-
-
-def test_the_expert_is_straight_smooth_and_early(expert_episodes: list[Episode]):
+    assert mean(expert_episodes, "S_loc") == mean(expert_episodes, "S_gra") == 1.0
+    ended = {(episode.success, episode.stage, episode.meta.attempts) for episode in expert_episodes}
+    assert ended == {(True, "captured", 1)}
     assert mean(expert_episodes, "Q_line") >= 0.98
     assert mean(expert_episodes, "Q_smooth") >= 0.98
     assert mean(expert_episodes, "R_time") >= 0.5

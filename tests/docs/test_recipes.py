@@ -19,7 +19,6 @@ from tests.docs.documents import ROOT, pages
 from tests.docs.playing import Player, prepare
 
 RECIPES = ROOT / "recipes"
-FOLDERS = {"eye", "generate", "train", "zoo"}
 HEADER = re.compile(r"^#   (\S.*)$", re.MULTILINE)
 
 
@@ -33,7 +32,7 @@ def commands(path: Path) -> list[list[str]]:
 
 
 def test_folders_are_named_after_what_reads_their_files():
-    assert {path.name for path in RECIPES.iterdir()} == FOLDERS
+    assert {path.name for path in RECIPES.iterdir()} == {"eye", "generate", "train", "zoo"}
 
 
 @pytest.mark.parametrize("path", recipes("generate", "eye"), ids=lambda path: path.stem)

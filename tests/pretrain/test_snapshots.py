@@ -58,12 +58,13 @@ def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
 def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(monkeypatch: pytest.MonkeyPatch):
     placed: list[np.ndarray] = []
     batch = WorldBatch(RECIPE, 32, threads=1)
-    place = type(batch).place
-    monkeypatch.setattr(
-        type(batch),
-        "place",
-        lambda self, hand, pose: (placed.append(np.hstack([hand, pose, self.home_pos_w])), place(self, hand, pose)),
-    )
+    place = WorldBatch.place
+
+    def watched(self: WorldBatch, hand: np.ndarray, pose: np.ndarray) -> None:
+        placed.append(np.hstack([hand, pose, self.home_pos_w]))
+        place(self, hand, pose)
+
+    monkeypatch.setattr(WorldBatch, "place", watched)
     shown = list(islice(snapshots(batch, SPECS, np.random.default_rng(0)), 8))
     now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 28) each
     np.testing.assert_allclose(np.concatenate([s.place for s in shown]), now[:, 18:21] - now[:, :3], atol=1e-6)
