@@ -1,7 +1,5 @@
 """Checkpoints for tests: what ships, and tiny policies with random weights."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

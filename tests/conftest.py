@@ -1,7 +1,5 @@
 """What several core tests need and is expensive: built once per worker, and never changed by a test."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,15 +11,13 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.dataset.episodes import write
 from tests.menagerie import write_menagerie
+from tests.world.playing import SMALL
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # each worker has a core; more threads of torch fight over them
-
-TEST = Recipe(split="test", image_size=32)
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -35,13 +31,13 @@ def menagerie(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.fixture(scope="session")
 def specs() -> list[EpisodeSpec]:
     """The first 44 episodes of ``test``: every kind twice."""
-    return sample_specs(TEST, range(44))
+    return sample_specs(SMALL, range(44))
 
 
 @pytest.fixture(scope="session")
 def expert_episodes(specs: list[EpisodeSpec]) -> list[Episode]:
     """The expert's evaluation on ``specs``, in their order, without images."""
-    episodes = evaluate(WorldBatch(TEST, 22, threads=1), EXPERTS["intercept"](), specs)
+    episodes = evaluate(WorldBatch(SMALL, 22, threads=1), EXPERTS["intercept"](), specs)
     return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 

@@ -1,7 +1,5 @@
 """A stand-in for MuJoCo Menagerie's Sharpa Wave: the same names, joints and signs, round numbers for its sizes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco

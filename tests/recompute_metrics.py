@@ -6,8 +6,6 @@ imports nothing of the package, so it is also an example of how others can read 
     python tests/recompute_metrics.py DATASET
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

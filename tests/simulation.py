@@ -1,6 +1,4 @@
-"""Real dynamics at 500 Hz, without a hand: what the theory of each physical motion is compared with."""
-
-from __future__ import annotations
+"""Motions without a hand: as the sampler draws them, and their real dynamics at 500 Hz."""
 
 from dataclasses import dataclass
 
@@ -8,13 +6,44 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.core.conventions import PHYSICS_DT, SUBSTEPS
-from dynahoi_lerobot.motions import Motion
-from dynahoi_lerobot.objects import TargetObject
+from dynahoi_lerobot.core.conventions import CONTROL_DT, PHYSICS_DT, SUBSTEPS
+from dynahoi_lerobot.motions import MOTIONS, Draw, Motion
+from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.oracle_path import PARKED_PALM_W
+from dynahoi_lerobot.sampling.timing import draw_timing
 from dynahoi_lerobot.scene.model import ENVIRONMENT
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.world_fields import WorldFields
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One motion and its target; when the target is to be met, and for how long the motion must make sense [s]."""
+
+    motion: Motion
+    target: TargetObject
+    intercept_s: float
+    horizon_s: float
+
+
+def draw_motion(kind: str, seed: int, object_name: str | None = None, speed_scale: float = 1.0) -> Drawn:
+    """Draw a motion of ``kind`` with the timing of a sampled episode."""
+    rng = np.random.default_rng([seed, 7])
+    timing = draw_timing(kind, "observe_before_act", rng)
+    allowed = [name for name in BENCHMARK.splits["train"].objects if MOTIONS[kind].suits(OBJECTS[name])]
+    name = object_name or str(rng.choice(allowed))
+    target = OBJECTS[name].sample(rng)
+    window_s = timing.window_frames * CONTROL_DT
+    draw = Draw(
+        rng=rng,
+        target=target,
+        window_s=window_s,
+        intercept_s=window_s + timing.approach_frames * CONTROL_DT,
+        horizon_s=(timing.window_frames + timing.length_frames) * CONTROL_DT,
+        speed_scale=speed_scale,
+    )
+    return Drawn(MOTIONS[kind].sample(draw), target, draw.intercept_s, draw.horizon_s)
 
 
 @dataclass(frozen=True)

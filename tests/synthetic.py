@@ -1,7 +1,5 @@
 """Synthetic episodes for tests that need no simulator: a straight reach that catches a constantly moving point."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -47,7 +45,10 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     palm = progress * meeting
     velocity = rng.uniform(-0.2, 0.2, 3)
     free = np.arange(window + frames + 1)[:, None] - arrival
-    path = meeting + [0, 0, miss_m] + free * CONTROL_DT * velocity
+    passing, speed = meeting + [0, 0, miss_m], float(np.linalg.norm(velocity))
+    path = passing + free * CONTROL_DT * velocity
+    way = tuple((velocity / speed).tolist())
+    motion = Constant(tuple((home_w + passing).tolist()), way, arrival * CONTROL_DT, speed, 0.0)
     target = path[np.minimum(np.arange(frames), arrival)]
     joints = progress * REFERENCE
     distance = np.linalg.norm(palm - target, axis=1)
@@ -63,7 +64,7 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     pose = np.hstack([target, np.tile([1.0, 0, 0, 0], (frames, 1))])
     meta = EpisodeMeta(
         seed=seed, split="train", motion="constant", category="straight_line", object="ball",
-        parameters=_straight(home_w + meeting + [0, 0, miss_m], velocity, arrival * CONTROL_DT),
+        parameters=motion.parameters(),
         task="Catch the moving ball.",
         agent="intercept", capture="attach", protocol="observe_before_act", control_class="standard",
         window_frames=window,
@@ -86,12 +87,6 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
         succeeded=next_frames(localized), success=bool(localized[-1]),
         stage="captured" if localized[-1] else "missed",
     )  # fmt: skip
-
-
-def _straight(meeting: np.ndarray, velocity: np.ndarray, time_s: float) -> str:
-    """Return the parameters of the motion that passes ``meeting`` at a time."""
-    speed = float(np.linalg.norm(velocity))
-    return Constant(tuple(meeting.tolist()), tuple((velocity / speed).tolist()), time_s, speed, 0.0).parameters()
 
 
 def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:

@@ -1,7 +1,5 @@
 """Capture rules: the weld at the closest step, the touch that lets go, and what counts as a catch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,9 +15,7 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.rollout.loop import evaluate, play
-from dynahoi_lerobot.rollout.recorder import Job
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -159,7 +155,7 @@ def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
     assert lenient.meta.capture == "attach_lenient"
 
 
-RECIPE = Recipe(split="test", capture="contact", image_size=32)
+RECIPE = SMALL.changed(capture="contact")
 PALM_BACK_M = -0.059
 
 
@@ -178,12 +174,6 @@ def flying(
     return replace(spec, motion=motion, target=target, home_pos_w=HOME_W, oracle_path=path, window_frames=2)
 
 
-def begin(spec: EpisodeSpec) -> WorldBatch:
-    batch = WorldBatch(RECIPE, 1, threads=1)
-    batch.reset([0], [spec])
-    return batch
-
-
 def energy_j(batch: WorldBatch, spec: EpisodeSpec) -> float:
     """Kinetic and potential energy of the target."""
     linear, angular = batch.target_velocity[0, :3], batch.target_velocity[0, 3:]
@@ -195,7 +185,7 @@ def energy_j(batch: WorldBatch, spec: EpisodeSpec) -> float:
 @pytest.mark.parametrize("kind", ["ball", "egg", "disc", "ring", "bottle", "cube"])
 def test_a_target_at_4_m_s_does_not_pass_through_the_palm(constant: EpisodeSpec, kind: str):
     spec = flying(constant, 4.0, kind)
-    batch = begin(spec)
+    batch = world([spec], capture="contact")
     for _ in range(14):
         batch.step(batch.executed)
         assert batch.target_pose[0, 0] - batch.state[0, 0] > PALM_BACK_M, "it would be behind the palm"
@@ -206,7 +196,7 @@ def test_a_target_at_4_m_s_does_not_pass_through_the_palm(constant: EpisodeSpec,
 @pytest.mark.parametrize("speed_m_s", [0.5, 2.0, 4.0])
 def test_a_still_hand_gives_no_energy(constant: EpisodeSpec, speed_m_s: float, friction: float):
     spec = flying(constant, speed_m_s, friction=friction)
-    batch = begin(spec)
+    batch = world([spec], capture="contact")
     start = energy_j(batch, spec)
     for _ in range(20):
         batch.step(batch.executed)
@@ -217,7 +207,7 @@ def test_a_still_hand_gives_no_energy(constant: EpisodeSpec, speed_m_s: float, f
 def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
     """Up to the touch the target is on its path; in the frame of the touch its velocity changes by what pushes it."""
     spec = flying(constant, 0.5)
-    batch = begin(spec)
+    batch = world([spec], capture="contact")
     while not batch.contacts.by_hand[0]:
         frame = batch.frame[0]
         np.testing.assert_allclose(batch.target_pose[0, :3], spec.oracle_path[frame] - HOME_W, atol=1e-9)
@@ -237,10 +227,8 @@ def test_a_touched_pendulum_loses_its_string():
     assert np.linalg.norm(episode.target_pose[-1, :3] - episode.state[-1, :3]) < 0.05
 
 
-def caught(specs: list[EpisodeSpec], size: int = 8, threads: int = 1) -> list:
-    batch = WorldBatch(RECIPE, size, threads)
-    jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
-    return [episode for _, episode in sorted(play(batch, EXPERTS["match"](), jobs), key=lambda pair: pair[0].index)]
+def caught(specs: list[EpisodeSpec], expert: str = "match") -> list[Episode]:
+    return list(evaluate(WorldBatch(RECIPE, 8, threads=1), EXPERTS[expert](), specs))
 
 
 @pytest.fixture(scope="module")
@@ -257,9 +245,7 @@ def test_the_expert_holds_nearly_everything_at_its_first_attempt(every_kind: lis
 
 
 def test_a_hand_that_stays_open_holds_nothing(every_kind: list[EpisodeSpec]):
-    batch = WorldBatch(RECIPE, 8, 1)
-    jobs = (Job.evaluation(i, spec) for i, spec in enumerate(every_kind[:8]))
-    assert not any(episode.success for _, episode in play(batch, EXPERTS["hold"](), jobs))
+    assert not any(episode.success for episode in caught(every_kind[:8], expert="hold"))
 
 
 # -- the verdict ---------------------------------------------------------------------------------------------------

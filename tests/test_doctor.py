@@ -1,7 +1,5 @@
 """``dynahoi doctor``: it finds what is wrong with a machine, and whether episodes are ours bit for bit."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from importlib.metadata import EntryPoint

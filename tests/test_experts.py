@@ -1,8 +1,6 @@
 """The demonstrator solves the benchmark; the floor does not; between them lies a straight extrapolation."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +11,16 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.experts.baselines import home_table
 from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.experts.match import approach
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.rollout.teacher_labels import Perturbation
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.world.playing import wait, world
 
 
 def mean(episodes: list[Episode], metric: str) -> float:
@@ -25,15 +28,11 @@ def mean(episodes: list[Episode], metric: str) -> float:
     return float(np.mean(values))
 
 
-def test_the_expert_catches_everything_at_the_first_attempt(expert_episodes: list[Episode]):
+def test_the_expert_catches_everything_at_the_first_attempt_straight_smooth_and_early(expert_episodes: list[Episode]):
     assert len(expert_episodes) == 44
-    assert mean(expert_episodes, "S_loc") == 1.0
-    assert mean(expert_episodes, "S_gra") == 1.0
-    assert all(episode.success and episode.stage == "captured" for episode in expert_episodes)
-    assert {episode.meta.attempts for episode in expert_episodes} == {1}
-
-
-def test_the_expert_is_straight_smooth_and_early(expert_episodes: list[Episode]):
+    assert mean(expert_episodes, "S_loc") == mean(expert_episodes, "S_gra") == 1.0
+    ended = {(episode.success, episode.stage, episode.meta.attempts) for episode in expert_episodes}
+    assert ended == {(True, "captured", 1)}
     assert mean(expert_episodes, "Q_line") >= 0.98
     assert mean(expert_episodes, "Q_smooth") >= 0.98
     assert mean(expert_episodes, "R_time") >= 0.5
@@ -82,6 +81,25 @@ def test_every_expert_is_deterministic_and_commands_every_joint(name: str, specs
         batch.step(commands[:3], np.arange(3))
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("constant_velocity", "constant"), ("constant_acceleration", "accelerating"), ("constant_acceleration", "lob")],
+)
+def test_who_extrapolates_rightly_goes_where_the_expert_goes(name: str, kind: str):
+    batch = world(sample_specs(Recipe(split="test", motions=(kind,)), range(6)))
+    wait(batch)
+    seen = batch.world_state(batch.observe(images=False))
+    np.testing.assert_allclose(EXPERTS[name]().act(seen)[:, :3], Intercept().act(seen)[:, :3], atol=1e-3)
+
+
+def test_a_hand_at_a_tabulated_home_follows_the_path_from_there(specs: list[EpisodeSpec]):
+    homes_w, paths = home_table()
+    batch = world([replace(specs[0], home_pos_w=homes_w[7])])
+    wait(batch)
+    (command,) = EXPERTS["nearest_home"]().act(batch.world_state(batch.observe(images=False)))
+    np.testing.assert_allclose(command[:3], paths[7][0], atol=1e-9)
+
+
 @pytest.mark.parametrize("control_class", CONTROL_CLASSES)
 def test_the_expert_catches_everything_in_every_control_class(control_class: str, specs: list[EpisodeSpec]):
     batch = WorldBatch(Recipe(image_size=32, control_class=control_class), 22, threads=1)
@@ -93,25 +111,15 @@ def test_the_expert_catches_everything_in_every_control_class(control_class: str
         assert speed.max() < 1.02 * CONTROL_CLASSES[control_class].palm_speed_m_s
 
 
-def play_labels(specs: list[EpisodeSpec], executed: Callable[[np.ndarray], np.ndarray]) -> list[Episode]:
-    """Play hands that do what ``executed`` makes of the labels (N, 18)."""
-
-    class Labelled(Intercept):
-        def act(self, world: WorldState) -> np.ndarray:
-            return executed(self.goals(world))
-
-    return list(evaluate(WorldBatch(Recipe(image_size=0), 22, threads=1), Labelled(), specs))
-
-
 def test_a_hand_that_follows_the_labels_loosely_is_closed_when_it_gets_there(specs: list[EpisodeSpec]):
     rng = np.random.default_rng(0)
 
-    def loosely(labels: np.ndarray) -> np.ndarray:
-        stray_m = np.zeros_like(labels)
-        stray_m[:, :3] = rng.normal(0.0, 0.015, (len(labels), 3))
-        return labels + stray_m
+    class Loose(Intercept):
+        def act(self, world: WorldState) -> np.ndarray:
+            labels = self.goals(world)
+            return labels + np.pad(rng.normal(0.0, 0.015, (len(labels), 3)), ((0, 0), (0, 15)))
 
-    episodes = play_labels(specs, loosely)
+    episodes = list(evaluate(WorldBatch(Recipe(image_size=0), 22, threads=1), Loose(), specs))
     assert mean(episodes, "S_joint") >= 0.9 * mean(episodes, "S_loc")
 
 
@@ -143,3 +151,21 @@ def test_the_expert_finds_back_when_its_palm_is_pulled_away():
     again = record(pulled, range(5, 10), batch_size=2)
     for one, other in zip((e for e in episodes if 5 <= e.meta.seed < 10), again, strict=True):
         np.testing.assert_array_equal(one.executed_action, other.executed_action)
+
+
+def test_a_palm_beyond_the_target_goes_around_it_to_close_from_behind():
+    ways = [np.array([0.25, 0.02, 0.0])]
+    while not (step := approach(ways[-1]))[1]:
+        ways.append(step[0])
+        assert len(ways) < 20
+    along, across = np.array(ways)[:, 0], np.linalg.norm(np.array(ways)[:, 1:], axis=1)
+    assert across[(along > -0.01) & (along < 0.11)].min() > 0.07
+    assert along[-1] < 0
+
+
+def test_three_attempts_are_perturbed_each_differently_and_a_further_one_is_not(specs: list[EpisodeSpec]):
+    *perturbed, last = (Perturbation.drawn(specs[0], attempt, share=1.0) for attempt in range(1, 5))
+    assert all((drawn.pull_begin >= 0).any() and drawn.tremor_m.any() for drawn in perturbed)
+    assert len({drawn.pull_m.tobytes() for drawn in perturbed}) == 3
+    assert not (last.pull_begin >= 0).any()
+    assert not last.tremor_m.any()

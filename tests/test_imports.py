@@ -1,7 +1,5 @@
 """How the core hangs together: rooms import in one direction only, and none brings in torch or LeRobot."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What must hold of every registered object, with no line per object, and distances from solids."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

@@ -1,7 +1,5 @@
 """The robot hand from MuJoCo Menagerie stands where the bundled ones stand, and catches what they catch."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

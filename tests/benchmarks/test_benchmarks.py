@@ -1,7 +1,5 @@
 """Every benchmark runs, in a tiny setting, as its first line says, and leaves its numbers in a file."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import re

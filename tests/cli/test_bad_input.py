@@ -1,7 +1,5 @@
 """Whatever is wrong is said in one sentence, which names it and what is right; exit code 2, and nothing is left."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The commands list, evaluate and view: what they print and leave."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """``dynahoi quickstart``, the first command that anyone runs: all of it, shortened."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

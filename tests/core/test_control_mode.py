@@ -1,7 +1,5 @@
 """Four numbers of a grasp stand for 18, in the world, in the environment and in datasets alike."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """One feature table for spaces, recordings and datasets; options derived from a dataclass."""
 
-from __future__ import annotations
-
 from argparse import ArgumentParser
 from dataclasses import fields
 from math import prod

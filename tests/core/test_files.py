@@ -1,7 +1,5 @@
 """What is made appears whole or not at all; folders are claimed by one process."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

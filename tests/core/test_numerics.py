@@ -1,7 +1,5 @@
 """Conversions of rotations against MuJoCo's at every size of angle; functions of angles against NumPy's."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

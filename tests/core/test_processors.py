@@ -4,8 +4,6 @@ OpenBLAS and NumPy have variants of their functions for each generation of proce
 be told not to use them.
 """
 
-from __future__ import annotations
-
 import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 

@@ -1,7 +1,5 @@
 """Modules that installed distributions name as entry points register by themselves."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """What the tests need from LeRobot, imported late and quietly."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

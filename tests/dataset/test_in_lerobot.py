@@ -1,7 +1,5 @@
 """Our datasets in the hands of LeRobot: the same as its own, opened, streamed, merged, and learned from."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """No recording of an expert is rejected; corrupt ones are."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -12,6 +10,7 @@ from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
+from tests.dataset.episodes import changed
 from tests.synthetic import synthetic_episode
 
 KINDS = len(BENCHMARK.splits["train"].motions)
@@ -44,34 +43,27 @@ def problems(episode: Episode, **changes: str) -> list[str]:
     return trajectory_problems(dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **changes)))
 
 
-def corrupted(name: str, where: object, value: object) -> Episode:
-    """A sound episode with ``value`` in an array, or added to it if it is a function."""
-    episode = synthetic_episode(0)
-    array = getattr(episode, name).copy()
-    array[where] = value(array[where]) if callable(value) else value
-    return dataclasses.replace(episode, **{name: array})
-
-
 @pytest.mark.parametrize(
-    ("episode", "told"),
+    ("corrupt", "told"),
     [
-        (corrupted("state", (9, 0), np.nan), "state is not finite"),
-        (corrupted("state", (9, 2), 3.0), "palm at 3.00 m along axis 2 at frame 9"),
-        (corrupted("action", (9, 5), 2.4), "action has joint angles"),
-        (corrupted("state", (9, 1), lambda y: y + 0.25), "state jumps by 0.2"),
-        (corrupted("state", (9, 8), 1.5), "state jumps by 1.5"),
-        (corrupted("target_pose", (9, 1), lambda y: y + 1), "target_pose jumps by 1.0"),
-        (corrupted("action", (slice(8, None), 0), 2.0), "action[0] is at its limit"),
-        (corrupted("state", slice(9, 20), lambda s: s[:1]), "state is frozen"),
-        (corrupted("phase", 9, 0.5), "phase is not"),
+        (changed("state", (9, 0), np.nan), "state is not finite"),
+        (changed("state", (9, 2), 3.0), "palm at 3.00 m along axis 2 at frame 9"),
+        (changed("action", (9, 5), 2.4), "action has joint angles"),
+        (changed("state", (9, 1), lambda y: y + 0.25), "state jumps by 0.2"),
+        (changed("state", (9, 8), 1.5), "state jumps by 1.5"),
+        (changed("executed_action", (9, 1), lambda y: y + 0.25), "executed_action jumps by 0.2"),
+        (changed("target_pose", (9, 1), lambda y: y + 1), "target_pose jumps by 1.0"),
+        (changed("action", (slice(8, None), 0), 2.0), "action[0] is at its limit"),
+        (changed("state", slice(9, 20), lambda s: s[:1]), "state is frozen"),
+        (changed("phase", 9, 0.5), "phase is not"),
     ],
 )
-def test_corrupt_recordings_are_rejected(episode, told):
-    assert any(told in problem for problem in trajectory_problems(episode))
+def test_corrupt_recordings_are_rejected(corrupt, told):
+    assert any(told in problem for problem in trajectory_problems(corrupt(synthetic_episode(0))))
 
 
 def test_the_speed_of_the_class_decides_what_is_a_jump():
-    moved = corrupted("state", (9, 1), lambda y: y + 0.08)
+    moved = changed("state", (9, 1), lambda y: y + 0.08)(synthetic_episode(0))
     for control_class in ("standard", "late"):
         (problem,) = problems(moved, control_class=control_class)
         assert "m at frame 9; 0.06 m is possible" in problem

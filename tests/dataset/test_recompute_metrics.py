@@ -1,8 +1,5 @@
 """Whoever has the parquet files gets the package's seven metrics, with a script that knows nothing of the package."""
 
-from __future__ import annotations
-
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,9 +56,7 @@ def assert_same(root: Path, episodes: list[Episode]) -> None:
 
 
 def test_the_script_imports_nothing_of_the_package() -> None:
-    text = Path(recompute_metrics.__file__).read_text()
-    names = set(re.findall(r"^\s*(?:from|import) ([\w.]+)", text, re.MULTILINE))
-    assert names == {"__future__", "sys", "pathlib", "numpy", "pandas", "pyarrow.parquet"}
+    assert "dynahoi" not in Path(recompute_metrics.__file__).read_text()
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Episodes on disk: written, read, merged and copied, always with the same bytes; their card."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

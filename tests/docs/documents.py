@@ -1,11 +1,10 @@
 """The project's Markdown pages as data: links, code spans, code blocks, commands."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("_build", "jupyter_execute")
@@ -54,7 +53,7 @@ class Page:
     text: str
 
     @classmethod
-    def read(cls, path: Path) -> Page:
+    def read(cls, path: Path) -> Self:
         return cls(path, path.read_text())
 
     @property

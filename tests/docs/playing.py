@@ -1,7 +1,5 @@
 """Blocks of code of the pages, run as they are written but for their counts, and without a network."""
 
-from __future__ import annotations
-
 import glob
 import os
 import re

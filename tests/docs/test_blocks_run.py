@@ -1,7 +1,5 @@
 """Every block of code in the pages runs as it is written, with fewer episodes and steps, and leaves what it should."""
 
-from __future__ import annotations
-
 import fcntl
 import importlib
 import io

@@ -1,7 +1,5 @@
 """Notebooks run from a clean kernel in an empty folder, and are committed without outputs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import nbformat

@@ -1,7 +1,5 @@
 """Everything that the pages point at is there: files, headings, classes, modules, images, commands, options."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import functools

@@ -1,7 +1,5 @@
 """Every recipe is what its folder says; those of ``recipes/train`` run as their headers or pages say."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -21,14 +19,11 @@ from tests.docs.documents import ROOT, pages
 from tests.docs.playing import Player, prepare
 
 RECIPES = ROOT / "recipes"
-FOLDERS = {"eye", "generate", "train", "zoo"}
 HEADER = re.compile(r"^#   (\S.*)$", re.MULTILINE)
 
 
-def recipes(*folders: str) -> list:
-    """Return the files of folders as parameters of a test."""
-    paths = [path for folder in folders for path in sorted((RECIPES / folder).iterdir())]
-    return [pytest.param(path, id=path.relative_to(RECIPES).as_posix()) for path in paths]
+def recipes(*folders: str) -> list[Path]:
+    return [path for folder in folders for path in sorted((RECIPES / folder).iterdir())]
 
 
 def commands(path: Path) -> list[list[str]]:
@@ -37,15 +32,15 @@ def commands(path: Path) -> list[list[str]]:
 
 
 def test_folders_are_named_after_what_reads_their_files():
-    assert {path.name for path in RECIPES.iterdir()} == FOLDERS
+    assert {path.name for path in RECIPES.iterdir()} == {"eye", "generate", "train", "zoo"}
 
 
-@pytest.mark.parametrize("path", recipes("generate", "eye"))
+@pytest.mark.parametrize("path", recipes("generate", "eye"), ids=lambda path: path.stem)
 def test_a_recipe_of_training_data_is_read(path: Path):
     assert (read_recipe(path).episodes if path.parent.name == "eye" else load_recipe(path)).split == "train"
 
 
-@pytest.mark.parametrize("path", recipes("train", "zoo"))
+@pytest.mark.parametrize("path", recipes("train", "zoo"), ids=lambda path: path.stem)
 def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(path: Path):
     register_third_party_plugins()
     config = draccus.parse(TrainPipelineConfig, config_path=path, args=[])
@@ -71,8 +66,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.mark.slow
 def test_recipes_that_no_page_trains_do_so_as_their_headers_say(workspace: Path, subtests: pytest.Subtests):
     generated, played_by_pages = set(), [words for page in pages() for words in page.commands]
-    for parameter in recipes("train"):
-        (path,) = parameter.values
+    for path in recipes("train"):
         with subtests.test(recipe=path.stem):
             generate, train, *evaluate = (words for words in commands(path) if words[1] != "pretrain")
             if train in played_by_pages:

@@ -1,7 +1,5 @@
 """The worked example of docs/extend.md, in a copy of the checkout: a motion that a contributor adds."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmark through vla-eval's own runner, and the entry that it reads."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import shlex
@@ -109,7 +107,7 @@ def test_the_harness_takes_the_config_and_every_episode_is_another_one(path: Pat
     test = smoke_test_from_path(path)
     assert isinstance(test, SmokeTest)
     assert test.category == "benchmark"
-    assert (run_validate([test]).status, run_validate([test]).message) == ("pass", "1/1 configs valid")
+    assert run_validate([test]).status == "pass"
     docker = DockerConfig.from_dict(load_config(str(path))["docker"])
     assert Path(docker.build.dockerfile_path).resolve() == FOLDER / "Dockerfile"
     (only,) = load_config(str(path))["benchmarks"]

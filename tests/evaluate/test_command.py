@@ -1,7 +1,5 @@
 """``dynahoi evaluate`` works in folders of its own, alone, and loses nothing when it is interrupted."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Paired comparisons: exact McNemar by hand, the paired interval, pairing by identity, under equal conditions."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """GIFs: size, timing, borders, captions, and what is refused."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

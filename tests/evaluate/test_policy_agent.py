@@ -1,7 +1,5 @@
 """A checkpoint as an agent: its config is changed on request, and it remembers the frames it is shown."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import shutil
@@ -20,6 +18,7 @@ from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame, queued_frame
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import FEATURES, SHIPPED
+from tests.world.playing import world
 
 CHECKPOINT = str(SHIPPED)
 
@@ -53,6 +52,23 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(m
     assert main([*words, "--control-class", "unlimited", "--inference", mode, "--inference-ms", "measured"]) == 0
     assert set(worlds) == {1}
     assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
+
+
+def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monkeypatch):
+    agent, observation, left = PolicyAgent(CHECKPOINT), world(specs[:1], image_size=96).observe(), []
+    agent.reset(1)
+    agent.enable_guidance()
+    (chunk,), _ = agent.plan(observation, np.array([0]))
+    predict = agent._policy.predict_action_chunk
+
+    def watched(batch: dict, **told: Any) -> torch.Tensor:
+        left.append(told["prev_chunk_left_over"].shape[1])
+        return predict(batch, **told)
+
+    monkeypatch.setattr(agent._policy, "predict_action_chunk", watched)
+    for executed in (2, 99):
+        agent.plan(observation, np.array([0]), executed=np.array([executed]), delays=np.array([1]))
+    assert left == [len(chunk) - 2, 1]
 
 
 @pytest.mark.parametrize(

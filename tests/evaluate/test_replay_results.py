@@ -1,7 +1,5 @@
 """Results replay if their logged commands lead to them, and only then."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A result folder: what is in it, that it comes back unchanged, and that an interrupted run loses nothing."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

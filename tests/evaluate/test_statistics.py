@@ -1,7 +1,5 @@
 """Of every episode a row, of the rows groups and intervals, of those the printed tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

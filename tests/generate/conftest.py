@@ -1,7 +1,5 @@
 """A dataset that is made undisturbed."""
 
-from __future__ import annotations
-
 import pytest
 
 from dynahoi_lerobot.dataset.manifest import hash_files

@@ -1,7 +1,5 @@
 """A recorder that needs no simulator; other processes import it."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """`dynahoi generate --actor`: a policy moves the hand, the expert labels every frame; the dataset is as any other."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -18,8 +16,8 @@ from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.generate.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.verify.command import verify
+from tests.dataset.episodes import changed, rewrite
 from tests.tools import edit_json
-from tests.verify.rewriting import changed, rewrite
 
 SEEDS = 4
 

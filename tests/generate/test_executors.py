@@ -1,7 +1,5 @@
 """Shards as tasks of datatrove: the same bytes as one process makes, on this machine, on Ray, and handed to Slurm."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal

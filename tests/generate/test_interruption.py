@@ -1,7 +1,5 @@
 """Generation may end at any instant and in any way: what exists is whole, and the next run completes it."""
 
-from __future__ import annotations
-
 import os
 import random
 import resource

@@ -1,7 +1,5 @@
 """A dataset is a function of its plan, whoever makes it, in whatever pieces and whatever goes wrong meanwhile."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil

@@ -1,9 +1,5 @@
 """Datasets of the simulator: physical ones, with further views, with failures; each verifies and replays."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,7 +8,6 @@ from lerobot.datasets import LeRobotDataset
 from dynahoi_lerobot.core.conventions import FINGERS
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.dataset import open_dataset, read_episodes
-from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.video import CODECS, Encoding
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
@@ -53,44 +48,26 @@ def test_further_views_are_stored_read_and_replayed(tmp_path, codec):
     assert all(item[f"observation.images.{view}"].shape == (3, 48, 48) for view in ("ego", *VIEWS))
 
 
-MOTIONS = ("constant", "lob", "depth", "planar")
-RECIPE = Recipe(expert="pursuit", motions=MOTIONS, image_size=16, keep_failures=True, perturbed_share=0.0)
-EPISODES = 12
-
-
-def plan(**changes) -> GenerationPlan:
-    return GenerationPlan(**({"recipe": RECIPE, "episodes": EPISODES, "shard_episodes": 5} | changes))
-
-
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory) -> Path:
-    """Episodes of a pursuer that is too slow for some of them."""
-    root = tmp_path_factory.mktemp("kept") / "d"
-    generate(plan(), root, record=record)
-    return root
-
-
-def episode_table(root: Path) -> pd.DataFrame:
-    return pd.read_parquet(root / "meta/episodes")
-
-
-def test_failures_are_kept_in_their_place_and_marked(kept):
-    manifest, table = Manifest.read(kept), episode_table(kept)
-    assert manifest.seeds == list(range(EPISODES)), "nothing is drawn again"
-    failed = int((~table["success"]).sum())
-    assert 0 < failed < EPISODES
-    assert manifest.yields == {"tried": EPISODES, "kept": EPISODES, "failed": failed, "missed": 0, "rejected": 0}
-    for episode in read_episodes(kept, images=False):
+def test_failures_are_kept_in_their_place_and_marked(tmp_path):
+    """A pursuer is too slow for some of them."""
+    motions = ("constant", "lob", "depth", "planar")
+    recipe = Recipe(expert="pursuit", motions=motions, image_size=16, keep_failures=True, perturbed_share=0.0)
+    manifest = generate(GenerationPlan(recipe, 12, shard_episodes=5), tmp_path / "d", record=record)
+    assert manifest.seeds == list(range(12)), "nothing is drawn again"
+    failed = int((~pd.read_parquet(tmp_path / "d/meta/episodes")["success"]).sum())
+    assert 0 < failed < 12
+    assert manifest.yields == {"tried": 12, "kept": 12, "failed": failed, "missed": 0, "rejected": 0}
+    for episode in read_episodes(tmp_path / "d", images=False):
         assert episode.reward.sum() == episode.success
         assert episode.succeeded[-1] == episode.success
         assert episode.attempt_success.tolist() == [episode.success]
-    assert verify(kept, replayed=3) == []
+    assert verify(tmp_path / "d", replayed=3) == []
 
 
 def test_all_attempts_at_a_failed_episode_are_told(tmp_path):
     recipe = Recipe(image_size=0, motions=("bounce", "lob"), perturbed_share=1.0, keep_failures=True)
     generate(GenerationPlan(recipe, 8), tmp_path / "d", record=record)
-    attempts = episode_table(tmp_path / "d")["stats/attempt_success"].map(list).tolist()
+    attempts = pd.read_parquet(tmp_path / "d/meta/episodes")["stats/attempt_success"].map(list).tolist()
     assert max(map(len, attempts)) > 1, "the expert begins again"
     assert all(not any(tries[:-1]) for tries in attempts)
     assert verify(tmp_path / "d", replayed=2) == []

@@ -1,19 +1,18 @@
 """A Hub in memory: the routes that uploading, tagging and downloading need, on a local port."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
 import re
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import PurePosixPath
 from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
+
+from tests.tools import served
 
 TOKEN = "hf_secretsecretsecret"
 REGULAR = (".md", ".json", ".yaml", ".svg", ".py", ".txt")
@@ -37,10 +36,6 @@ class Repo:
     def files(self) -> dict[str, bytes]:
         return self.commits[self.head]
 
-    def sha(self, revision: str) -> str | None:
-        known = {"main": self.head} | self.tags | {sha: sha for sha in self.commits}
-        return known.get(revision)
-
 
 @dataclass
 class Hub:
@@ -61,16 +56,8 @@ class RefusalError(Exception):
 @contextmanager
 def serving() -> Iterator[Hub]:
     hub = Hub()
-    server = ThreadingHTTPServer(("127.0.0.1", 0), type("Handler", (_Handler,), {"hub": hub}))
-    hub.url = f"http://127.0.0.1:{server.server_port}"
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
-    thread.start()
-    try:
+    with served(type("Handler", (_Handler,), {"hub": hub})) as hub.url:
         yield hub
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -84,6 +71,8 @@ class _Handler(BaseHTTPRequestHandler):
         if self.headers.get("Transfer-Encoding") == "chunked":
             body = self._chunks()
         try:
+            if self.command in ("POST", "DELETE") or path == WHOAMI:
+                self._check_token()
             for method, pattern, route in ROUTES:
                 if method in (self.command, "ANY") and (found := re.fullmatch(pattern, path)):
                     return self._send(200, *route(self, body, **found.groupdict()))
@@ -113,9 +102,8 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
         pass
 
-    def check_token(self) -> None:
-        given = self.headers.get("Authorization", "")
-        if given != f"Bearer {TOKEN}":
+    def _check_token(self) -> None:
+        if self.headers.get("Authorization") != f"Bearer {TOKEN}":
             raise RefusalError(401)
 
     def repo(self, kind: str, name: str) -> Repo:
@@ -124,8 +112,9 @@ class _Handler(BaseHTTPRequestHandler):
         raise RefusalError(404, "RepoNotFound", "Repository not found")
 
     def sha(self, repo: Repo, revision: str) -> str:
-        if found := repo.sha(revision):
-            return found
+        known = {"main": repo.head} | repo.tags | {sha: sha for sha in repo.commits}
+        if revision in known:
+            return known[revision]
         raise RefusalError(404, "RevisionNotFound", "Invalid rev id")
 
 
@@ -148,12 +137,10 @@ def _is_large(name: str) -> bool:
 
 
 def whoami(handler: _Handler, body: bytes) -> Answer:
-    handler.check_token()
     return _json({"type": "user", "name": "me", "orgs": [], "auth": {"type": "access_token"}})
 
 
 def create(handler: _Handler, body: bytes) -> Answer:
-    handler.check_token()
     asked = json.loads(body)
     owner = asked.get("organization") or "me"
     if owner != "me":
@@ -174,7 +161,6 @@ def info(handler: _Handler, body: bytes, kind: str, name: str, revision: str | N
 
 
 def preupload(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
-    handler.check_token()
     held = handler.repo(kind, name).files
     names = [file["path"] for file in json.loads(body)["files"]]
     modes = [{"path": path, "uploadMode": "lfs" if _is_large(path) else "regular"} for path in names]
@@ -183,7 +169,6 @@ def preupload(handler: _Handler, body: bytes, kind: str, name: str, revision: st
 
 
 def batch(handler: _Handler, body: bytes, name: str) -> Answer:
-    handler.check_token()
     objects = json.loads(body)["objects"]
     for entry in objects:
         if entry["oid"] not in handler.hub.blobs:
@@ -203,7 +188,6 @@ def upload(handler: _Handler, body: bytes, oid: str) -> Answer:
 
 
 def commit(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
-    handler.check_token()
     repo = handler.repo(kind, name)
     files = dict(repo.files)
     for line in body.splitlines():
@@ -228,7 +212,6 @@ def refs(handler: _Handler, body: bytes, kind: str, name: str) -> Answer:
 
 
 def make_tag(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
-    handler.check_token()
     repo = handler.repo(kind, name)
     if (tag := json.loads(body)["tag"]) in repo.tags:
         raise RefusalError(409, message="Tag exists")
@@ -237,7 +220,6 @@ def make_tag(handler: _Handler, body: bytes, kind: str, name: str, revision: str
 
 
 def delete_tag(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
-    handler.check_token()
     if handler.repo(kind, name).tags.pop(revision, None) is None:
         raise RefusalError(404, "RevisionNotFound", "Tag not found")
     return _json({})
@@ -275,10 +257,11 @@ def valid(handler: _Handler, body: bytes) -> Answer:
     return _json({"errors": [], "warnings": []})
 
 
+WHOAMI = "/api/whoami-v2"
 API = r"/api/(?P<kind>models|datasets)/(?P<name>[^/]+/[^/]+)"
 REVISION = r"/(?P<revision>[^/]+)"
 ROUTES = [
-    ("GET", "/api/whoami-v2", whoami),
+    ("GET", WHOAMI, whoami),
     ("POST", "/api/repos/create", create),
     ("POST", "/api/validate-yaml", valid),
     ("GET", API, info),

@@ -1,7 +1,5 @@
 """``dynahoi push``: sound content only, resumed after an interruption, never over something else."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil
@@ -295,10 +293,10 @@ def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(pol
 def test_results_go_to_the_repository_with_the_weights_that_they_name(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
-    for number, (weights, code) in enumerate((("0a" * 32, 1), (digest, 0))):
+    played = ((str(checkpoint), "0a" * 32, 1), ("me/policy", "0a" * 32, 1), (str(checkpoint), digest, 0))
+    for number, (policy, weights, code) in enumerate(played):
         named = {"weights": {"model.safetensors": weights}}
-        folder = tmp_path / str(number)
-        results = write_split(folder, "ood_speed", range(2), policy=str(checkpoint), extra=named)
+        results = write_split(tmp_path / str(number), "ood_speed", range(2), policy=policy, extra=named)
         assert push(results, "me/policy")[0] == code
 
 

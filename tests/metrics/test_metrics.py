@@ -1,7 +1,5 @@
 """Every metric against cases small enough to do by hand, and what must hold of all of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import fields, replace

@@ -1,7 +1,5 @@
 """What must hold of every registered motion, with no line per motion."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -14,7 +12,7 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene.model import ARENA_HALF_M
-from tests.drawing import draw_motion
+from tests.simulation import draw_motion
 
 KINDS = MOTIONS.names()
 PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, PrescribedMotion)]
@@ -71,6 +69,15 @@ def test_the_velocity_of_a_prescribed_path_never_jumps(kind: str):
         drawn = draw_motion(kind, seed)
         path = drawn.motion.position(np.arange(0.0, drawn.horizon_s, PHYSICS_DT))
         assert np.abs(np.diff(path, n=2, axis=0)).max() / PHYSICS_DT**2 < MAX_ACCELERATION_M_S2
+
+
+@pytest.mark.parametrize("kind", ["constant", "line_then_arc", "horizontal_circle", "vertical_circle", "helix"])
+def test_lines_and_circles_have_constant_speed(kind: str):
+    for seed in SEEDS:
+        drawn = draw_motion(kind, seed)
+        path = drawn.motion.position(np.arange(0.0, drawn.horizon_s, PHYSICS_DT))
+        step_m = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        np.testing.assert_allclose(step_m, step_m[0], rtol=1e-4)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -3,8 +3,6 @@
 An event takes one physics step h, in which gravity adds g h to a speed or leaves it out; tolerances follow from that.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +15,7 @@ from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, heading
 from dynahoi_lerobot.motions.pendulum import SuspendedMotion
 from dynahoi_lerobot.motions.projectile import ThrowMotion
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
-from tests.drawing import Drawn, draw_motion
-from tests.simulation import Track, simulate
+from tests.simulation import Drawn, Track, draw_motion, simulate
 
 THROWS, ROLLING, PENDULUMS = (
     [name for name, kind in MOTIONS.items() if issubclass(kind, base)]

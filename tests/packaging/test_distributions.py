@@ -1,37 +1,23 @@
 """The distributions agree with each other, with their metadata and with what is tested."""
 
-from __future__ import annotations
-
-import importlib
 import re
 import shutil
 import subprocess
 import tomllib
-from importlib.metadata import distributions, version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any
-
-import pytest
 
 ROOT = Path(__file__).parents[2]
 PROJECTS = sorted(
     [ROOT / "pyproject.toml", *ROOT.glob("envs/*/pyproject.toml"), *ROOT.glob("policies/*/pyproject.toml")]
 )
-TYPED = ("dynahoi_lerobot", "lerobot_env_dynahoi")
 CORE = "dynahoi_lerobot"
 
 
 def project(path: Path) -> dict[str, Any]:
     """Return the ``[project]`` table."""
     return tomllib.loads(path.read_text())["project"]
-
-
-@pytest.mark.parametrize("name", TYPED)
-def test_a_package_tells_its_version_and_that_it_is_typed(name: str) -> None:
-    package = importlib.import_module(name)
-    assert package.__version__ == version(name)
-    assert package.__version__ in {project(path)["version"] for path in PROJECTS if project(path)["name"] == name}
-    assert (Path(package.__file__).parent / "py.typed").is_file()
 
 
 def test_the_constraints_are_the_versions_that_are_tested_here() -> None:
@@ -81,11 +67,3 @@ def test_one_command_sets_all_versions(tmp_path: Path) -> None:
     assert refused.returncode == 2
     assert refused.stderr == "name a version such as 0.2.0 or 0.2.0rc1, got '9.8'\n"
     assert versions(tmp_path) == {"9.8.7rc1"}
-
-
-@pytest.mark.parametrize("path", PROJECTS, ids=lambda path: project(path)["name"])
-def test_every_distribution_carries_readme_and_licence(path: Path) -> None:
-    table = project(path)
-    assert (table["license"], table["license-files"]) == ("Apache-2.0", ["LICENSE"])
-    assert (path.parent / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
-    assert (path.parent / table["readme"]).is_file()

@@ -1,7 +1,5 @@
 """A tiny run of `dynahoi pretrain`: it logs, leaves an eye, and resumes after a kill."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

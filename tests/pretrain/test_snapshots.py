@@ -1,7 +1,5 @@
 """Images of random poses show the target where they say it is."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 
@@ -60,13 +58,17 @@ def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
 def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(monkeypatch: pytest.MonkeyPatch):
     placed: list[np.ndarray] = []
     batch = WorldBatch(RECIPE, 32, threads=1)
-    place = type(batch).place
-    monkeypatch.setattr(
-        type(batch), "place", lambda self, hand, pose: (placed.append(np.hstack([hand, pose])), place(self, hand, pose))
-    )
+    place = WorldBatch.place
+
+    def watched(self: WorldBatch, hand: np.ndarray, pose: np.ndarray) -> None:
+        placed.append(np.hstack([hand, pose, self.home_pos_w]))
+        place(self, hand, pose)
+
+    monkeypatch.setattr(WorldBatch, "place", watched)
     shown = list(islice(snapshots(batch, SPECS, np.random.default_rng(0)), 8))
-    now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 25) each
+    now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 28) each
     np.testing.assert_allclose(np.concatenate([s.place for s in shown]), now[:, 18:21] - now[:, :3], atol=1e-6)
+    assert (now[:, 2] + now[:, 27] > 0.049).all(), "no palm is in the floor"
     now, before = now[:, 3:18], before[:, 3:18]
     moving = np.abs(now - before).max(axis=1) > 1e-3
     closing = (np.abs(now).sum(axis=1) > np.abs(before).sum(axis=1)) & moving

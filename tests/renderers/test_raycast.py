@@ -1,7 +1,5 @@
 """What the ray casters show is what is there, in the colours it has, and as mujoco_warp draws it."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
@@ -56,8 +54,9 @@ def test_things_have_their_colours_where_the_labels_say_they_are(watching, image
             pixels = image[np.isin(seen, ids)]
             if len(pixels) >= (8 if thing == "target" else 50):  # a table may cover the floor
                 # the median, as pixels on edges hold some of what is behind
-                tint = getattr(spec.appearance, f"{thing}_rgb")
-                assert _cosine(np.median(pixels, axis=0), tint) > SAME_HUE, (spec.motion.name, thing)
+                colour, tint = np.median(pixels, axis=0), np.array(getattr(spec.appearance, f"{thing}_rgb"))
+                cosine = colour @ tint / np.linalg.norm(colour) / np.linalg.norm(tint)
+                assert cosine > SAME_HUE, (spec.motion.name, thing)
                 compared[thing] += 1
     assert min(compared.values()) >= 12
 
@@ -66,10 +65,6 @@ def test_worlds_that_are_not_asked_for_are_black_and_the_others_unchanged(watchi
     some = watching.cameras.render(np.array([4, 17]))
     np.testing.assert_array_equal(some[[4, 17]], images[[4, 17]])
     assert not np.delete(some, [4, 17], axis=0).any()
-
-
-def _cosine(color: np.ndarray, tint: tuple[float, float, float]) -> float:
-    return float(color @ np.asarray(tint) / np.linalg.norm(color) / np.linalg.norm(tint))
 
 
 ODD_SIZE = 72

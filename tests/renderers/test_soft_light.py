@@ -1,7 +1,5 @@
 """What ``tiles`` has and MuJoCo's ray caster lacks: shadows where the light is taken, calm textures, smooth edges."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Every view shows the same worlds, whoever draws them; depth is a distance, segmentation names what is there."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

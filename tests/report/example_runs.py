@@ -1,7 +1,5 @@
 """Result folders of made-up policies that play the same synthetic episodes with different skill."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

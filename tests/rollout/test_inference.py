@@ -1,7 +1,5 @@
 """Inference that takes time, against timelines computed by hand."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np
@@ -165,7 +163,7 @@ def test_a_new_episode_begins_with_an_inference():
         (QueuedPolicy("p", 6), Inference("rtc", 150.0)),
         (QueuedPolicy("p", 6), Inference("async", None)),
         (QueuedPolicy("p", 3), Inference("async", 150.0)),
-        (QueuedPolicy("p", 6, lookback_frames=5), Inference("async", 150.0)),
+        (QueuedPolicy("p", 6, lookback_frames=4), Inference("async", 150.0)),
     ],
 )
 def test_timings_that_a_queue_cannot_have_are_refused(policy: QueuedPolicy, timing: Inference):

@@ -1,7 +1,5 @@
 """The one loop: order, retries, memory and what each actor gets to see."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an episode stores of cameras, object and plan is what the simulator has."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Appearance and furniture change images and nothing else, and hide no target; each draw has numbers of its own."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

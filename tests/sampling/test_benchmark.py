@@ -1,7 +1,5 @@
 """The benchmark is a frozen list: its episodes have the committed digests, whatever else is registered."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import asdict, replace

@@ -1,7 +1,5 @@
 """Recipes: what is wrong is told in one sentence; which code decides what they give."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

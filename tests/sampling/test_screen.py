@@ -1,7 +1,5 @@
 """Protocol ``occluded``: a screen hides the target for a while before it can be met, and stands in nobody's way."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import groupby
 

@@ -1,7 +1,5 @@
 """Splits are disjoint seed streams, what is held out is never in training; salts, and twins at another speed."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from dataclasses import fields, replace
@@ -28,6 +26,7 @@ from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.sampling.splits import seal, split_seeds, without_salt
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.tools import generated
+from tests.world.playing import SMALL
 
 QUICK = ("constant", "lateral", "horizontal_circle", "line_then_arc")
 IN_DISTRIBUTION = ("train", "val", "test")
@@ -71,7 +70,6 @@ def test_evaluation_splits_have_enough_of_every_kind(split: str):
 
 
 SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
-PUBLIC = Recipe(split="test", image_size=32)
 
 
 @pytest.fixture(scope="module")
@@ -87,11 +85,11 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def test_another_salt_is_another_episode_and_the_same_salt_the_same():
-    public, salted, other = (sample_spec(replace(PUBLIC, salt=salt), 3) for salt in ("", SALT, OTHER))
+    public, salted, other = (sample_spec(replace(SMALL, salt=salt), 3) for salt in ("", SALT, OTHER))
     assert public.motion.name == salted.motion.name == other.motion.name, "kinds still take turns"
     homes = np.stack([spec.home_pos_w for spec in (public, salted, other)])
     assert len(np.unique(homes, axis=0)) == 3
-    np.testing.assert_array_equal(sample_spec(replace(PUBLIC, salt=SALT), 3).oracle_path, salted.oracle_path)
+    np.testing.assert_array_equal(sample_spec(replace(SMALL, salt=SALT), 3).oracle_path, salted.oracle_path)
     assert public.split == "test"
     assert salted.split == f"test+{seal(SALT).removeprefix('sha256:')[:8]}"
     assert len({public.split, salted.split, other.split}) == 3
@@ -118,7 +116,7 @@ def test_no_file_of_a_dataset_holds_the_salt(tmp_path: Path):
 def test_a_hash_makes_no_episode():
     """Also not by being taken for a salt."""
     with pytest.raises(ValueError, match=r"of the salted stream sha256:\w{16}; only those who know its salt"):
-        sample_spec(replace(PUBLIC, salt=seal(SALT)), 0)
+        sample_spec(replace(SMALL, salt=seal(SALT)), 0)
 
 
 def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: dict[str, Path]):

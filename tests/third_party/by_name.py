@@ -3,8 +3,6 @@
 python -m tests.third_party.by_name FOLDER
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A motion and an object of somebody else: its name sorts before all of the core's, it has more primitives than any."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Self
 

@@ -1,14 +1,9 @@
 """Datasets that LeRobot's own tools edited: a sentence says what is gone, and the rest is checked as LeRobot's."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import pytest
 from lerobot.datasets.dataset_tools import (
     delete_episodes,
@@ -20,7 +15,7 @@ from lerobot.datasets.dataset_tools import (
 
 from dynahoi_lerobot.verify.command import verify
 from tests.dataset.lerobot_api import open_dataset
-from tests.tools import edit_json
+from tests.verify.test_verify import FORMAT, VIDEO
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
 
@@ -57,23 +52,11 @@ def test_statistics_that_were_computed_anew_are_a_file_that_has_changed(dataset:
         assert len(set(numbers)) == len(numbers), f"it tells the same number twice: {finding}"
 
 
-def add_episode(root: Path) -> None:
-    edit_json(root / "meta/info.json", lambda info: info.update(total_episodes=9))
-
-
-def shift_times(root: Path) -> None:
-    (path,) = (root / "data").glob("*/*.parquet")
-    table = pq.read_table(path)
-    later = pc.add(table["timestamp"], pa.scalar(0.01, pa.float32()))
-    pq.write_table(table.set_column(table.schema.get_field_index("timestamp"), "timestamp", later), path)
-
-
 def cut_video(root: Path) -> None:
-    (path,) = (root / "videos").glob("*/*/*.mp4")
-    path.write_bytes(path.read_bytes()[:-100])
+    (root / VIDEO).write_bytes((root / VIDEO).read_bytes()[:-100])
 
 
-@pytest.mark.parametrize("damage", [add_episode, shift_times, cut_video])
+@pytest.mark.parametrize("damage", [FORMAT["more episodes"], FORMAT["times that are shifted"], cut_video])
 def test_damage_that_lerobots_format_shows_is_found(dataset: Path, tmp_path: Path, damage):
     EDITS["delete"](dataset, tmp_path / "edited")
     damage(tmp_path / "edited")

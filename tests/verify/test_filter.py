@@ -1,6 +1,3 @@
-from __future__ import annotations
-
-import dataclasses
 import shutil
 from pathlib import Path
 
@@ -13,7 +10,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
-from tests.dataset.episodes import varied_episode
+from tests.dataset.episodes import changed, varied_episode
 from tests.dataset.lerobot_api import open_dataset
 
 SENTENCE = "episode 7: action.thumb_tip reaches 2.200, outside -0.500 to 1.500 in 1 frame"
@@ -23,9 +20,7 @@ SENTENCE = "episode 7: action.thumb_tip reaches 2.200, outside -0.500 to 1.500 i
 def with_outlier(tmp_path_factory) -> Path:
     """Twelve episodes, of which one reaches a finger further than any other, for a single frame."""
     episodes = [varied_episode(seed, 16) for seed in range(12)]
-    action = episodes[7].action.copy()
-    action[10, 5] = 2.2
-    episodes[7] = dataclasses.replace(episodes[7], action=action)
+    episodes[7] = changed("action", (10, 5), 2.2)(episodes[7])
     root = tmp_path_factory.mktemp("outlier") / "d"
     write_episodes(root, episodes)
     return root
@@ -43,10 +38,8 @@ def test_outliers_are_named(with_outlier):
 
 def write_with_nan(root: Path, episodes: int) -> Path:
     """Episodes of which the second has one command that is not a number."""
-    made = [varied_episode(seed, None) for seed in range(episodes)]
-    action = made[1].action.copy()
-    action[4, 2] = np.nan
-    write_episodes(root, [made[0], dataclasses.replace(made[1], action=action), *made[2:]])
+    first, second, *others = (varied_episode(seed, None) for seed in range(episodes))
+    write_episodes(root, [first, changed("action", (4, 2), np.nan)(second), *others])
     return root
 
 

@@ -1,7 +1,5 @@
 """``dynahoi verify`` refutes each of its three claims where it does not hold, also where a forger signed anew."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil
@@ -22,9 +20,8 @@ from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import Finding, drawn_evenly, verify
-from tests.dataset.episodes import write
+from tests.dataset.episodes import changed, rewrite, sign, write
 from tests.tools import edit_json, flip_byte, generated
-from tests.verify.rewriting import changed, rewrite, sign
 
 DATA, ROWS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
 VIDEO = "videos/observation.images.ego/chunk-000/file-000.mp4"
@@ -103,12 +100,16 @@ def column(path: str, key: str, change: Callable[[list], list]) -> Callable[[Pat
     return apply
 
 
-def without_a_packet(root: Path) -> None:
-    *kept, _ = stored_packets(root / VIDEO)
-    video = VideoFile(root / "again.mp4", lambda container: copied_stream(container, root / VIDEO))
-    video.append(kept)
-    video.close()
-    (root / "again.mp4").replace(root / VIDEO)
+def packets(change: Callable[[list], list]) -> Callable[[Path], None]:
+    """Return a damage of the packets of a video."""
+
+    def apply(root: Path) -> None:
+        video = VideoFile(root / "again.mp4", lambda container: copied_stream(container, root / VIDEO))
+        video.append(change(list(stored_packets(root / VIDEO))))
+        video.close()
+        (root / "again.mp4").replace(root / VIDEO)
+
+    return apply
 
 
 def one_fewer_frame(root: Path) -> None:
@@ -125,7 +126,8 @@ FORMAT: dict[str, Callable[[Path], object]] = {
     ),
     "a file that is not there": column(ROWS, "data/file_index", lambda files: [7] * len(files)),
     "a frame fewer": one_fewer_frame,
-    "an image fewer": without_a_packet,
+    "an image fewer": packets(lambda packets: packets[:-1]),
+    "an episode that begins without a key frame": packets(lambda packets: [packets[1], packets[0], *packets[2:]]),
     "more episodes": lambda root: edit_json(root / "meta/info.json", lambda info: info.update(total_episodes=9)),
     "another shape": lambda root: edit_json(
         root / "meta/info.json", lambda info: info["features"]["action"].update(dtype="int64")
@@ -166,6 +168,13 @@ def test_verdicts_that_do_not_follow_are_found_though_they_are_signed(copy, name
     first, *others = read_episodes(copy)
     rewrite(copy, [VERDICTS[name](first), *others])
     assert "verdicts" in found(copy)
+
+
+def test_contacts_that_forces_contradict_are_found_though_they_are_signed(tmp_path):
+    root = generated(tmp_path / "d", "--image-size", "0", "--motions", "constant", "--capture", "contact")
+    first, *others = read_episodes(root)
+    rewrite(root, [changed("touch", 3, 5.0)(first), *others])
+    assert found(root) == {"verdicts"}
 
 
 @pytest.mark.parametrize("key", ["next.reward", "observation.environment_state", "language_persistent"])

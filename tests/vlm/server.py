@@ -1,13 +1,12 @@
 """A local server that speaks enough of the chat-completions protocol, well or badly."""
 
-from __future__ import annotations
-
 import json
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import Any
+
+from tests.tools import served
 
 Handler = Callable[["Exchange"], None]
 
@@ -53,10 +52,5 @@ def serving(handler: Handler) -> Iterator[tuple[str, list[Exchange]]]:
         def log_message(self, *args: Any) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Http)
-    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
-    try:
-        yield f"http://127.0.0.1:{server.server_address[1]}/v1", seen
-    finally:
-        server.shutdown()
-        server.server_close()
+    with served(Http) as url:
+        yield f"{url}/v1", seen

@@ -1,7 +1,5 @@
 """Vision-language models: the prompt, every kind of bad answer, the account, and whole episodes."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

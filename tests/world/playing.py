@@ -1,7 +1,5 @@
 """Playing worlds by hand, and reducing what happened to a hash."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import fields, replace

@@ -1,7 +1,5 @@
 """N worlds: the same bytes in any batch, limits of the hand, and what is observed from home."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -83,6 +81,15 @@ def test_a_world_remembers_nothing_of_its_last_episode(every_kind: list[EpisodeS
     order = [s for s in every_kind if s.motion.category in ("impact_response", "pendulum", "inclined_rolling")]
     once = digests([*order, *order[::-1]], 1)
     assert once == {seed: reference[seed] for seed in once}
+
+
+def test_a_fingertip_in_the_middle_of_a_ring_is_as_far_from_it_as_from_its_tube(specs: list[EpisodeSpec]):
+    """What lies there are hidden solids, which the ring does not use."""
+    spec = next(spec for spec in specs if spec.target.name == "ring")
+    batch = world([spec])
+    batch.place(batch.state, np.concatenate([batch.fingertips()[0, :3], [1.0, 0.0, 0.0, 0.0]])[None])
+    segment = spec.target.primitives[0]
+    assert batch.tip_distance()[0, 0] == pytest.approx(np.linalg.norm(segment.pos) - segment.size[0], abs=1e-6)
 
 
 SHIFT_W = np.array([0.5, -0.25, 0.125])

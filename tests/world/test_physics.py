@@ -1,7 +1,5 @@
 """The target keeps to its path: prescribed ones to the closed form, all of them to the oracle."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,8 +7,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.scene.world_fields import GRAVITY_W
-from tests.drawing import draw_motion
-from tests.simulation import simulate
+from tests.simulation import draw_motion, simulate
 from tests.world.playing import world
 
 PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, PrescribedMotion)]

@@ -1,7 +1,5 @@
 """A tokenizer of actions with the interface of FAST: cosine transform, rounding, one token per coefficient."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tiny random models in the layout of the Hub, where the real ones are downloaded."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

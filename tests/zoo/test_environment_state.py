@@ -1,7 +1,5 @@
 """What policies read of the target besides images: the simulator's truth, or where the eye sees it, on request."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gymnasium as gym
@@ -9,7 +7,6 @@ import numpy as np
 import pytest
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
-from lerobot.scripts.lerobot_eval import main as lerobot_eval
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import read_episodes
@@ -20,6 +17,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import tiny_act
+from tests.env.test_lerobot_plugin import through_lerobot
 from tests.tools import generated
 
 KEY = "observation.environment_state"
@@ -90,13 +88,8 @@ def test_it_is_no_actor_of_recordings(checkpoint: str, tmp_path: Path, capsys: p
 
 
 def test_lerobot_evaluates_it(checkpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    env = ["--env.type=dynahoi", "--env.task=constant", "--env.environment_state=truth", "--env.image_size=16"]
-    run = [f"--output_dir={tmp_path / 'out'}", f"--env.results_dir={tmp_path / 'r'}"]
-    episodes = ["--eval.n_episodes=1", "--eval.batch_size=1", "--policy.device=cpu"]
-    monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--policy.path={checkpoint}", *env, *run, *episodes])
-    lerobot_eval()
-    results = read_results(tmp_path / "r")
-    assert (len(results.rows), results.privileged) == (1, True)
+    results = through_lerobot(Path(checkpoint), tmp_path, monkeypatch, "--env.environment_state=truth")
+    assert (len(results.rows), results.privileged) == (2, True)
 
 
 # -- what the eye sees ------------------------------------------------------------------------------------------------

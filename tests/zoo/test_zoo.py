@@ -1,7 +1,5 @@
 """LeRobot's policies through its own training command and our evaluation: two steps, one episode, no download."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

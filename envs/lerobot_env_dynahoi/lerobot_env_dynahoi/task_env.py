@@ -25,19 +25,13 @@ class ResultsLog:
         """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends."""
         self.folder, self._recipe, self._inference = folder, recipe, inference
         self._recorder = ResultsRecorder()
-        self._known: set[tuple[str, int]] = set()
-        self._unwritten = 0
-        self._fingerprint = ""
+        self._unwritten = False
 
     def __call__(self, episode: Episode) -> None:
         """Keep an episode, once: LeRobot fills its last batch with episodes it has played before."""
-        key = (episode.meta.motion, episode.meta.seed)
-        if key in self._known:
-            return
-        self._known.add(key)
-        self._recorder.extend([episode])
-        self._fingerprint = episode.meta.fingerprint
-        self._unwritten += 1
+        if episode.meta.seed not in self._recorder.seeds:
+            self._recorder.extend([episode])
+            self._unwritten = True
 
     def write(self) -> None:
         """Write the folder if there is anything new, and print the table."""
@@ -50,10 +44,10 @@ class ResultsLog:
             "surroundings": surroundings(),
             WEIGHTS: policy_weights(sys.argv),
         }
-        name, command = policy_name(sys.argv), command_line(sys.argv)
-        info = RunInfo(name, self._recipe.split, self._recipe.capture, command, self._fingerprint, extra)
+        name, command, recipe = policy_name(sys.argv), command_line(sys.argv), self._recipe
+        info = RunInfo(name, recipe.split, recipe.capture, command, recipe.fingerprint(), extra)
         results = self._recorder.write(self.folder, info)
-        self._unwritten = 0
+        self._unwritten = False
         print(f"{results_table([results])}\nmetrics so far: {self.folder}", flush=True)
 
 

@@ -3,9 +3,11 @@
 from importlib.metadata import version
 
 from .configuration_actiontokens import ActionTokensConfig
+from .configuration_upvla import UPVLAConfig
 from .modeling_actiontokens import ActionTokensPolicy
+from .modeling_upvla import UPVLAPolicy
 from .processor_actiontokens import make_actiontokens_pre_post_processors
-from .upvla import UPVLAConfig, UPVLAPolicy, make_upvla_pre_post_processors
+from .processor_upvla import make_upvla_pre_post_processors
 
 __version__ = version("lerobot_policy_actiontokens")
 

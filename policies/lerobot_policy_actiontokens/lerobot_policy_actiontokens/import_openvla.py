@@ -56,11 +56,8 @@ def main() -> int:
     parser.add_argument("--camera", default="observation.images.ego", help="key of the images")
     parser.add_argument("--image-size", type=int, default=224, help="side of the images [px]")
     parser.add_argument("--dtype", default="bfloat16", help="data type of the weights: float32 or bfloat16")
-    args = parser.parse_args()
     try:
-        import_openvla(
-            args.checkpoint, args.unnorm_key, args.out, camera=args.camera, image_size=args.image_size, dtype=args.dtype
-        )
+        import_openvla(**vars(parser.parse_args()))
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2

@@ -4,16 +4,17 @@ from typing import Any
 
 import torch
 from lerobot.utils.constants import ACTION
-from torch import Tensor
+from torch import Tensor, nn
 from transformers import AutoModelForImageTextToText, AutoProcessor
 
-from .bins import N_BINS, decode, encode, token_ids
 from .chunks import ChunkPolicy, instructions, open_model, unpadded
 from .configuration_actiontokens import ActionTokensConfig
 
 PROMPT = "{image}In: What action should the robot take to {instruction}?\nOut: "
 VISION = ("vision_model", "vision_tower", "vision_backbone", "visual")
 """Names of the vision tower in models of `transformers`."""
+N_BINS = 256
+"""Actions in [-1, 1] are discretised into tokens, the last ids of the vocabulary (OpenVLA, Section 3.2)."""
 
 
 class ActionTokensPolicy(ChunkPolicy):
@@ -40,7 +41,8 @@ class ActionTokensPolicy(ChunkPolicy):
         if self.vocabulary <= N_BINS:
             raise ValueError(f"{config.vlm_name} has {self.vocabulary} tokens, but must have more than {N_BINS}.")
         if config.freeze_vision:
-            self._vision().requires_grad_(False)
+            towers = (module for name, module in self.vlm.named_modules() if name.endswith(VISION))
+            next(towers).requires_grad_(False)
 
     def forward(self, batch: dict[str, Any], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
         """Return the cross-entropy of the action tokens.
@@ -56,7 +58,7 @@ class ActionTokensPolicy(ChunkPolicy):
         inputs = {**prompt, "input_ids": torch.cat([prompt["input_ids"], action_ids], dim=1), "attention_mask": mask}
         logits = self.vlm(**inputs, position_ids=(mask.cumsum(1) - 1).clamp_min(0)).logits
         logits = logits[:, -action_ids.shape[1] - 1 : -1].float()  # (B, H*A, V): each position predicts the next token
-        losses = torch.nn.functional.cross_entropy(logits.transpose(1, 2), action_ids, reduction="none")  # (B, H*A)
+        losses = nn.functional.cross_entropy(logits.transpose(1, 2), action_ids, reduction="none")  # (B, H*A)
         kept = unpadded(batch, ACTION, actions[..., 0]).repeat_interleave(actions.shape[2], dim=1)  # (B, H*A)
         losses = (losses * kept).mean(1)  # (B,)
         return (losses if reduction == "none" else losses.mean()), {}
@@ -67,7 +69,7 @@ class ActionTokensPolicy(ChunkPolicy):
         self.eval()
         size = self.config.action_dim
         count = self.config.chunk_size * size
-        allowed = list(token_ids(self.vocabulary))
+        allowed = list(range(self.vocabulary - N_BINS, self.vocabulary))
         action_ids = self.vlm.generate(
             **self._prompt(batch),
             min_new_tokens=count,
@@ -90,6 +92,28 @@ class ActionTokensPolicy(ChunkPolicy):
         inputs["pixel_values"] = inputs["pixel_values"].to(self.vlm.dtype)
         return {key: value.to(images.device) for key, value in inputs.items()}
 
-    def _vision(self) -> torch.nn.Module:
-        named = dict(self.vlm.named_modules())
-        return next(named[name] for name in named if name.endswith(VISION))
+
+def encode(values: Tensor, vocabulary: int) -> Tensor:
+    """Return the token id of each value; values outside [-1, 1] are clipped.
+
+    Args:
+        values: normalised actions, any shape.
+        vocabulary: number of tokens of the tokenizer; the ids count down from it.
+    """
+    return vocabulary - torch.bucketize(values.float().clamp(-1, 1), _edges(values.device), right=True)
+
+
+def decode(ids: Tensor, vocabulary: int) -> Tensor:
+    """Return the centre of the bin of each id, in [-1, 1].
+
+    Args:
+        ids: token ids, any shape.
+        vocabulary: number of tokens of the tokenizer.
+    """
+    edges = _edges(ids.device)
+    centres = (edges[:-1] + edges[1:]) / 2
+    return centres[(vocabulary - ids - 1).clamp(0, N_BINS - 2)]
+
+
+def _edges(device: torch.device) -> Tensor:
+    return torch.linspace(-1, 1, N_BINS, device=device)

@@ -39,8 +39,6 @@ class OpenVLAConfig(PreTrainedConfig):
         image_seq_length: patches of an image; by default derived from the first tower's name.
         use_fused_vision_backbone: whether there are two towers, whose features are concatenated per patch.
         text_config: config of the language model.
-        pad_to_multiple_of: rows without a token at the end of the embeddings.
-        n_action_bins: edges of the bins of an action.
         norm_stats: ``{dataset: {"action": {"q01": [...], "q99": [...], "mask": [...]}}}``, the
             statistics by which actions were normalised in training.
     """
@@ -54,8 +52,6 @@ class OpenVLAConfig(PreTrainedConfig):
     image_seq_length: int | None = None
     use_fused_vision_backbone: bool = True
     text_config: dict[str, Any] | PreTrainedConfig | None = None
-    pad_to_multiple_of: int = 64
-    n_action_bins: int = 256
     norm_stats: dict[str, Any] | None = None
     tie_word_embeddings: bool = False
 
@@ -72,11 +68,6 @@ class OpenVLAConfig(PreTrainedConfig):
         if isinstance(text, dict):
             self.text_config = CONFIG_MAPPING[text.get("model_type", "llama")](**text)
         super().__post_init__(**kwargs)
-
-    @property
-    def vocabulary(self) -> int:
-        """Number of tokens of the tokenizer; action ids count down from it."""
-        return cast(Any, self.text_config).vocab_size - self.pad_to_multiple_of
 
     @property
     def image_token_id(self) -> int:
@@ -166,11 +157,6 @@ class OpenVLAForActionPrediction(PreTrainedModel, GenerationMixin):
         if is_first_iteration or not kwargs.get("use_cache", True):
             inputs["pixel_values"] = pixel_values
         return inputs
-
-    def _init_weights(self, module: nn.Module) -> None:
-        """Keep the initialisation of `timm` in the towers."""
-        if not isinstance(module, Scale):
-            super()._init_weights(module)
 
 
 class VisionBackbone(nn.Module):

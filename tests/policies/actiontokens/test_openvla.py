@@ -1,7 +1,5 @@
 """OpenVLA's checkpoints: opened without remote code, read and written as their authors do, made LeRobot policies."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -106,6 +104,13 @@ def test_patches_follow_the_first_token(processor: PrismaticProcessor, model: Op
     torch.testing.assert_close(model(**inputs).logits, model.language_model(inputs_embeds=embeddings).logits)
 
 
+def test_without_a_cache_the_image_is_seen_in_every_step(model, processor) -> None:
+    inputs = processor(images=[[picture()]], text=[PROMPT])
+    options = {"max_new_tokens": 6, "do_sample": False, "output_logits": True, "return_dict_in_generate": True}
+    cached, plain = (model.generate(**inputs, **options, use_cache=cache).logits for cache in (True, False))
+    torch.testing.assert_close(plain, cached)
+
+
 def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, imported: Path) -> None:
     """Bins count down from the tokenizer's size, and are stretched between the dataset's percentiles."""
     policy = ActionTokensPolicy.from_pretrained(imported)
@@ -115,7 +120,8 @@ def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, importe
     action = postprocess(policy.select_action(batch))[0]
     prompt = "<image>In: What action should the robot take to catch the moving ball?\nOut: "
     inputs = processor(images=[[image]], text=[prompt])
-    allowed = range(model.config.vocabulary - 256, model.config.vocabulary)
+    vocabulary = processor.tokenizer.vocab_size
+    allowed = range(vocabulary - 256, vocabulary)
     written = []
     for _ in range(SIZE):
         logits = model(**inputs).logits[0, -1, allowed.start : allowed.stop]
@@ -123,7 +129,7 @@ def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, importe
         inputs["input_ids"] = torch.cat([inputs["input_ids"], torch.tensor([[written[-1]]])], dim=1)
         inputs["attention_mask"] = torch.ones_like(inputs["input_ids"])
     edges = torch.linspace(-1, 1, 256)
-    bins = (model.config.vocabulary - torch.tensor(written) - 1).clamp(0, 254)
+    bins = (vocabulary - torch.tensor(written) - 1).clamp(0, 254)
     normalised = (edges[bins] + edges[bins + 1]) / 2
     expected = torch.cat([0.5 * (normalised[:-1] + 1) * (4.0 - -2.0) + -2.0, normalised[-1:]])
     torch.testing.assert_close(action, expected)

@@ -1,7 +1,5 @@
 """Cameras and the eye: their geometry, the fovea, and what the eye learns."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

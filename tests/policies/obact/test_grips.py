@@ -1,7 +1,5 @@
 """Lessons of a catch by contact: virtual hands catch, what is in the hand goes with it, labels are the expert's."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from lerobot_policy_obact.grips import SEAT, GrippingHands, grip_answers, grip_palms

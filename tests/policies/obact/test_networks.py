@@ -1,7 +1,5 @@
 """Attention in space and time; action heads: what they learn of a distribution, and how chunks continue."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from lerobot.policies.rtc import RTCConfig, RTCProcessor

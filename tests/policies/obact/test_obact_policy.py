@@ -1,7 +1,5 @@
 """The policy through LeRobot's own commands: any dataset, recorded episodes, checkpoints, history, servers."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import subprocess
@@ -25,11 +23,13 @@ from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.launch_policy_server import allow_obact
 from safetensors.torch import load_file
 
-from dynahoi_lerobot.cli.main import main as dynahoi
+from tests.checkpoints import FEATURES
+from tests.tools import generated
 
 N_EPISODES, N_FRAMES, FPS, SIZE = 2, 30, 10, 48
 TINY = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "horizon": 4, "n_action_steps": 2, "n_obs_frames": 3}
 TINY |= {"device": "cpu", "push_to_hub": False, "head_options": {"width": 16}, "encoder_options": {"channels": 8}}
+HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
 
 
 def lerobot_train(monkeypatch: pytest.MonkeyPatch, root: Path, out: Path, **options: object) -> Path:
@@ -68,19 +68,14 @@ def push_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def hand_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four recorded episodes of DynaHOI."""
-    root = tmp_path_factory.mktemp("hand") / "data"
-    assert dynahoi(["generate", "--root", str(root), "--episodes", "4", "--image-size", "32"]) == 0
-    return root
+    return generated(tmp_path_factory.mktemp("hand") / "data", "--episodes", "4", "--image-size", "32")
 
 
 @pytest.fixture(scope="module")
 def contact_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four recorded episodes of the contact track."""
-    root = tmp_path_factory.mktemp("contact") / "data"
-    assert (
-        dynahoi(["generate", "--root", str(root), "--episodes", "4", "--capture", "contact", "--image-size", "32"]) == 0
-    )
-    return root
+    words = ("--episodes", "4", "--capture", "contact", "--image-size", "32")
+    return generated(tmp_path_factory.mktemp("contact") / "data", *words)
 
 
 RECORDED = {
@@ -97,13 +92,7 @@ def step(policy: ObActPolicy, n: int = 2, seed: int = 0) -> dict[str, torch.Tens
 
 def hand_policy(**changes: object) -> ObActPolicy:
     torch.manual_seed(0)
-    inputs = {
-        "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),
-        "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
-    }
-    outputs = {"action": PolicyFeature(FeatureType.ACTION, (18,))}
-    options = TINY | {"input_features": inputs, "output_features": outputs} | changes
-    return ObActPolicy(ObActConfig(**options)).eval()
+    return ObActPolicy(ObActConfig(**TINY | HAND | changes)).eval()
 
 
 def learner(root: Path, **changes: object) -> ObActPolicy:

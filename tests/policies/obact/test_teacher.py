@@ -1,7 +1,5 @@
 """The teacher's closed form against a search, frame by frame, and against the expert that records the data."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

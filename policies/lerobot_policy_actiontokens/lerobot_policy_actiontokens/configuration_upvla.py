@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from lerobot.configs import PreTrainedConfig
 from lerobot.optim import CosineDecayWithWarmupSchedulerConfig
 
-from lerobot_policy_actiontokens.chunks import ChunkConfig
+from .chunks import ChunkConfig
 
 
 @PreTrainedConfig.register_subclass("upvla")
