@@ -37,7 +37,7 @@ from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import split_seeds, stream_label, without_salt
+from dynahoi_lerobot.sampling.splits import split_seeds, stream_label
 from dynahoi_lerobot.world.batch import WorldBatch
 
 __all__ = ["add_arguments", "run"]
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         actor.name if args.policy == VLM else args.policy,
         stream_label(args.split, recipe.salt),
         recipe.capture,
-        command_line(without_salt(sys.argv)),
+        command_line(sys.argv),
         recipe.fingerprint(),
         {
             "recipe": recipe.stored(),

@@ -22,6 +22,7 @@ from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.splits import without_salt
 
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"
@@ -47,8 +48,8 @@ class ResultsError(ValueError):
 
 
 def command_line(words: Sequence[str]) -> str:
-    """Return a command line as results keep it: printable, its program without the folder."""
-    return printable(" ".join([Path(words[0]).name, *words[1:]]))
+    """Return a command line as results keep it: printable, its program without the folder, a salt hidden."""
+    return printable(" ".join([Path(words[0]).name, *without_salt(words[1:])]))
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import hashlib
 import math
 import struct
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from dynahoi_lerobot.core.conventions import SEED_LIMIT
@@ -39,7 +40,7 @@ LEAST_LENGTH = 16
 HASH_DIGITS = 16
 JOINT = "+"
 PUBLIC = "none"
-OPTION = "--salt"
+OPTIONS = ("--salt", "--env.salt")
 HIDDEN = "(hidden)"
 
 
@@ -159,6 +160,7 @@ def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
 
 
 def without_salt(words: Sequence[str]) -> list[str]:
-    """Return the words of a command line with the salt hidden."""
-    hidden = [f"{OPTION}={HIDDEN}" if word.startswith(OPTION + "=") else word for word in words]
-    return [HIDDEN if i and hidden[i - 1] == OPTION else word for i, word in enumerate(hidden)]
+    """Return the words of a command line, of this project or of LeRobot, with the salt hidden."""
+    hidden = [HIDDEN if before in OPTIONS else word for before, word in pairwise(["", *words])]
+    joined = tuple(f"{option}=" for option in OPTIONS)
+    return [f"{word.split('=')[0]}={HIDDEN}" if word.startswith(joined) else word for word in hidden]

@@ -29,6 +29,7 @@ from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.sampling.splits import stream_label
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import FEATURES, SHIPPED, tiny_act
 
@@ -53,6 +54,12 @@ def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path, monkey
     summary = results.summary
     assert summary["S_loc"].n == 10
     assert (summary["E_loc"].value or 0.0) > 0.3
+
+
+def test_a_salt_stays_hidden(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    results = through_lerobot(act, tmp_path, monkeypatch, "--env.salt=nobody-shall-know-it")
+    assert results.info.split == stream_label("test", "nobody-shall-know-it")
+    assert not [path for path in tmp_path.glob("*.*") if b"nobody-shall-know-it" in path.read_bytes()]
 
 
 @pytest.mark.parametrize(

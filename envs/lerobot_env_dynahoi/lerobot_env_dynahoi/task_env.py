@@ -15,6 +15,7 @@ from dynahoi_lerobot.evaluate.results import WEIGHTS, ResultsRecorder, RunInfo, 
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.splits import stream_label
 from lerobot_env_dynahoi.command_line import policy_name, policy_weights
 
 
@@ -45,7 +46,8 @@ class ResultsLog:
             WEIGHTS: policy_weights(sys.argv),
         }
         name, command, recipe = policy_name(sys.argv), command_line(sys.argv), self._recipe
-        info = RunInfo(name, recipe.split, recipe.capture, command, recipe.fingerprint(), extra)
+        split = stream_label(recipe.split, recipe.salt)
+        info = RunInfo(name, split, recipe.capture, command, recipe.fingerprint(), extra)
         results = self._recorder.write(self.folder, info)
         self._unwritten = False
         print(f"{results_table([results])}\nmetrics so far: {self.folder}", flush=True)
