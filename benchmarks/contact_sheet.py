@@ -3,8 +3,6 @@
 python benchmarks/contact_sheet.py [--out docs/contact_sheet.jpg] [--json FILE]
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

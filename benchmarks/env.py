@@ -6,8 +6,6 @@ Every number comes from a process of its own; rounds take turns (A B C, A B C), 
 Episodes begin, end and begin again as in evaluation; actions wander about the measured state.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import time

@@ -7,8 +7,6 @@ Random poses of episodes of a split that the eye was not trained on, or what the
 could have met the target; only targets within the image count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import islice, pairwise
 from pathlib import Path

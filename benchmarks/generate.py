@@ -8,8 +8,6 @@ process of its own. Then the stages of ours are measured alone, on all cores, an
 With ``--device cuda`` pictures are drawn there (one process, all cores for physics and the encoder).
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import statistics

@@ -7,8 +7,6 @@ per second of processor time of one process, so that a busy machine does not blu
 instead.
 """
 
-from __future__ import annotations
-
 import argparse
 import logging
 import shutil

@@ -6,8 +6,6 @@ Pinned are the definition (`sampling/benchmark.py`), the specs of every seed of 
 and images of the default renderer at 64 px. A digest that changes is a new version of the benchmark.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

@@ -7,8 +7,6 @@ The rows name the recipes and the options that they change. What is already in t
 command resumes a run that was stopped.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -9,8 +9,6 @@ by motion are the best fixed paths of each kind, for the episodes whose instruct
 but the first observations; targets and palm move straight between frames. Brackets are Wilson's 95 % intervals.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from support.home_clusters import homes_of
 from support.options import benchmark_parser, write_numbers

@@ -8,8 +8,6 @@ what it would score on as many episodes that it has not seen and on the split. -
 for each cluster of homes. --save writes what was found, in the format of experts/blind_path.csv or nearest_home.csv.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

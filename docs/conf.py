@@ -1,7 +1,5 @@
 """The documentation: ``uv run --group docs sphinx-build docs docs/_build``; ``-b linkcheck`` checks the links."""
 
-from __future__ import annotations
-
 import dynahoi_lerobot
 
 project = "dynahoi-lerobot"

@@ -5,8 +5,6 @@
 ``images/<category>.gif`` shows the expert catching a target of every kind of motion. All are seen by the hand's camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where hands wait, in a few clusters, each with a path of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

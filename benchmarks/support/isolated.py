@@ -1,7 +1,5 @@
 """Measure in a process of its own: nothing warmed up by, and no memory left from, what was measured before."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import resource

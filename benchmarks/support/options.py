@@ -1,7 +1,5 @@
 """The options that all benchmarks share, and the file in which they leave their numbers."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

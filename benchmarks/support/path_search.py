@@ -1,7 +1,5 @@
 """The best path of a hand that sees nothing: a beam search over directions, frame by frame, on many episodes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

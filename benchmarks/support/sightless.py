@@ -1,7 +1,5 @@
 """A regressor on everything that a policy sees but pictures: does a number or a word give the meeting point away?"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The stages of generation by themselves: what each could do alone, and its share of a process that does all."""
 
-from __future__ import annotations
-
 import functools
 import os
 import tempfile

@@ -6,8 +6,6 @@ the model is compiled once and every episode is written into it, and the recorde
 extra work (contacts, captures).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What experts and privileged baselines share: the registry, and looking at one world at a time."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass

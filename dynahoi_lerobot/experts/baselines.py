@@ -1,7 +1,5 @@
 """Baselines: no motion, no prediction, simple predictions of a target seen perfectly, and paths found blindly."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from pathlib import Path

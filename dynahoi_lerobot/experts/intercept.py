@@ -1,7 +1,5 @@
 """The paper's expert: go straight to where the target will be, at constant speed, and close the fingers in time."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

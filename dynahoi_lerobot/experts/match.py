@@ -1,7 +1,5 @@
 """Catching by contact: move along with the target, come up from behind it, close, and brake with it in the hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Meeting

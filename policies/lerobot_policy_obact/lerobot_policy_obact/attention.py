@@ -5,8 +5,6 @@ averages viewing rays, `PositionReadout` averages the positions sighted in earli
 ordinary transformer block, causal, with a bias that depends on the age of a frame in seconds.
 """
 
-from __future__ import annotations
-
 import torch
 from einops import einsum, rearrange, repeat
 from torch import Tensor, nn

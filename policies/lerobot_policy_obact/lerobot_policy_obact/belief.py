@@ -1,7 +1,5 @@
 """Belief: what the frames observed so far say about where the target is and where it will be."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import torch

@@ -1,8 +1,7 @@
 """Pinhole cameras: between (u, v, log depth) in an image and positions relative to the palm."""
 
-from __future__ import annotations
-
 import math
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -36,7 +35,7 @@ class Pinhole(nn.Module):
         self.register_buffer("axes", torch.tensor(axes, dtype=torch.float32), persistent=False)
 
     @classmethod
-    def from_pose(cls, pose: list[float], half_view: float, *, carried: bool) -> Pinhole:
+    def from_pose(cls, pose: list[float], half_view: float, *, carried: bool) -> Self:
         """Return the camera of a pose, position [m] and quaternion wxyz, that looks along its -z with y up."""
         w, x, y, z = pose[3:]
         right = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]

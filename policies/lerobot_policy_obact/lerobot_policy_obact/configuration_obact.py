@@ -1,7 +1,5 @@
 """Configuration of ObAct, ``--policy.type=obact``."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Where the eye sees the target: what environments show under ``environment_state=eye``, to policies of any kind."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from einops import rearrange

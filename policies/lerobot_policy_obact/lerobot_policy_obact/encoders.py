@@ -9,8 +9,6 @@ refines the direction and estimates the distance. The change since the image bef
 to be Laplace distributed.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any, ClassVar, cast

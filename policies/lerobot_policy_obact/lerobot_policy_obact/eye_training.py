@@ -1,7 +1,5 @@
 """Training of the eye on images of random configurations, for `dynahoi pretrain`."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator

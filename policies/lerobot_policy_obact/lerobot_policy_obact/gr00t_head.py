@@ -20,8 +20,6 @@ What differs: the only vision-language token is ObAct's context, which has read 
 the state token holds zeros.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -5,8 +5,6 @@ checkpoint; a released state dict loads into them without renaming. Shapes: acti
 vision-language tokens ``(B, S, C)``, embodiment ids ``(B,)``.
 """
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 

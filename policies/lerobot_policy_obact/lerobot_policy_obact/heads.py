@@ -11,8 +11,6 @@ of its two coefficients gives the latter's path, so one Euler loop samples both 
 real-time chunking guides both.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any

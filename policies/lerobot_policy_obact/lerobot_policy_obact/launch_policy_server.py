@@ -6,8 +6,6 @@ that list and starts the server; all arguments are LeRobot's:
     python -m lerobot_policy_obact.launch_policy_server --host=127.0.0.1 --port=8080 --fps=20
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import cast
 

@@ -1,7 +1,5 @@
 """Pre- and postprocessing: LeRobot's default pipelines."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch

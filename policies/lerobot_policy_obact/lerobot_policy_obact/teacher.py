@@ -6,8 +6,6 @@ teacher's own way. For each the teacher's answer has a closed form: the earliest
 of limited speed reaches with a little time to spare, and fingers that close by the time left until then.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
