@@ -34,7 +34,16 @@ class DynahoiEnv(gym.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode as ``DynahoiVectorEnv.reset`` does; no options are known."""
+        """Begin an episode.
+
+        Args:
+            seed: number of the episode within the split (and kind), 0 to 2^40 - 1; None draws one.
+            options: none are known.
+
+        Raises:
+            ValueError: for a seed that is not such an integer.
+            ClosedEnvironmentError: after ``close``.
+        """
         number = None if seed is None else vector_env.check_seed(seed)
         super().reset(seed=number)
         if number is None:
@@ -43,7 +52,16 @@ class DynahoiEnv(gym.Env):
         return _first(observation), _first(infos)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Advance by one frame of 0.05 s towards ``action`` (18,) as ``DynahoiVectorEnv.step`` does."""
+        """Advance by one frame of 0.05 s.
+
+        Args:
+            action: (18,) target for the next frame, palm centre [m], home frame, and joint angles [rad].
+
+        Raises:
+            ValueError: for a wrong shape or element type, or a value that is not finite; nothing moves then.
+            ResetNeeded: before the first ``reset``.
+            ClosedEnvironmentError: after ``close``.
+        """
         observation, reward, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
         return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
 
