@@ -220,6 +220,18 @@ def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
     assert batch.target_pose[0, 2] < -0.5, "nothing carries it any more"
 
 
+@pytest.mark.parametrize("speed_m_s", [1.0, 1.7, 2.3, 3.1])
+def test_the_touch_of_the_first_frame_is_the_mean_over_it(constant: EpisodeSpec, speed_m_s: float):
+    """Force times duration is the momentum that the palm gives the target, in whichever physics step they meet."""
+    spec = flying(constant, speed_m_s)
+    batch = world([spec], capture="contact")
+    while not batch.contacts.by_hand[0]:
+        before = batch.target_velocity[0, 0]
+        batch.step(batch.executed)
+    given = spec.target.mass_kg * abs(batch.target_velocity[0, 0] - before)
+    assert batch.contacts.palm_force_n[0] * CONTROL_DT == pytest.approx(given, rel=0.1)
+
+
 def test_a_touched_pendulum_loses_its_string():
     spec = sample_spec(replace(RECIPE, motions=("planar",)), 1)
     episode = caught([spec])[0]

@@ -68,6 +68,7 @@ class Physics:
         control = self._control(ids, set_points, frame)
         before = self._batch.state[ids].copy()
         substeps = Substeps(acting, *self._roll(ids, control))
+        self._keep(ids, substeps.contacts)
         self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
         self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
         events = np.where(self.released[ids], NO_EVENT, self._rule.events(substeps))
@@ -88,7 +89,7 @@ class Physics:
     def _roll_through_event(self, i: int, control: np.ndarray, steps: int) -> None:
         """Roll world ``i`` for ``steps`` physics steps, let the event happen, and finish the control step."""
         one = np.array([i])
-        self._roll(one, control[:, :steps])
+        _, before = self._roll(one, control[:, :steps])
         self.released[i] = True
         self._fields.free_target(i)
         self._fields.set_collisions(i, self._rule.collides_after)
@@ -97,7 +98,8 @@ class Physics:
         if steps < SUBSTEPS:
             rest = control[:, steps:].copy()
             rest[..., self.n_controls :] = 0.0  # whatever drove the target stops
-            self._roll(one, rest)
+            _, after = self._roll(one, rest)
+            self._keep(one, before, after)
 
     def _weld(self, i: int) -> None:
         scene, fields = self._scene, self._fields
@@ -116,16 +118,17 @@ class Physics:
         fields.qvel[i, dof + 3 : dof + 6] = 0.0
 
     def _roll(self, ids: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, TargetContacts | None]:
-        """Roll K physics steps; return the distances (n, K) [m] and contacts in them, of which the mean is kept."""
+        """Roll K physics steps; return the distances (n, K) [m] and contacts of shape (n, K) in them."""
         sensed = self._rule.uses_contact_sensors
         names = ("qpos", "sensordata") if sensed else ("qpos",)
         record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC, record=names, ids=ids)
         qpos = record["qpos"]
         target = qpos[..., self._scene.target_qpos : self._scene.target_qpos + 3]
         distance = np.linalg.norm(target - qpos[..., self._scene.hand_qpos[:PALM_DOF]], axis=-1)
-        contacts = read_contacts(record["sensordata"]) if sensed else None
-        if contacts is not None:
-            self.contacts.finger_force_n[ids] = contacts.finger_force_n.mean(axis=1)
-            self.contacts.palm_force_n[ids] = contacts.palm_force_n.mean(axis=1)
-            self.contacts.others[ids] = contacts.others.mean(axis=1)
-        return distance, contacts
+        return distance, read_contacts(record["sensordata"]) if sensed else None
+
+    def _keep(self, ids: np.ndarray, *parts: TargetContacts | None) -> None:
+        """Keep the mean of the contacts in the parts of a control step, of shapes (n, K) with 25 steps together."""
+        for name, kept in vars(self.contacts).items():
+            if steps := [getattr(part, name) for part in parts if part is not None]:
+                kept[ids] = np.concatenate(steps, axis=1).mean(axis=1)
