@@ -41,7 +41,7 @@ def from_grasp(action: np.ndarray, state: np.ndarray, open_joints: np.ndarray, c
 
 
 def to_grasp(command: np.ndarray, state: np.ndarray, open_joints: np.ndarray, closed_joints: np.ndarray) -> np.ndarray:
-    """Return (N, 4) the grasp actions nearest to (N, 18) commands; the inverse of ``from_grasp``, whose rest see."""
+    """Return (N, 4) the grasp actions nearest to (N, 18) commands; the inverse of ``from_grasp``, same arguments."""
     way = closed_joints - open_joints
     closing = np.clip((command[:, PALM_DOF:] - open_joints) @ way / (way @ way), 0.0, 1.0)
     return np.column_stack([command[:, :PALM_DOF] - state[:, :PALM_DOF], closing])

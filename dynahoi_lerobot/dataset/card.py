@@ -25,7 +25,7 @@ METADATA = {
     "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
 }
 """What the Hub's search and viewer read."""
-LEROBOTS = {
+BOOKKEEPING_COLUMNS = {
     "timestamp": ("s", "time of the frame in its episode"),
     "frame_index": ("1", "number of the frame in its episode"),
     "episode_index": ("1", "number of the episode"),
@@ -81,8 +81,8 @@ def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:
 
 
 def _frame_column(key: str, entry: dict[str, Any]) -> list[str]:
-    if key in LEROBOTS:
-        unit, meaning = LEROBOTS[key]
+    if key in BOOKKEEPING_COLUMNS:
+        unit, meaning = BOOKKEEPING_COLUMNS[key]
     else:
         known = {feature.key: feature for feature in FEATURES.values()}
         if key == "action":

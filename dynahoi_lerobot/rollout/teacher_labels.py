@@ -92,7 +92,7 @@ class Demonstrator(Expert):
     """A recorded expert: it executes its own labels, perturbed in some episodes."""
 
     def __init__(self, expert: Expert, perturbed_share: float) -> None:
-        """Record ``expert``, perturbed in a share (0 to 1) of the episodes if it is a `Teacher`, which finds back."""
+        """Record ``expert``, perturbed in a share (0 to 1) of the episodes if it is a `Teacher`, which recovers."""
         self.name, self.retries, self._expert = expert.name, expert.retries, expert
         self._share = perturbed_share if isinstance(expert, Teacher) else 0.0
         if self._share:
