@@ -132,14 +132,14 @@ def trained_for(folder: Path) -> dict[str, Any]:
 
     ``image_size`` [px] is that of the config's cameras, ``control_mode`` follows from the size of its actions. A policy
     of what the eye sees, told by the size of its input, needs the images that the eye learned from.
-    ``control_class`` and ``protocol`` come from the recipe of the dataset that ``train_config.json`` names, if that is
-    on this machine, or else from its ``env``.
+    ``capture``, ``control_class`` and ``protocol`` come from the recipe of the dataset that ``train_config.json``
+    names, if that is on this machine, or else from its ``env``.
     """
     config, training = (_read_object(file) if (file := folder / name).is_file() else {} for name in (CONFIG, TRAINING))
     try:
         env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
         rules = _recipe_of(root) or (env if env.get("type") == "dynahoi" else {})
-        told = {key: rules[key] for key in ("control_class", "protocol") if rules.get(key)}
+        told = {key: rules[key] for key in ("capture", "control_class", "protocol") if rules.get(key)}
         inputs = config.get("input_features", {})
         if camera := next((feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None):
             told["image_size"] = camera["shape"][-1]

@@ -176,13 +176,13 @@ def test_a_policy_that_fails_while_it_plays_is_one_sentence(setting, told, check
 
 
 def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_path, capsys):
-    late = {"type": "dynahoi", "control_class": "late"}
+    late = {"type": "dynahoi", "control_class": "late", "capture": "contact"}
     edit_json(checkpoint / "train_config.json", lambda config: config.update(env=late))
     words = ["evaluate", "--policy", str(checkpoint), "--episodes", "1"]
     assert cli.main([*words, "--out", str(tmp_path / "own")]) == 0
     assert "--control-class late" in capsys.readouterr().out
     recipe = read_results(tmp_path / "own").recipe()
-    assert (recipe.control_class, recipe.image_size) == ("late", 96)
+    assert (recipe.capture, recipe.control_class, recipe.image_size) == ("contact", "late", 96)
     assert cli.main([*words, "--out", str(tmp_path / "told"), "--control-class", "unlimited"]) == 0
     assert read_results(tmp_path / "told").recipe().control_class == "unlimited"
 
@@ -190,7 +190,7 @@ def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_p
 @pytest.mark.parametrize("env", [None, {"type": "dynahoi", "control_class": "standard"}])
 def test_the_dataset_tells_what_a_checkpoint_was_trained_for(env, checkpoint: Path, tmp_path: Path) -> None:
     (tmp_path / "data" / "meta").mkdir(parents=True)
-    recipe = {"control_class": "late", "protocol": "direct_act"}
+    recipe = {"capture": "contact", "control_class": "late", "protocol": "direct_act"}
     Manifest(0, 0, {}, provenance={"recipe": recipe}).write(tmp_path / "data")
     edit_json(checkpoint / "train_config.json", lambda c: c.update(env=env, dataset={"root": str(tmp_path / "data")}))
     assert trained_for(checkpoint) == recipe | {"image_size": 96}
