@@ -116,8 +116,8 @@ class Results:
             "capture": self.info.capture,
             "control_class": self.rows[0]["control_class"],
             "inference": self.info.extra.get("inference") or SYNC,
-            "render_noise": f"{told.get('render_noise', 0):g}",
-            "path_speed": f"{told.get('path_speed', 1):g}",
+            "render_noise": _number(told.get("render_noise", 0)),
+            "path_speed": _number(told.get("path_speed", 1)),
         }
 
     @property
@@ -260,6 +260,11 @@ def read_results(folder: Path) -> Results:
             raise ResultsError(f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}")
     info = RunInfo(**{entry.name: head[entry.name] for entry in fields(RunInfo)})
     return Results(folder, info, tuple(rows), tuple(actions), head)
+
+
+def _number(value: Any) -> str:
+    """Return a number of a recipe that anybody may have written."""
+    return f"{value:g}" if isinstance(value, int | float) else printable(str(value))
 
 
 def _plain(summary: Summary) -> dict[str, dict[str, Any]]:

@@ -78,6 +78,12 @@ def test_reading_gives_back_what_was_written(folder: Path):
         assert (folder / name).read_bytes() == (folder.parent / "again" / name).read_bytes()
 
 
+@pytest.mark.parametrize(("noise", "shown"), [(2, "2"), (2.5, "2.5"), ({"a": 1}, "{'a': 1}"), (None, "None")])
+def test_any_recipe_can_be_shown(folder: Path, noise: object, shown: str):
+    set_head(extra={"recipe": {"render_noise": noise}})(folder)
+    assert read_results(folder).rules["render_noise"] == shown
+
+
 def save(folder: Path, count: int) -> None:
     write_results(folder, episodes(count), RunInfo(**RUN))
 
