@@ -32,7 +32,7 @@ RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views"
 def make_actor(
     name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
 ) -> Actor:
-    """Return the expert called ``name``, or else load the policy of that name.
+    """Return the expert called ``name``, or else load the policy of that name, and seed the noise that it samples from.
 
     Args:
         name: an expert; ``expert`` for the capture rule's own; or a policy, as ``PolicyAgent`` takes it.
@@ -48,7 +48,13 @@ def make_actor(
     key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
     if settings and key in (*EXPERTS.names(), VLM):
         raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
-    return EXPERTS[key]() if key in EXPERTS else PolicyAgent(name, device, settings, trust=trust)
+    if key in EXPERTS:
+        return EXPERTS[key]()
+    policy = PolicyAgent(name, device, settings, trust=trust)
+    import torch  # which experts do without
+
+    torch.manual_seed(0)
+    return policy
 
 
 def add_trust_argument(parser: argparse.ArgumentParser) -> None:

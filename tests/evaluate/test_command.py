@@ -67,6 +67,14 @@ def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, 
     assert not list(tmp_path.glob(".*.part"))
 
 
+def test_a_policy_that_samples_acts_alike_in_every_evaluation(tmp_path: Path):
+    words = ["evaluate", "--policy", "checkpoints/obact_standard", "--episodes", "1"]
+    for name in ("once", "again"):
+        assert main([*words, "--out", str(tmp_path / name)]) == 0
+    once, again = (read_results(tmp_path / name).actions[0] for name in ("once", "again"))
+    np.testing.assert_array_equal(once, again)
+
+
 def test_a_finished_evaluation_is_left_as_it_is(tmp_path: Path):
     assert main([*HOLD, "--out", str(tmp_path)]) == 0
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
