@@ -127,11 +127,12 @@ def check_results(folder: Path) -> None:
     assert not results["act"].privileged
     assert score(results["occluded"], "S_loc") == 1.0, "the expert knows where the target will be"
     assert score(results["appearance"], "S_joint") == 1.0
-    assert (results["occluded"].protocol, results["occluded"].control_class) == ("occluded", "late")
-    assert (results["direct_act"].protocol, results["blind"].protocol) == ("direct_act", "observe_then_blind")
-    assert results["unlimited"].control_class == "unlimited"
-    assert results["contact"].capture == "contact"
-    assert "150" in results["obact_async"].inference
+    rules = {name: found.rules for name, found in results.items()}
+    assert (rules["occluded"]["protocol"], rules["occluded"]["control_class"]) == ("occluded", "late")
+    assert (rules["direct_act"]["protocol"], rules["blind"]["protocol"]) == ("direct_act", "observe_then_blind")
+    assert rules["unlimited"]["control_class"] == "unlimited"
+    assert rules["contact"]["capture"] == "contact"
+    assert "150" in rules["obact_async"]["inference"]
 
     for clip in ("replayed.gif", "held.gif"):
         assert (folder / clip).read_bytes()[:4] == b"GIF8"
