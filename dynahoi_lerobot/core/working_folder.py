@@ -42,7 +42,10 @@ def exclusive(folder: Path) -> Iterator[None]:
 
     Raises:
         BlockingIOError: if another process holds it.
+        FileExistsError: if a link has the lock's name; what it points to would be overwritten.
     """
+    if (folder / LOCK).is_symlink():
+        raise FileExistsError(f"{folder / LOCK} is a link, not a lock; remove it or choose another folder")
     with (folder / LOCK).open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -84,7 +84,9 @@ def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
         yield f"{MANIFEST_PATH} has changed: the sha256 of its content is {found}..., it says {said or 'nothing'}..."
     for name, digest in manifest.files.items():
         path = root / name
-        if name == CARD_PATH:
+        if ".." in Path(name).parts or Path(name).is_absolute():
+            yield f"the manifest names {name!r}, outside the dataset"
+        elif name == CARD_PATH:
             continue
         elif not path.is_file():
             yield f"{name} is missing"
