@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 from av.error import FFmpegError
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.dataset.columns import arrow_schema, bookkeeping_arrays, column_array
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, arrow_schema, bookkeeping_arrays, column_array
 from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, MANIFEST_PATH, TASKS_PATH, reading
@@ -110,10 +110,13 @@ def _places(store: Store) -> Iterator[str]:
 
 def _bookkeeping(store: Store) -> Iterator[str]:
     """Yield frames whose numbers, times or instruction are not their episode's."""
-    for row, table in store.stored_episodes():
-        name = f"episode {row['episode_index']}"
-        if len(table) != row["length"]:
-            yield f"{name} has {len(table)} frames, not {row['length']}"
+    tables = [store.table(path, list(BOOKKEEPING)) for path in store.data_files()]
+    columns = {key: np.concatenate([column_array(table, key)[:, 0] for table in tables]) for key in BOOKKEEPING}
+    done = 0
+    for row in store.rows:
+        name, part = f"episode {row['episode_index']}", slice(done, done := done + row["length"])
+        if (count := len(columns["index"][part])) != row["length"]:
+            yield f"{name} has {count} frames, not {row['length']}"
             continue
         text = row["tasks"][0] if len(row["tasks"]) == 1 else None
         task = store.tasks.index(text) if text in store.tasks else -1
@@ -121,7 +124,7 @@ def _bookkeeping(store: Store) -> Iterator[str]:
             yield f"{name} has the instructions {row['tasks']}; it was told {row.get('task')!r}"
         wanted = bookkeeping_arrays(row["length"], row["episode_index"], row["dataset_from_index"], task)
         for key, values in wanted.items():
-            found = column_array(table, key)[:, 0]
+            found = columns[key][part]
             if (wrong := np.flatnonzero(found != values)).size:
                 frame = int(wrong[0])
                 yield f"{name}, frame {frame}: {key} is {found[frame]}, not {values[frame]}"
