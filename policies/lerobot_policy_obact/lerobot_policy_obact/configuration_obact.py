@@ -49,8 +49,9 @@ class ObActConfig(PreTrainedConfig):
         width: size of the context that the head reads, ``C``.
         virtual_share: share of the batches that show virtual hands, see `virtual_episodes`, where the target's path is
             known.
-        episodes_per_sample: episodes that a sample stands for with ``encode_once``: its own and others at random, of
-            those that batches have named so far. LeRobot decodes an image for every sample, which then goes unused.
+        episodes_per_sample: episodes that a sample stands for with ``encode_once``: its own and others drawn at
+            random from those that batches have named so far. LeRobot decodes an image for every sample, which then goes
+            unused.
         n_decisions: decisions in an episode at which the loss is computed, with ``encode_once``.
         forecast_weight: weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
             path.

@@ -263,7 +263,7 @@ class ObActPolicy(PreTrainedPolicy):
         if not self.training:
             return self.recordings.lesson(named, self.config).to(self.model.device)
         self.recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
-        known = self.recordings.named.nonzero()[:, 0]
+        known = self.recordings.known
         others = known[torch.randint(len(known), (len(named), self.config.episodes_per_sample - 1))]
         chosen = torch.cat([named[:, None], others], dim=1).flatten()
         if self.virtual is not None and torch.rand(()) < self.config.virtual_share:

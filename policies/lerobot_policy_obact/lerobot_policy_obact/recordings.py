@@ -129,6 +129,11 @@ class Recordings:
     targets: Targets | None = None
     places: Tensor | None = None
 
+    @property
+    def known(self) -> Tensor:
+        """The episodes that may be learned from: those named, ``(K,)``."""
+        return self.named.nonzero()[:, 0]
+
     def lesson(self, chosen: Tensor, config: ObActConfig) -> Lesson:
         """Draw ``n_decisions`` decisions in each of episodes ``(B,)``."""
         late = config.delay_frames

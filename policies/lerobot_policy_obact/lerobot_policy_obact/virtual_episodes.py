@@ -116,8 +116,8 @@ class VirtualEpisodes:
     def lesson(self, n: int, config: ObActConfig) -> Lesson:
         """Return decisions in ``n`` virtual episodes, see `Recordings.lesson`."""
         if len(self._waiting) < n:
-            named = self.recordings.named.nonzero()[:, 0]
-            self._chosen = named[torch.randint(len(named), (max(POOL, n),))]
+            known = self.recordings.known
+            self._chosen = known[torch.randint(len(known), (max(POOL, n),))]
             self._played_targets, self._state, self._sightings = self._played(self._chosen)
             self._waiting = torch.randperm(len(self._chosen))
         rows, self._waiting = self._waiting[:n], self._waiting[n:]
@@ -158,9 +158,9 @@ class _Donors:
     def __init__(self, episodes: VirtualEpisodes, table: ErrorTable, n: int) -> None:
         self.table, self.episode, self.recordings = table, episodes.episode, episodes.recordings
         self.available = torch.minimum(self.recordings.frames, episodes.targets.free.clamp_min(1))
-        named = self.recordings.named.nonzero()[:, 0]
+        known = self.recordings.known
         self.usable = table.usable[self.recordings.named[self.episode[table.usable]]]
-        self.source = named[torch.randint(len(named), (n,))]
+        self.source = known[torch.randint(len(known), (n,))]
         self.frame = torch.full((n,), -1)
 
     def sighting(self, true: Tensor) -> Tensor:
