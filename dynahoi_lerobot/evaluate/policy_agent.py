@@ -176,7 +176,8 @@ def note_frame(policy: Any, batch: dict[str, Any]) -> None:
 def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
     """Add a frame to the observation queues of a policy that has them (Diffusion Policy, VQ-BeT, multi-task DiT).
 
-    What ``predict_action_chunk`` of such a policy takes is returned: the batch, its images stacked under one key.
+    Returns:
+        The batch as ``predict_action_chunk`` of such a policy takes it: its images are stacked under one key.
     """
     import torch
     from lerobot.policies.utils import populate_queues
