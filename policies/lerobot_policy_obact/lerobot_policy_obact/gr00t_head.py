@@ -1,7 +1,7 @@
 """GR00T-N1.5's action head, so that a policy can start from its weights as the paper's ObAct does.
 
-Independent code, compatible in parameter names, shapes and outputs with the ``FlowmatchingActionHead`` of the released
-``nvidia/GR00T-N1.5-3B``, which LeRobot no longer ships.
+Its layers are LeRobot's for GR00T N1.7. They are put together here as in the ``FlowmatchingActionHead`` of the released
+``nvidia/GR00T-N1.5-3B``, with its names and shapes of parameters; LeRobot no longer ships that.
 
 **Licence.** The code here is Apache-2.0. The released *weights* are not: they come under NVIDIA's own licence, whose
 terms also bind what is derived from them. Read the model card before you share a policy that started from them.
@@ -30,7 +30,6 @@ from lerobot.policies.common.flow_matching import euler_integrate
 from safetensors import safe_open
 from torch import Tensor, nn
 
-from .gr00t_modules import CategorySpecificMLP, Gr00tDiT, MultiEmbodimentActionEncoder, VisionLanguageAdapter
 from .heads import Guidance
 
 BETA_ALPHA, TIME_SCALE, N_TIME_BUCKETS = 1.5, 0.999, 1000
@@ -83,6 +82,9 @@ class Gr00tHead(nn.Module):
         dropout: float = 0.2,
         n_steps: int = 4,
     ) -> None:
+        from lerobot.policies.groot.action_head.cross_attention_dit import DiT, SelfAttentionTransformer
+        from lerobot.policies.groot.groot_n1_7 import CategorySpecificMLP, MultiEmbodimentActionEncoder
+
         super().__init__()
         self.horizon, self.action_dim, self.n_steps = horizon, sum(groups), n_steps
         if self.action_dim > max_action_dim:
@@ -93,8 +95,15 @@ class Gr00tHead(nn.Module):
         self.max_state_dim, self.max_action_dim = max_state_dim, max_action_dim
         width = n_heads * head_dim
         self.condition_in = nn.Linear(context, memory_dim)
-        self.model = Gr00tDiT(
-            n_layers, n_heads, head_dim, memory_dim=memory_dim, output_dim=hidden_dim, dropout=dropout
+        self.model = DiT(
+            num_attention_heads=n_heads,
+            attention_head_dim=head_dim,
+            output_dim=hidden_dim,
+            num_layers=n_layers,
+            dropout=dropout,
+            positional_embeddings=None,
+            interleave_self_attention=True,
+            cross_attention_dim=memory_dim,
         )
         self.state_encoder = CategorySpecificMLP(1, max_state_dim, hidden_dim, width)
         self.action_encoder = MultiEmbodimentActionEncoder(max_action_dim, width, 1)
@@ -102,8 +111,13 @@ class Gr00tHead(nn.Module):
         self.future_tokens = nn.Embedding(n_future_tokens, width)
         self.position_embedding = nn.Embedding(N_POSITIONS, width)
         self.vlln = nn.LayerNorm(memory_dim)
-        adapter_head_dim = memory_dim // n_adapter_heads
-        self.vl_self_attention = VisionLanguageAdapter(n_adapter_layers, n_adapter_heads, adapter_head_dim, dropout)
+        self.vl_self_attention = SelfAttentionTransformer(
+            num_attention_heads=n_adapter_heads,
+            attention_head_dim=memory_dim // n_adapter_heads,
+            num_layers=n_adapter_layers,
+            dropout=dropout,
+            positional_embeddings=None,
+        )
         for embedding in (self.future_tokens, self.position_embedding):
             nn.init.normal_(embedding.weight, std=0.02)
 
@@ -152,7 +166,8 @@ class Gr00tHead(nn.Module):
         """Load the weights of ``checkpoint``, if one is given.
 
         Raises:
-            ValueError: if the checkpoint's head differs from this one, naming the first difference.
+            ValueError: if the checkpoint's head differs from this one, naming the first difference, or lacks the
+                embodiment.
         """
         if not self.checkpoint:
             return
@@ -165,8 +180,11 @@ class Gr00tHead(nn.Module):
         self.load_state_dict(state, strict=False)
 
     def _own_slot(self, key: str, value: Tensor) -> Tensor:
-        per_embodiment = key.startswith(("state_encoder.", "action_encoder.", "action_decoder."))
-        return value[self.embodiment : self.embodiment + 1] if per_embodiment else value
+        if not key.startswith(("state_encoder.", "action_encoder.", "action_decoder.")):
+            return value
+        if not 0 <= self.embodiment < len(value):
+            raise ValueError(f"embodiment is {self.embodiment}, but must be 0 to {len(value) - 1} ({self.checkpoint}).")
+        return value[self.embodiment : self.embodiment + 1]
 
 
 def read_action_head(source: str) -> dict[str, Tensor]:

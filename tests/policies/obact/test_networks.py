@@ -1,11 +1,15 @@
 """Attention in space and time; action heads: what they learn of a distribution, and how chunks continue."""
 
+from pathlib import Path
+
 import pytest
 import torch
 from lerobot.policies.rtc import RTCConfig, RTCProcessor
 from lerobot_policy_obact.attention import AGE_STEP_S, N_AGES, AgeBias, PositionReadout, SpatialAttention, TemporalBlock
 from lerobot_policy_obact.configuration_obact import HEADS
+from lerobot_policy_obact.gr00t_head import Gr00tHead
 from lerobot_policy_obact.heads import ActionHead, Guidance, most_central
+from safetensors.torch import save_file
 
 
 def bright(row: int, column: int, size: int = 8) -> torch.Tensor:
@@ -161,3 +165,70 @@ def test_padding_does_not_count():
     changed = actions.clone()
     changed[:, 2] += 100
     assert torch.equal(head.loss(context, actions, weight), head.loss(context, changed, weight))
+
+
+SMALL_GR00T = {
+    "n_layers": 2, "n_heads": 2, "head_dim": 8, "hidden_dim": 16, "memory_dim": 16, "n_adapter_layers": 1,
+    "n_adapter_heads": 2, "n_future_tokens": 3, "max_state_dim": 5, "max_action_dim": 4, "dropout": 0.0,
+}  # fmt: skip
+PER_EMBODIMENT = ("state_encoder.", "action_encoder.", "action_decoder.")
+
+
+@pytest.fixture
+def released(tmp_path: Path) -> dict[str, torch.Tensor]:
+    """The parameters of a small action head of two embodiments, saved in ``tmp_path`` as GR00T-N1.5's are."""
+    torch.manual_seed(1)
+    own = {
+        key: value for key, value in Gr00tHead(4, 3, [2], **SMALL_GR00T).state_dict().items() if "condition" not in key
+    }
+    head = {
+        k: torch.randn(2, *v.shape[1:]) if k.startswith(PER_EMBODIMENT) else torch.randn_like(v) for k, v in own.items()
+    }
+    rest = {"backbone.weight": torch.zeros(2)}
+    save_file({f"action_head.{key}": value for key, value in head.items()} | rest, tmp_path / "model.safetensors")
+    return head
+
+
+def test_a_gr00t_head_starts_from_the_slot_of_its_embodiment(released: dict[str, torch.Tensor], tmp_path: Path):
+    head = Gr00tHead(4, 3, [2], checkpoint=str(tmp_path), embodiment=1, **SMALL_GR00T)
+    head.load_pretrained()
+    loaded = head.state_dict()
+    for key, value in released.items():
+        assert torch.equal(loaded[key], value[1:2] if key.startswith(PER_EMBODIMENT) else value), key
+    assert head.sample(torch.zeros(5, 4)).shape == (5, 3, 2)
+
+
+@pytest.mark.usefixtures("released")
+def test_a_gr00t_head_of_another_size_is_refused(tmp_path: Path):
+    head = Gr00tHead(4, 3, [2], checkpoint=str(tmp_path), embodiment=1, **SMALL_GR00T | {"n_future_tokens": 7})
+    with pytest.raises(ValueError, match=r"future_tokens.weight is \(3, 16\), but this gr00t head has \(7, 16\)"):
+        head.load_pretrained()
+
+
+@pytest.mark.usefixtures("released")
+@pytest.mark.parametrize("embodiment", [-1, 2])
+def test_an_embodiment_that_the_checkpoint_lacks_is_refused(tmp_path: Path, embodiment: int):
+    head = Gr00tHead(4, 3, [2], checkpoint=str(tmp_path), embodiment=embodiment, **SMALL_GR00T)
+    with pytest.raises(ValueError, match=f"embodiment is {embodiment}, but must be 0 to 1"):
+        head.load_pretrained()
+
+
+def test_a_checkpoint_without_an_action_head_is_refused(tmp_path: Path):
+    save_file({"backbone.weight": torch.zeros(2)}, tmp_path / "model.safetensors")
+    with pytest.raises(ValueError, match=r"no GR00T-N1\.5 checkpoint"):
+        Gr00tHead(4, 3, [2], checkpoint=str(tmp_path), **SMALL_GR00T).load_pretrained()
+
+
+def test_a_gr00t_head_learns_which_way_to_go():
+    torch.manual_seed(0)
+    head = Gr00tHead(4, 1, [2], **SMALL_GR00T)
+    optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
+    sides = torch.tensor([-1.0, 1.0]).repeat(64)
+    context, actions = torch.zeros(128, 4), torch.zeros(128, 1, 2)
+    context[:, 0] = actions[:, 0, 0] = sides
+    for _ in range(300):
+        optimizer.zero_grad()
+        head.loss(context, actions, torch.ones(128, 1)).mean().backward()
+        optimizer.step()
+    with torch.no_grad():
+        assert (head.eval().sample(context)[:, 0, 0].sign() == sides).float().mean() > 0.95
