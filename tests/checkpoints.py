@@ -9,6 +9,11 @@ from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot_policy_obact import ObActConfig
 
 SHIPPED = Path(__file__).parents[1] / "checkpoints" / "obact_standard"
+SMALL_GR00T = {
+    "n_layers": 2, "n_heads": 2, "head_dim": 8, "hidden_dim": 16, "memory_dim": 16, "n_adapter_layers": 1,
+    "n_adapter_heads": 2, "n_future_tokens": 3, "max_state_dim": 5, "max_action_dim": 4, "dropout": 0.0,
+}  # fmt: skip
+"""Options of ObAct's head gr00t."""
 FEATURES = {
     "input_features": {
         "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),

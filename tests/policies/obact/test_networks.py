@@ -11,6 +11,8 @@ from lerobot_policy_obact.gr00t_head import Gr00tHead
 from lerobot_policy_obact.heads import ActionHead, Guidance, most_central
 from safetensors.torch import save_file
 
+from tests.checkpoints import SMALL_GR00T
+
 
 def bright(row: int, column: int, size: int = 8) -> torch.Tensor:
     cells = torch.zeros(1, size, size, 4)
@@ -167,10 +169,6 @@ def test_padding_does_not_count():
     assert torch.equal(head.loss(context, actions, weight), head.loss(context, changed, weight))
 
 
-SMALL_GR00T = {
-    "n_layers": 2, "n_heads": 2, "head_dim": 8, "hidden_dim": 16, "memory_dim": 16, "n_adapter_layers": 1,
-    "n_adapter_heads": 2, "n_future_tokens": 3, "max_state_dim": 5, "max_action_dim": 4, "dropout": 0.0,
-}  # fmt: skip
 PER_EMBODIMENT = ("state_encoder.", "action_encoder.", "action_decoder.")
 
 

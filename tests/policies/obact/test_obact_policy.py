@@ -23,7 +23,7 @@ from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.launch_policy_server import allow_obact
 from safetensors.torch import load_file
 
-from tests.checkpoints import FEATURES
+from tests.checkpoints import FEATURES, SMALL_GR00T
 from tests.tools import generated
 
 N_EPISODES, N_FRAMES, FPS, SIZE = 2, 30, 10, 48
@@ -106,10 +106,9 @@ def learner(root: Path, **changes: object) -> ObActPolicy:
 # -- training -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("head", ["flow", "regression"])
-def test_it_trains_on_a_dataset_that_is_not_ours(head, push_root, tmp_path, monkeypatch):
-    options = {"head": head, "head_options": {} if head == "regression" else TINY["head_options"]}
-    checkpoint = lerobot_train(monkeypatch, push_root, tmp_path / "out", **options)
+@pytest.mark.parametrize(("head", "options"), [("flow", {"width": 16}), ("regression", {}), ("gr00t", SMALL_GR00T)])
+def test_it_trains_on_a_dataset_that_is_not_ours(head, options, push_root, tmp_path, monkeypatch):
+    checkpoint = lerobot_train(monkeypatch, push_root, tmp_path / "out", head=head, head_options=options)
     policy = ObActPolicy.from_pretrained(checkpoint)
     assert policy.config.fps == FPS
     assert not policy.config.forecasts
