@@ -26,9 +26,9 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from .belief import FAR, FORECAST_FRAMES, Belief
 from .camera import Pinhole
 from .configuration_obact import HEADS, ObActConfig
+from .decisions import Decisions, Frames, observed
 from .encoders import ENCODERS, N_SIGHTING, Encoder
 from .heads import Guidance, perceptron
-from .lessons import Frames, Lesson, observed
 
 if TYPE_CHECKING:
     from .recordings import Recordings
@@ -238,15 +238,15 @@ class ObActPolicy(PreTrainedPolicy):
             reduction: "mean" for a scalar, "none" for one loss per sample, ``(B,)``.
         """
         model = self.model if self.training else self.acting
-        lesson = self._recorded(batch) if self.config.encode_once else self._observed(model, batch)
+        decisions = self._recorded(batch) if self.config.encode_once else self._observed(model, batch)
         n = len(batch["episode_index"] if self.config.encode_once else batch[ACTION])
-        losses = {k: rearrange(v, "(b e) -> b e", b=n).mean(1) for k, v in lesson_losses(model, lesson).items()}
+        losses = {k: rearrange(v, "(b e) -> b e", b=n).mean(1) for k, v in decision_losses(model, decisions).items()}
         config = self.config
         total = config.action_weight * losses["action"] + config.forecast_weight * losses.get("forecast", 0.0)
         logged = {name: value.mean().item() for name, value in losses.items()}
         return (total if reduction == "none" else total.mean()), logged
 
-    def _recorded(self, batch: Batch) -> Lesson:
+    def _recorded(self, batch: Batch) -> Decisions:
         """Return decisions in the episodes that the batch names; the first call encodes the dataset."""
         from .recordings import Recordings
         from .virtual_episodes import VirtualEpisodes
@@ -261,16 +261,16 @@ class ObActPolicy(PreTrainedPolicy):
                 )
         named = batch["episode_index"].flatten().cpu()
         if not self.training:
-            return self.recordings.lesson(named, self.config).to(self.model.device)
+            return self.recordings.decisions(named, self.config).to(self.model.device)
         self.recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
         known = self.recordings.known
         others = known[torch.randint(len(known), (len(named), self.config.episodes_per_sample - 1))]
         chosen = torch.cat([named[:, None], others], dim=1).flatten()
         if self.virtual is not None and torch.rand(()) < self.config.virtual_share:
-            return self.virtual.lesson(len(chosen), self.config).to(self.model.device)
-        return self.recordings.lesson(chosen, self.config).to(self.model.device)
+            return self.virtual.decisions(len(chosen), self.config).to(self.model.device)
+        return self.recordings.decisions(chosen, self.config).to(self.model.device)
 
-    def _observed(self, model: ObActModel, batch: Batch) -> Lesson:
+    def _observed(self, model: ObActModel, batch: Batch) -> Decisions:
         """Return one decision of each window of images."""
         config, offsets = self.config, self.config.observation_delta_indices or []
         at = [offsets.index(offset) for offset in config.lookback]
@@ -449,18 +449,20 @@ class ObActPolicy(PreTrainedPolicy):
         return {"target_modules": r"model\.belief\.blocks\..*\.(qkv|out)", "modules_to_save": []}
 
 
-def lesson_losses(model: ObActModel, lesson: Lesson) -> dict[str, Tensor]:
+def decision_losses(model: ObActModel, decisions: Decisions) -> dict[str, Tensor]:
     """Return the losses of forecast and action by episode, ``(B,)`` each."""
-    features, forecast = model.believe(lesson.frames, lesson.rows)
+    features, forecast = model.believe(decisions.frames, decisions.rows)
     losses = {}
-    if lesson.future is not None:
-        losses["forecast"] = lesson.future.loss(forecast, model.belief.ahead_s)
-    m = lesson.palm.shape[2]
+    if decisions.future is not None:
+        losses["forecast"] = decisions.future.loss(forecast, model.belief.ahead_s)
+    m = decisions.palm.shape[2]
     each = [repeat(x, "b q ... -> (b q m) ...", m=m) for x in (features, forecast)]
-    palm, state, actions, weight = (x.flatten(0, 2) for x in (lesson.palm, lesson.state, lesson.actions, lesson.weight))
+    palm, state, actions, weight = (
+        x.flatten(0, 2) for x in (decisions.palm, decisions.state, decisions.actions, decisions.weight)
+    )
     context, origin = model.context(each[0], each[1], palm, state)
     loss = model.head.loss(context, model.normalise(actions, origin.detach()), weight)  # (B * Q * M,)
-    if lesson.future is not None:
+    if decisions.future is not None:
         missed = ((actions[..., :3] - origin).square().sum(-1) + 1e-8).sqrt()  # by the place that was picked
         loss = loss + MISSED_WEIGHT * (missed * weight).mean(-1)
     return losses | {"action": rearrange(loss, "(b n) -> b n", b=len(features)).mean(1)}

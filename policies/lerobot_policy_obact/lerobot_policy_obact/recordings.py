@@ -32,8 +32,8 @@ from tqdm import tqdm
 from dynahoi_lerobot.experts.match import SQUEEZE_RAD
 
 from .belief import FORECAST_FRAMES
+from .decisions import Decisions, Frames, Future
 from .grips import grip_answers, grip_palms
-from .lessons import Frames, Future, Lesson
 from .teacher import answers, virtual_palms
 
 if TYPE_CHECKING:
@@ -134,10 +134,10 @@ class Recordings:
         """The episodes that may be learned from: those named, ``(K,)``."""
         return self.named.nonzero()[:, 0]
 
-    def lesson(self, chosen: Tensor, config: ObActConfig) -> Lesson:
+    def decisions(self, chosen: Tensor, config: ObActConfig) -> Decisions:
         """Draw ``n_decisions`` decisions in each of episodes ``(B,)``."""
         late = config.delay_frames
-        rows = self._decisions(chosen, config.n_decisions, late)  # (B, Q)
+        rows = self._decision_rows(chosen, config.n_decisions, late)  # (B, Q)
         frames = self._episodes(chosen, int(rows.max()) + 1 + late, config.fps)
         palm = frames.palm.gather(1, repeat(rows + late, "b q -> b q i", i=3))
         seen = frames.until(int(rows.max()))
@@ -146,7 +146,9 @@ class Recordings:
             ahead = rows[..., None] + torch.arange(config.horizon)  # (B, Q, H)
             last = self.frames[chosen, None, None] - 1
             actions = self.actions[self.first[chosen, None, None] + torch.minimum(ahead, last)]
-            return Lesson(seen, rows, palm[:, :, None], state, actions[:, :, None], (ahead <= last).float()[:, :, None])
+            return Decisions(
+                seen, rows, palm[:, :, None], state, actions[:, :, None], (ahead <= last).float()[:, :, None]
+            )
         targets = self.targets.of(chosen)
         path, length = targets.path, targets.length
         due, step_m = torch.minimum(rows + late, length[:, None] - 2), config.palm_speed_m_s / config.fps
@@ -162,7 +164,7 @@ class Recordings:
         closed_joints = targets.closed_joints + (SQUEEZE_RAD if config.grips else 0.0)
         joints = torch.lerp(targets.open_joints, closed_joints, closing[..., None])
         index = rows[..., None] + torch.tensor(FORECAST_FRAMES)
-        return Lesson(
+        return Decisions(
             frames=seen,
             rows=rows,
             palm=palms,
@@ -239,7 +241,7 @@ class Recordings:
         index = self.first[chosen, None] + torch.minimum(ahead, self.frames[chosen, None] - 1)
         return Frames(self.sightings[index], self.state[index], ahead / fps)
 
-    def _decisions(self, chosen: Tensor, n: int, late: int) -> Tensor:
+    def _decision_rows(self, chosen: Tensor, n: int, late: int) -> Tensor:
         """Draw frames at which decisions are taken in episodes ``(B,)``, ``(B, n)``: mostly where the hand may move."""
         last = self.frames[chosen] - 1 - late
         if self.targets is not None:

@@ -16,9 +16,9 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from .camera import Pinhole
+from .decisions import Decisions
 from .encoders import N_SIGHTING
 from .grips import GrippingHands
-from .lessons import Lesson
 from .recordings import Recordings, Targets
 from .teacher import answers
 
@@ -75,7 +75,7 @@ def _in_view(seen: Tensor) -> Tensor:
 
 
 class VirtualEpisodes:
-    """Makes lessons of virtual episodes.
+    """Makes virtual episodes, and draws decisions in them.
 
     Args:
         recordings: what was recorded.
@@ -113,8 +113,8 @@ class VirtualEpisodes:
         ]
         self._waiting = torch.empty(0, dtype=torch.long)
 
-    def lesson(self, n: int, config: ObActConfig) -> Lesson:
-        """Return decisions in ``n`` virtual episodes, see `Recordings.lesson`."""
+    def decisions(self, n: int, config: ObActConfig) -> Decisions:
+        """Return decisions in ``n`` virtual episodes, see `Recordings.decisions`."""
         if len(self._waiting) < n:
             known = self.recordings.known
             self._chosen = known[torch.randint(len(known), (max(POOL, n),))]
@@ -123,7 +123,7 @@ class VirtualEpisodes:
         rows, self._waiting = self._waiting[:n], self._waiting[n:]
         chosen, targets = self._chosen[rows], self._played_targets.of(rows)
         episodes = self.recordings.seen_otherwise(chosen, targets, self._state[rows], self._sightings[rows])
-        return episodes.lesson(torch.arange(len(rows)), config)
+        return episodes.decisions(torch.arange(len(rows)), config)
 
     def _played(self, chosen: Tensor) -> tuple[Targets, Tensor, Tensor]:
         """Return targets, states ``(B, T, S)`` and sightings ``(B, T, C, 5)`` of hands in episodes ``(B,)``."""

@@ -1,4 +1,4 @@
-"""Lessons of a catch by contact: virtual hands catch, what is in the hand goes with it, labels are the expert's."""
+"""Learning to catch by contact: virtual hands catch, what is in the hand goes with it, labels are the expert's."""
 
 import pytest
 import torch

@@ -144,11 +144,11 @@ def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("changes", "lesson"),
+    ("changes", "falls"),
     [({"virtual_share": 0.0}, "forecast"), ({"virtual_share": 1.0}, "forecast"), ({"forecast_weight": 0.0}, "action")],
     ids=["recorded", "virtual", "actions alone"],
 )
-def test_the_loss_falls(changes, lesson, hand_root, tmp_path, monkeypatch):
+def test_the_loss_falls(changes, falls, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     policy = learner(hand_root, **changes)
     optimizer = torch.optim.Adam(policy.get_optim_params(), lr=3e-3)
@@ -159,8 +159,8 @@ def test_the_loss_falls(changes, lesson, hand_root, tmp_path, monkeypatch):
         loss.backward()
         optimizer.step()
         policy.update()
-        losses.append(told[lesson])
-    assert ("forecast" in told) == (lesson == "forecast")
+        losses.append(told[falls])
+    assert ("forecast" in told) == (falls == "forecast")
     assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
     one_each, _ = policy(batch, reduction="none")
     assert one_each.shape == (4,)
@@ -169,7 +169,7 @@ def test_the_loss_falls(changes, lesson, hand_root, tmp_path, monkeypatch):
 @pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
 def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
-    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)  # each lesson plays episodes of its own
+    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)  # each call plays episodes of its own
     policy = learner(hand_root, virtual_share=virtual_share, episodes_per_sample=8)
     policy({"episode_index": torch.tensor([0, 1])})
     held_out = policy.recordings.first[2]

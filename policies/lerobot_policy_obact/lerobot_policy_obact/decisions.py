@@ -1,4 +1,4 @@
-"""What a decision is made from and learned from: observed frames, and lessons of what should have been done."""
+"""What a decision is made from and learned from: observed frames, and what should have been done."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Future:
 
 
 @dataclass(frozen=True)
-class Lesson:
+class Decisions:
     """Decisions and what they should have been: Q in each of B episodes, each from M palms.
 
     Attributes:
@@ -93,13 +93,13 @@ class Lesson:
     weight: Tensor
     future: Future | None = None
 
-    def to(self, device: str | torch.device) -> Lesson:
+    def to(self, device: str | torch.device) -> Decisions:
         """Return it on a device."""
         return _moved(self, device)
 
 
-def observed(batch: dict[str, Any], sightings: Tensor, state: Tensor, config: ObActConfig) -> Lesson:
-    """Return the lesson of a batch of windows, one decision a sample.
+def observed(batch: dict[str, Any], sightings: Tensor, state: Tensor, config: ObActConfig) -> Decisions:
+    """Return the decisions of a batch of windows, one a sample.
 
     Args:
         batch: LeRobot batch with ``action`` ``(B, H, A)``.
@@ -114,7 +114,7 @@ def observed(batch: dict[str, Any], sightings: Tensor, state: Tensor, config: Ob
     weight = torch.ones(batch[ACTION].shape[:2], device=state.device) if padding is None else (~padding).float()
     rows = torch.full((n, 1), state.shape[1] - 1, device=state.device)
     now = slice(-1, None)
-    return Lesson(
+    return Decisions(
         frames,
         rows,
         frames.palm[:, now, None],
@@ -124,7 +124,7 @@ def observed(batch: dict[str, Any], sightings: Tensor, state: Tensor, config: Ob
     )
 
 
-def _moved[R: (Frames, Future, Lesson)](record: R, device: str | torch.device) -> R:
+def _moved[R: (Frames, Future, Decisions)](record: R, device: str | torch.device) -> R:
     """Return a record with all that it holds on a device."""
     held = {field.name: getattr(record, field.name) for field in fields(record)}
     return replace(record, **{name: part.to(device) for name, part in held.items() if part is not None})
