@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import torch
 from lerobot.utils.constants import ACTION
@@ -14,7 +14,17 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Frames:
+class Record:
+    """Tensors, and records of those, by name."""
+
+    def to(self, device: str | torch.device) -> Self:
+        """Return it with all that it holds on a device."""
+        held = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{name: x.to(device) for name, x in held.items() if x is not None})
+
+
+@dataclass(frozen=True)
+class Frames(Record):
     """T frames of B episodes, in the order of time.
 
     Attributes:
@@ -27,10 +37,6 @@ class Frames:
     sightings: Tensor
     state: Tensor
     time_s: Tensor
-
-    def to(self, device: str | torch.device) -> Frames:
-        """Return them on a device."""
-        return _moved(self, device)
 
     @property
     def palm(self) -> Tensor:
@@ -48,7 +54,7 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class Future:
+class Future(Record):
     """Where the target will be at the K times of a forecast.
 
     Attributes:
@@ -61,10 +67,6 @@ class Future:
     known: Tensor
     near: Tensor
 
-    def to(self, device: str | torch.device) -> Future:
-        """Return it on a device."""
-        return _moved(self, device)
-
     def loss(self, forecast: Tensor, ahead_s: Tensor) -> Tensor:
         """Return the loss of forecasts ``(B, Q, K, 3)`` [m] by episode, ``(B,)``; it is largest near the meeting."""
         error = ((forecast - self.place).square().sum(-1) + 1e-8).sqrt() * self.known
@@ -72,7 +74,7 @@ class Future:
 
 
 @dataclass(frozen=True)
-class Decisions:
+class Decisions(Record):
     """Decisions and what they should have been: Q in each of B episodes, each from M palms.
 
     Attributes:
@@ -92,10 +94,6 @@ class Decisions:
     actions: Tensor
     weight: Tensor
     future: Future | None = None
-
-    def to(self, device: str | torch.device) -> Decisions:
-        """Return it on a device."""
-        return _moved(self, device)
 
 
 def observed(batch: dict[str, Any], sightings: Tensor, state: Tensor, config: ObActConfig) -> Decisions:
@@ -122,9 +120,3 @@ def observed(batch: dict[str, Any], sightings: Tensor, state: Tensor, config: Ob
         batch[ACTION][:, None, None],
         weight[:, None, None],
     )
-
-
-def _moved[R: (Frames, Future, Decisions)](record: R, device: str | torch.device) -> R:
-    """Return a record with all that it holds on a device."""
-    held = {field.name: getattr(record, field.name) for field in fields(record)}
-    return replace(record, **{name: part.to(device) for name, part in held.items() if part is not None})
