@@ -12,23 +12,13 @@ import warp as wp
 from dynahoi_lerobot.renderers.raycast import shapes as solids
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE
 from dynahoi_lerobot.renderers.raycast.textures import Textures, level_of, texel
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, Indices, Row, Shape
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, Indices, Row, Shape, Worlds, ray_of
 from dynahoi_lerobot.scene.model import SHININESS
 
 HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
 """Blinn exponent, computed as OpenGL does."""
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
-
-
-@wp.func
-def ray_of(from_camera: wp.mat33, x: float, y: float) -> wp.vec3:
-    """Return the direction (x, y, -1) of the camera's frame, turned into another frame."""
-    return wp.vec3(
-        from_camera[0, 0] * x + from_camera[0, 1] * y - from_camera[0, 2],
-        from_camera[1, 0] * x + from_camera[1, 1] * y - from_camera[1, 2],
-        from_camera[2, 0] * x + from_camera[2, 1] * y - from_camera[2, 2],
-    )
 
 
 def _entering(enter: wp.Function) -> wp.Function:
@@ -170,46 +160,6 @@ TIE = wp.constant(1.0e-6)
 """Relative depth difference below which the later of two geoms is visible, as in MuJoCo."""
 MISSED = wp.constant(1.0e30)
 """Depth of what is not met: beyond all others."""
-
-
-@wp.struct
-class LightFrame:
-    """A world's light frame, whose z axis points towards the light.
-
-    Attributes:
-        camera: position of the camera [m].
-        from_camera: rotation from the camera's axes.
-        spread: angular radius of the light [rad].
-    """
-
-    camera: wp.vec3
-    from_camera: wp.mat33
-    spread: float
-
-
-@wp.struct
-class Worlds:
-    """What there is in each world of a batch, and in which tiles of its image.
-
-    Attributes:
-        shapes: (N, S) shapes.
-        lists, counts: (N, tiles, S) shapes that a tile may show, and (N, tiles) how many.
-        casters, caster_counts: shapes that may shade what a tile shows, likewise.
-        caster_lows, caster_highs: (N, S) corners of boxes around the shapes that cast shadows [m], light frame.
-        light_frames: (N,) light frames.
-        diffuse, specular: (N, lights) colours of the light, of which the first counts.
-    """
-
-    shapes: wp.array2d[Shape]
-    lists: wp.array3d[int]
-    counts: wp.array2d[int]
-    casters: wp.array3d[int]
-    caster_counts: wp.array2d[int]
-    caster_lows: wp.array2d[wp.vec3]
-    caster_highs: wp.array2d[wp.vec3]
-    light_frames: wp.array[LightFrame]
-    diffuse: wp.array2d[wp.vec3]
-    specular: wp.array2d[wp.vec3]
 
 
 @wp.func

@@ -10,9 +10,8 @@ half of the light is taken, and the penumbra is as wide on either side of it. ``
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.rows import LightFrame, Worlds, ray_of
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, slab_exit
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, Shape, slope
+from dynahoi_lerobot.renderers.raycast.tiling import SPREAD, TILE, Indices, Row, Shape, Worlds, may_shade, ray_of
 
 TINY = wp.constant(1.0e-6)
 FLAT = wp.constant(1.0e-4)
@@ -104,13 +103,11 @@ def _shading(shadow: wp.Function) -> wp.Function:
     """Return a function that computes what one type of shape takes from the points of a row."""
 
     @wp.func
-    def shaded(
-        size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, spread: float, depths: Row, xs: Row, ys: Row
-    ) -> Row:
+    def shaded(size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, depths: Row, xs: Row, ys: Row) -> Row:
         row = Row()
         for i in range(TILE):
             point = o + depths[i] * ray_of(from_camera, xs[i], ys[i])
-            row[i] = shadow(size, spread, point, light)
+            row[i] = shadow(size, SPREAD, point, light)
         return row
 
     return shaded
@@ -121,18 +118,18 @@ _shade_cylinder, _shade_ellipsoid = _shading(shadow_cylinder), _shading(shadow_e
 
 
 @wp.func
-def _shade(shapes: wp.array2d[Shape], w: int, s: int, spread: float, depths: Row, xs: Row, ys: Row) -> Row:
+def _shade(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, ys: Row) -> Row:
     geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
     size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
     if geom_type == CAPSULE:
-        return _shade_capsule(size, camera, from_camera, light, spread, depths, xs, ys)
+        return _shade_capsule(size, camera, from_camera, light, depths, xs, ys)
     if geom_type == BOX:
-        return _shade_box(size, camera, from_camera, light, spread, depths, xs, ys)
+        return _shade_box(size, camera, from_camera, light, depths, xs, ys)
     if geom_type == CYLINDER:
-        return _shade_cylinder(size, camera, from_camera, light, spread, depths, xs, ys)
+        return _shade_cylinder(size, camera, from_camera, light, depths, xs, ys)
     if geom_type == ELLIPSOID:
-        return _shade_ellipsoid(size, camera, from_camera, light, spread, depths, xs, ys)
-    return _shade_sphere(size, camera, from_camera, light, spread, depths, xs, ys)
+        return _shade_ellipsoid(size, camera, from_camera, light, depths, xs, ys)
+    return _shade_sphere(size, camera, from_camera, light, depths, xs, ys)
 
 
 @wp.func
@@ -141,12 +138,11 @@ def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indice
     row = Row(1.0)
     if worlds.caster_counts[w, tile] == 0:
         return row
-    frame = worlds.light_frames[w]
-    low, high = _row_bounds(frame, depths, visible, xs, ys)
+    low, high = _row_bounds(worlds.light_camera[w], worlds.light_from_camera[w], depths, visible, xs, ys)
     for k in range(worlds.caster_counts[w, tile]):
         s = worlds.casters[w, tile, k]
-        if may_shade(worlds.caster_lows[w, s], worlds.caster_highs[w, s], low, high, frame.spread):
-            taken = _shade(worlds.shapes, w, s, frame.spread, depths, xs, ys)
+        if may_shade(worlds.shapes[w, s].low, worlds.shapes[w, s].high, low, high):
+            taken = _shade(worlds.shapes, w, s, depths, xs, ys)
             alpha = worlds.shapes[w, s].alpha
             for i in range(TILE):
                 left = wp.where(visible[i] == s, 1.0, 1.0 - alpha * taken[i])
@@ -155,135 +151,16 @@ def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indice
 
 
 @wp.func
-def _row_bounds(frame: LightFrame, depths: Row, visible: Indices, xs: Row, ys: Row) -> tuple[wp.vec3, wp.vec3]:
+def _row_bounds(
+    camera: wp.vec3, from_camera: wp.mat33, depths: Row, visible: Indices, xs: Row, ys: Row
+) -> tuple[wp.vec3, wp.vec3]:
     """Lower and upper corner [m], light frame, of a box around the points of a row, whose rays lie in a plane."""
     least, most = Indices(), Indices()
     for i in range(TILE):
         least[i] = wp.cast(depths[i], wp.int32)  # bits of floats that are not negative are in the order of the floats
         most[i] = wp.where(visible[i] >= 0, least[i], 0)
     near, far = wp.cast(wp.min(least), wp.float32), wp.cast(wp.max(most), wp.float32)
-    first, last = ray_of(frame.from_camera, xs[0], ys[0]), ray_of(frame.from_camera, xs[TILE - 1], ys[TILE - 1])
+    first, last = ray_of(from_camera, xs[0], ys[0]), ray_of(from_camera, xs[TILE - 1], ys[TILE - 1])
     low = wp.min(wp.min(near * first, far * first), wp.min(near * last, far * last))
     high = wp.max(wp.max(near * first, far * first), wp.max(near * last, far * last))
-    return frame.camera + low, frame.camera + high
-
-
-@wp.func
-def may_shade(caster_low: wp.vec3, caster_high: wp.vec3, low: wp.vec3, high: wp.vec3, spread: float) -> bool:
-    """Tell whether something in one box may shade something in another; corners [m], light frame."""
-    edge = spread * wp.max(caster_high[2] - low[2], 0.0)
-    beside = caster_low[0] - edge > high[0] or caster_high[0] + edge < low[0]
-    beside = beside or caster_low[1] - edge > high[1] or caster_high[1] + edge < low[1]
-    return caster_high[2] > low[2] and not beside
-
-
-@wp.kernel
-def place_lights(
-    spread: float,
-    camera: int,
-    cam_xpos: wp.array2d[wp.vec3],
-    cam_xmat: wp.array2d[wp.mat33],
-    light_xdir: wp.array2d[wp.vec3],
-    frames: wp.array[LightFrame],
-):
-    """Write the light frame of each world. Launched over worlds."""
-    w = wp.tid()
-    rotation = _to_light_frame(light_xdir[w, 0])
-    frame = LightFrame()
-    frame.spread = spread
-    frame.camera = rotation * cam_xpos[w, camera]
-    frame.from_camera = rotation * cam_xmat[w, camera]
-    frames[w] = frame
-
-
-@wp.kernel
-def place_casters(
-    shown: wp.array[int],
-    casts: wp.array[int],
-    shapes: wp.array2d[Shape],
-    geom_xpos: wp.array2d[wp.vec3],
-    geom_xmat: wp.array2d[wp.mat33],
-    light_xdir: wp.array2d[wp.vec3],
-    lows: wp.array2d[wp.vec3],
-    highs: wp.array2d[wp.vec3],
-):
-    """Write the bounds of each shape in its world's light frame [m]; inverted if it casts none.
-
-    Launched over (worlds, shapes).
-    """
-    w, s = wp.tid()
-    lows[w, s] = wp.vec3(FAR)
-    highs[w, s] = wp.vec3(-FAR)
-    if casts[s] == 1 and shapes[w, s].alpha > 0.0:
-        rotation = _to_light_frame(light_xdir[w, 0])
-        center = rotation * geom_xpos[w, shown[s]]
-        turned = rotation * geom_xmat[w, shown[s]]
-        half = _half_extents(shapes[w, s])
-        reach = wp.vec3(_reach(turned, 0, half), _reach(turned, 1, half), _reach(turned, 2, half))
-        lows[w, s] = center - reach
-        highs[w, s] = center + reach
-
-
-@wp.func
-def _to_light_frame(direction: wp.vec3) -> wp.mat33:
-    """Rotation from the world to a frame whose z axis points towards the light."""
-    z = -wp.normalize(direction)
-    x = wp.normalize(wp.cross(wp.vec3(0.0, 1.0, 0.1), z))
-    y = wp.cross(z, x)
-    return wp.mat33(x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2])
-
-
-@wp.func
-def _half_extents(shape: Shape) -> wp.vec3:
-    if shape.geom_type == BOX or shape.geom_type == ELLIPSOID:  # noqa: PLR1714 - warp has no sets
-        return shape.size
-    if shape.geom_type == CAPSULE:
-        return wp.vec3(shape.size[0], shape.size[0], shape.size[0] + shape.size[1])
-    if shape.geom_type == CYLINDER:
-        return wp.vec3(shape.size[0], shape.size[0], shape.size[1])
-    return wp.vec3(shape.size[0])
-
-
-@wp.func
-def _reach(turned: wp.mat33, axis: int, half: wp.vec3) -> float:
-    return wp.abs(turned[axis, 0]) * half[0] + wp.abs(turned[axis, 1]) * half[1] + wp.abs(turned[axis, 2]) * half[2]
-
-
-@wp.kernel
-def sort_casters(
-    intrinsics: CameraIntrinsics,
-    tiles_across: int,
-    frames: wp.array[LightFrame],
-    depths: wp.array3d[Row],
-    lows: wp.array2d[wp.vec3],
-    highs: wp.array2d[wp.vec3],
-    casters: wp.array3d[int],
-    counts: wp.array2d[int],
-):
-    """List the shapes that may shade something that a tile shows. Launched over (worlds, tiles).
-
-    What a tile shows lies in the part of its pyramid between its least and its greatest depth.
-    """
-    w, tile = wp.tid()
-    left, top = (tile % tiles_across) * TILE, (tile // tiles_across) * TILE
-    nearest, farthest = Row(FAR), Row(0.0)
-    for row in range(top, wp.min(top + TILE, intrinsics.size)):
-        depth = depths[w, row, tile % tiles_across]
-        for i in range(TILE):
-            nearest[i] = wp.min(nearest[i], depth[i])
-            farthest[i] = wp.max(farthest[i], wp.where(depth[i] < FAR, depth[i], 0.0))
-    near, far = wp.min(nearest), wp.max(farthest)
-    counts[w, tile] = 0
-    if far > 0.0:
-        low, high = wp.vec3(FAR), wp.vec3(-FAR)
-        for corner in range(8):
-            x = slope(intrinsics, float(left + TILE * (corner & 1)))
-            y = -slope(intrinsics, float(top + TILE * ((corner >> 1) & 1)))
-            point = frames[w].camera + wp.where(corner < 4, near, far) * ray_of(frames[w].from_camera, x, y)
-            low, high = wp.min(low, point), wp.max(high, point)
-        count = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
-        for s in range(lows.shape[1]):
-            if may_shade(lows[w, s], highs[w, s], low, high, frames[w].spread):
-                casters[w, tile, count] = s
-                count += 1
-        counts[w, tile] = count
+    return camera + low, camera + high
