@@ -157,7 +157,6 @@ class Attach(CaptureRule):
     a fast target cannot slip between two frames (Appendix "Evaluation Criteria").
     """
 
-    name = "attach"
     welds = True
     collides_after = 0
     expert = "intercept"
@@ -199,7 +198,6 @@ class AttachLenient(Attach):
     distance meets the localization criterion".
     """
 
-    name = "attach_lenient"
     localization_radius_m = LENIENT_RADIUS_M
 
 
@@ -211,7 +209,6 @@ class Contact(CaptureRule):
     a free body from that physics step on, at the velocity it had; a pendulum's string lets go likewise.
     """
 
-    name = "contact"
     welds = False
     collides_after = HAND_BIT | ENVIRONMENT
     expert = "match"

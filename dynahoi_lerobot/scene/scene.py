@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import FINGERS
+from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGERS
 from dynahoi_lerobot.hands import HANDS, Hand
-from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_SITE, SKIN_GEOM_PREFIX, SLEEVE_GEOM
+from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, PALM_SITE, SKIN_GEOM_PREFIX, SLEEVE_GEOM
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.model import (
     DISTRACTORS,
@@ -75,7 +75,7 @@ class Scene:
         self.tether_geom = geoms["tether"]
         self.palm_site = model.site(PALM_SITE).id
         self.tip_sites = np.array([model.site(f"{finger}_tip").id for finger in FINGERS])
-        self.camera = model.camera(EGO_CAMERA).id
+        self.camera = model.camera(EGO_VIEW).id
         self.materials = {model.mat(i).name: i for i in range(model.nmat)}
         self.skin_geoms, self.sleeve_geoms = starting(SKIN_GEOM_PREFIX), starting(SLEEVE_GEOM)
         self.hand_geoms = starting(HAND_GEOM_PREFIX)
