@@ -114,10 +114,8 @@ class TileRenderer(Renderer):
         """Record all launches, as to repeat one is much cheaper than a new one; threads need one each."""
         model, intrinsics, worlds = self.scene.model, self._intrinsics, self._worlds
         casts = ~np.isin(self._shown, [self.scene.floor_geom, *self.scene.wall_geoms])
-        look, textures = (
-            _look(self.scene, self._shown, intrinsics, soft=self.soft),
-            textures_of(model, filtered=self.soft),
-        )
+        look = _look(self.scene, self._shown, intrinsics, soft=self.soft)
+        textures = textures_of(model, filtered=self.soft)
         geoms = [
             wp.array(self._shown, dtype=int),
             wp.array(casts.astype(np.int32), dtype=int),
@@ -130,10 +128,8 @@ class TileRenderer(Renderer):
         self._placing = _recorded(place_shapes, [intrinsics, *geoms, worlds])
         self._sorting = _recorded(sort_into_tiles, [intrinsics, room, worlds])
         self._sorting_casters = _recorded(sort_casters, [intrinsics, worlds])
-        coloring, smoothing = (
-            [0, intrinsics, look, textures, worlds, self._images],
-            [0, intrinsics, worlds, self._images],
-        )
+        coloring = [0, intrinsics, look, textures, worlds, self._images]
+        smoothing = [0, intrinsics, worlds, self._images]
         self._tracing = [_recorded(trace, [0, intrinsics, worlds]) for _ in range(threads)]
         self._coloring = [_recorded(render_color, coloring) for _ in range(threads)]
         self._smoothing = [_recorded(smooth_edges, smoothing) for _ in range(threads)]

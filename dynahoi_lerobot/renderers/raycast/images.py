@@ -4,8 +4,7 @@
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.rows import meet_shape, surface_row, trace_row
-from dynahoi_lerobot.renderers.raycast.shadows import sunlight_row
+from dynahoi_lerobot.renderers.raycast.rows import meet_shape, sunlight_row, surface_row, trace_row
 from dynahoi_lerobot.renderers.raycast.textures import Textures
 from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, Worlds, ray_of, slope
 
@@ -54,7 +53,8 @@ def color_row(
         s = worlds.lists[w, tile, k]
         clear = 1.0 - worlds.shapes[w, s].alpha
         if clear > 0.0:
-            transparency = _mix_row(visible, s, clear, transparency)
+            for i in range(TILE):
+                transparency[i] = wp.where(visible[i] == s, clear, transparency[i])
             most_transparent = wp.max(transparency)
     if most_transparent > 0.0:
         behind, solid = trace_row(worlds, w, tile, xs, ys, SOLID)
@@ -64,15 +64,6 @@ def color_row(
             green[i] = wp.lerp(green[i], g[i], transparency[i])
             blue[i] = wp.lerp(blue[i], b[i], transparency[i])
     return red, green, blue
-
-
-@wp.func
-def _mix_row(visible: Indices, s: int, value: float, others: Row) -> Row:
-    """Return a value where shape ``s`` is visible, and that of the other row elsewhere."""
-    row = Row()
-    for i in range(TILE):
-        row[i] = wp.where(visible[i] == s, value, others[i])
-    return row
 
 
 @wp.func

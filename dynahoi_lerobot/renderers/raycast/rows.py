@@ -1,4 +1,4 @@
-"""One shape and sixteen rays from the camera: depth, lighting and texture at the points where they enter the shape.
+"""One shape and sixteen rays from the camera: depth, lighting, texture and shadow at the points that they meet.
 
 The loops over the rays hold no branches and stay loops, so that compilers turn them into vector instructions; that is
 most of the speed on a CPU. Shapes are passed by number, as the processor waits for a copy that it has just stored in
@@ -12,7 +12,7 @@ import warp as wp
 from dynahoi_lerobot.renderers.raycast import shapes as solids
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE
 from dynahoi_lerobot.renderers.raycast.textures import Textures, level_of, texel
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, Indices, Row, Shape, Worlds, ray_of
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, SPREAD, TILE, Indices, Row, Shape, Worlds, may_shade, ray_of
 from dynahoi_lerobot.scene.model import SHININESS
 
 HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
@@ -81,6 +81,20 @@ def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
     return surface
 
 
+def _shading(shadow: wp.Function) -> wp.Function:
+    """Return a function that computes what one type of shape takes from the points of a row."""
+
+    @wp.func
+    def shaded(size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, light: wp.vec3, depths: Row, xs: Row, ys: Row) -> Row:
+        row = Row()
+        for i in range(TILE):
+            point = o + depths[i] * ray_of(from_camera, xs[i], ys[i])
+            row[i] = shadow(size, SPREAD, point, light)
+        return row
+
+    return shaded
+
+
 def _of_a_row(solid: str) -> tuple[wp.Function, wp.Function]:
     """Return the functions of a row for a type of shape: depths, and what its surface looks like."""
     enter, normal, uv = (getattr(solids, f"{what}_{solid}") for what in ("enter", "normal", "uv"))
@@ -93,6 +107,9 @@ _enter_capsule, _surface_capsule = _of_a_row("capsule")
 _enter_cylinder, _surface_cylinder = _of_a_row("cylinder")
 _enter_ellipsoid, _surface_ellipsoid = _of_a_row("ellipsoid")
 _enter_box, _surface_box = _of_a_row("box")
+_shade_sphere, _shade_capsule, _shade_cylinder, _shade_ellipsoid, _shade_box = (
+    _shading(getattr(solids, f"shadow_{solid}")) for solid in ("sphere", "capsule", "cylinder", "ellipsoid", "box")
+)
 
 
 @wp.func
@@ -187,3 +204,52 @@ def meet_shape(
         nearest[i] = wp.where(ahead <= limit, row[i], depths[i])
         seen[i] = wp.where(ahead <= limit, s, visible[i])
     return nearest, seen
+
+
+@wp.func
+def _shade(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, ys: Row) -> Row:
+    geom_type, light = shapes[w, s].geom_type, shapes[w, s].to_light
+    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+    if geom_type == CAPSULE:
+        return _shade_capsule(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == BOX:
+        return _shade_box(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == CYLINDER:
+        return _shade_cylinder(size, camera, from_camera, light, depths, xs, ys)
+    if geom_type == ELLIPSOID:
+        return _shade_ellipsoid(size, camera, from_camera, light, depths, xs, ys)
+    return _shade_sphere(size, camera, from_camera, light, depths, xs, ys)
+
+
+@wp.func
+def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row) -> Row:
+    """Return the share of the light, 0 to 1, that reaches the points of a row; no shape shades itself."""
+    row = Row(1.0)
+    if worlds.caster_counts[w, tile] == 0:
+        return row
+    low, high = _row_bounds(worlds.light_camera[w], worlds.light_from_camera[w], depths, visible, xs, ys)
+    for k in range(worlds.caster_counts[w, tile]):
+        s = worlds.casters[w, tile, k]
+        if may_shade(worlds.shapes[w, s].low, worlds.shapes[w, s].high, low, high):
+            taken = _shade(worlds.shapes, w, s, depths, xs, ys)
+            alpha = worlds.shapes[w, s].alpha
+            for i in range(TILE):
+                left = wp.where(visible[i] == s, 1.0, 1.0 - alpha * taken[i])
+                row[i] = wp.min(row[i], left)
+    return row
+
+
+@wp.func
+def _row_bounds(
+    camera: wp.vec3, from_camera: wp.mat33, depths: Row, visible: Indices, xs: Row, ys: Row
+) -> tuple[wp.vec3, wp.vec3]:
+    """Lower and upper corner [m], light frame, of a box around the points of a row, whose rays lie in a plane."""
+    least, most = Indices(), Indices()
+    for i in range(TILE):
+        least[i] = wp.cast(depths[i], wp.int32)  # bits of floats that are not negative are in the order of the floats
+        most[i] = wp.where(visible[i] >= 0, least[i], 0)
+    near, far = wp.cast(wp.min(least), wp.float32), wp.cast(wp.max(most), wp.float32)
+    first, last = ray_of(from_camera, xs[0], ys[0]), ray_of(from_camera, xs[TILE - 1], ys[TILE - 1])
+    low = wp.min(wp.min(near * first, far * first), wp.min(near * last, far * last))
+    high = wp.max(wp.max(near * first, far * first), wp.max(near * last, far * last))
+    return camera + low, camera + high
