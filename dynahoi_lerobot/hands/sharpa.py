@@ -40,6 +40,8 @@ FLEXIONS = {
     "little": ("pinky_MCP_FE", "pinky_PIP", "pinky_DIP"),
 }
 """The joints that move, from the palm outwards, in the names of the model."""
+JOINTS = dict(zip((joint for finger in FINGERS for joint in FLEXIONS[finger]), JOINT_NAMES, strict=True))
+"""Our names of these joints."""
 TIPS = {finger: f"{joints[0].split('_')[0]}_fingertip" for finger, joints in FLEXIONS.items()}
 
 WRIST_POS_M = (-0.046, -0.0835, 0.0)
@@ -77,7 +79,7 @@ class SharpaHand(Hand):
             if parent == WRIST:
                 bodies[i].name = f"{_finger_of(model, i)}_base"
                 bodies[i].set_frame(wrist)
-        for name, joint in zip(JOINT_NAMES, _flexions(), strict=True):
+        for joint, name in JOINTS.items():
             source = model.joint(SIDE + joint)
             inertia = float(model.dof_armature[source.dofadr[0]])
             add_servo(spec, name, inertia, FINGER_BANDWIDTH_RAD_S, float(model.jnt_actfrcrange[source.id, 1]))
@@ -103,13 +105,13 @@ def _add_body(parent: mujoco.MjsBody, model: mujoco.MjModel, i: int) -> mujoco.M
 def _add_flexion(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
     """Add a joint that flexes, turned so that positive angles close; other joints stay as they are at zero."""
     name = model.joint(joint).name.removeprefix(SIDE)
-    if name not in _flexions():
+    if name not in JOINTS:
         return
     low, high = model.jnt_range[joint]
     sign = 1.0 if high >= -low else -1.0
     low, high = sorted((sign * low, sign * high))
     body.add_joint(
-        name=JOINT_NAMES[_flexions().index(name)],
+        name=JOINTS[name],
         pos=model.jnt_pos[joint],
         axis=sign * model.jnt_axis[joint],
         range=(min(low, IDLE_RANGE_RAD), high),
@@ -147,10 +149,6 @@ def menagerie_model_path() -> Path:
             f"github.com/google-deepmind/mujoco_menagerie and let {MENAGERIE_ROOT} name the folder"
         )
     return root / MODEL
-
-
-def _flexions() -> list[str]:
-    return [joint for finger in FINGERS for joint in FLEXIONS[finger]]
 
 
 def _finger_of(model: mujoco.MjModel, i: int) -> str:

@@ -17,7 +17,8 @@ from mujoco.batch import Batch
 from dynahoi_lerobot.core.numerics import tan
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.device import Mirror, default_device, world_fields
-from dynahoi_lerobot.renderers.raycast.images import Look, render_color, smooth_edges, trace
+from dynahoi_lerobot.renderers.raycast.images import render_color, smooth_edges, trace
+from dynahoi_lerobot.renderers.raycast.rows import Look
 from dynahoi_lerobot.renderers.raycast.shapes import GEOM_TYPES
 from dynahoi_lerobot.renderers.raycast.textures import textures_of
 from dynahoi_lerobot.renderers.raycast.tiling import (

@@ -4,7 +4,7 @@
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.rows import meet_shape, sunlight_row, surface_row, trace_row
+from dynahoi_lerobot.renderers.raycast.rows import Look, meet_shape, sunlight_row, surface_row, trace_row
 from dynahoi_lerobot.renderers.raycast.textures import Textures
 from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, Worlds, ray_of, slope
 
@@ -15,30 +15,6 @@ CORNER_M = wp.constant(0.12)
 """Share of the light from all around that corners of the room take away, and the distance at which it is half that."""
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
-
-
-@wp.struct
-class Look:
-    """How all worlds are drawn.
-
-    Attributes:
-        soft: 1 for shadows, soft light and smooth edges; 0 for what MuJoCo's other renderers draw.
-        ambient: RGB of the light that reaches every surface, 0 to 1; what the ground reflects if ``soft``.
-        fill: RGB of the light from the camera, or from the whole sky if ``soft``.
-        fill_wrap: how far beyond a right angle that light reaches, as a cosine; ``sun_wrap``: likewise the sun's.
-        pixel_rad: angle between the rays of neighbouring pixels [rad].
-        floor: number of the shape that is the floor, whose frame is the world's.
-        room_half_m: distance of the walls from the middle of the room [m].
-    """
-
-    soft: int
-    ambient: wp.vec3
-    fill: wp.vec3
-    fill_wrap: float
-    sun_wrap: float
-    pixel_rad: float
-    floor: int
-    room_half_m: float
 
 
 @wp.func
@@ -84,12 +60,7 @@ def _surface_row(
         for i in range(TILE):
             middle = wp.max(middle, wp.where(visible[i] == s, i, -1))
         if middle >= 0:
-            fill = worlds.shapes[w, s].up
-            if look.soft == 0:
-                fill = worlds.shapes[w, s].from_camera * wp.vec3(0.0, 0.0, 1.0)
-            cosine, filled, highlight, brightness = surface_row(
-                worlds.shapes, w, s, fill, specular[0], textures, look.pixel_rad, middle, depths, xs, ys
-            )
+            cosine, filled, highlight, brightness = surface_row(worlds, look, textures, w, s, middle, depths, xs, ys)
             rgb, shine = worlds.shapes[w, s].color_rgb, specular * worlds.shapes[w, s].specularity
             for i in range(TILE):
                 direct = wp.max(cosine[i] + sun_wrap, 0.0) / (1.0 + sun_wrap) * sun[i]
