@@ -8,14 +8,7 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import (
-    EGO_VIEW,
-    FINGER_DOF,
-    FINGERS,
-    GANTRY_RANGE_M,
-    JOINT_NAMES,
-    PALM_AXES,
-)
+from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF, FINGERS, GANTRY_RANGE_M, JOINT_NAMES, PALM_AXES
 from dynahoi_lerobot.core.numerics import cos, norm, sin
 from dynahoi_lerobot.core.registry import Registry
 
