@@ -24,13 +24,10 @@ from dynahoi_lerobot.renderers.raycast.textures import textures_of
 from dynahoi_lerobot.renderers.raycast.tiling import (
     TILE,
     CameraIntrinsics,
-    Indices,
-    Row,
-    Shape,
-    Worlds,
     place_shapes,
     sort_casters,
     sort_into_tiles,
+    worlds_of,
 )
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, SHOWN_GROUPS
 from dynahoi_lerobot.scene.scene import Scene
@@ -84,8 +81,7 @@ class TileRenderer(Renderer):
             fields = {name: wp.empty(source.shape[:2], dtype=types[name]) for name, source in sources.items()}
             self._mirror = Mirror(sources, fields)
             self._intrinsics = _intrinsics(scene.model, self.camera, image_size)
-            self._worlds = _worlds(fields, self._intrinsics, len(self._shown))
-            self._images = wp.empty((batch.nsim, image_size, image_size, 3), dtype=wp.uint8)
+            self._worlds = worlds_of(fields, self._intrinsics, len(self._shown))
             self._record_launches(fields, threads)
         self._pool = ThreadPoolExecutor(threads)
 
@@ -97,7 +93,7 @@ class TileRenderer(Renderer):
         self._in_bands(self._coloring, len(ids))
         if self.soft:
             self._in_bands(self._smoothing, len(ids))
-        return self._images[: len(ids)].numpy().copy()
+        return self._worlds.images[: len(ids)].numpy().copy()
 
     def segmentation(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W) int32 geom ids of worlds ``ids`` (n,), -1 for a miss."""
@@ -129,11 +125,10 @@ class TileRenderer(Renderer):
         self._placing = _recorded(place_shapes, [intrinsics, *geoms, worlds])
         self._sorting = _recorded(sort_into_tiles, [intrinsics, room, worlds])
         self._sorting_casters = _recorded(sort_casters, [intrinsics, worlds])
-        coloring = [0, intrinsics, look, textures, worlds, self._images]
-        smoothing = [0, intrinsics, worlds, self._images]
+        coloring = [0, intrinsics, look, textures, worlds]
         self._tracing = [_recorded(trace, [0, intrinsics, worlds]) for _ in range(threads)]
         self._coloring = [_recorded(render_color, coloring) for _ in range(threads)]
-        self._smoothing = [_recorded(smooth_edges, smoothing) for _ in range(threads)]
+        self._smoothing = [_recorded(smooth_edges, [0, intrinsics, worlds]) for _ in range(threads)]
 
     def _trace(self, ids: np.ndarray) -> None:
         """Find what the pixels of worlds ``ids`` (n,) show, in the first n rows."""
@@ -193,20 +188,6 @@ def _intrinsics(model: mujoco.MjModel, camera: int, image_size: int) -> Any:
     intrinsics.camera, intrinsics.size, intrinsics.tiles_across = camera, image_size, -(-image_size // TILE)
     intrinsics.focal = 0.5 * image_size / tan(0.5 * np.radians(model.cam_fovy[camera]))
     return intrinsics
-
-
-def _worlds(fields: Mapping[str, wp.array], intrinsics: Any, shapes: int) -> Any:
-    worlds, nsim = Worlds(), fields["geom_xpos"].shape[0]
-    worlds.cam_xpos, worlds.cam_xmat, worlds.light_xdir = (fields[n] for n in ("cam_xpos", "cam_xmat", "light_xdir"))
-    worlds.diffuse, worlds.specular = fields["light_diffuse"], fields["light_specular"]
-    worlds.shapes = wp.empty((nsim, shapes), dtype=Shape)
-    tiles, rows = (nsim, intrinsics.tiles_across**2), (nsim, intrinsics.size, intrinsics.tiles_across)
-    worlds.lists, worlds.casters = wp.empty((*tiles, shapes), dtype=int), wp.empty((*tiles, shapes), dtype=int)
-    worlds.counts, worlds.caster_counts = wp.empty(tiles, dtype=int), wp.zeros(tiles, dtype=int)
-    worlds.visible, worlds.depths = wp.empty(rows, dtype=Indices), wp.empty(rows, dtype=Row)
-    worlds.colors = wp.empty(rows, dtype=Indices)
-    worlds.light_camera, worlds.light_from_camera = wp.empty(nsim, dtype=wp.vec3), wp.empty(nsim, dtype=wp.mat33)
-    return worlds
 
 
 def _look(scene: Scene, shown: np.ndarray, intrinsics: Any, *, soft: bool) -> Any:

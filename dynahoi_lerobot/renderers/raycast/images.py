@@ -101,14 +101,7 @@ def trace(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
 
 
 @wp.kernel
-def render_color(
-    first_row: int,
-    intrinsics: CameraIntrinsics,
-    look: Look,
-    textures: Textures,
-    worlds: Worlds,
-    images: wp.array4d[wp.uint8],
-):
+def render_color(first_row: int, intrinsics: CameraIntrinsics, look: Look, textures: Textures, worlds: Worlds):
     """Write the colours in the middle of the pixels of one row of one tile. Launched as ``trace``, after it."""
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
@@ -119,16 +112,16 @@ def render_color(
     for i in range(TILE):
         packed[i] = _level(red[i]) + (_level(green[i]) << 8) + (_level(blue[i]) << 16)
     worlds.colors[w, y, column] = packed
-    _write_row(images, w, y, column, packed)
+    _write_row(worlds, w, y, column, packed)
 
 
 @wp.func
-def _write_row(images: wp.array4d[wp.uint8], w: int, y: int, column: int, colors: Indices):
+def _write_row(worlds: Worlds, w: int, y: int, column: int, colors: Indices):
     """Write one pixel row of one tile of the images, whose last tiles may stick out."""
-    for i in range(wp.min(TILE, images.shape[2] - column * TILE)):
-        images[w, y, column * TILE + i, 0] = wp.uint8(colors[i])
-        images[w, y, column * TILE + i, 1] = wp.uint8(colors[i] >> 8)
-        images[w, y, column * TILE + i, 2] = wp.uint8(colors[i] >> 16)
+    for i in range(wp.min(TILE, worlds.images.shape[2] - column * TILE)):
+        worlds.images[w, y, column * TILE + i, 0] = wp.uint8(colors[i])
+        worlds.images[w, y, column * TILE + i, 1] = wp.uint8(colors[i] >> 8)
+        worlds.images[w, y, column * TILE + i, 2] = wp.uint8(colors[i] >> 16)
 
 
 @wp.func
@@ -167,7 +160,7 @@ STEP = wp.constant(0.03)
 
 
 @wp.kernel
-def smooth_edges(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds, images: wp.array4d[wp.uint8]):
+def smooth_edges(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
     """Smooth the edges in one pixel row of one tile of the images. Launched as ``trace``, after ``render_color``."""
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
@@ -185,7 +178,7 @@ def smooth_edges(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds, i
         edges = _jumps_row(near, here, depths, below, worlds.depths[w, y_below, column])
         if wp.max(edges) == 1:
             smooth = _smooth_row(intrinsics, worlds, edges, here, above, below, w, y, column)
-            _write_row(images, w, y, column, smooth)
+            _write_row(worlds, w, y, column, smooth)
 
 
 @wp.func

@@ -5,6 +5,9 @@ A tile lists the shapes that its pixels may show and, once those are traced, the
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
+from collections.abc import Mapping
+from typing import Any
+
 import warp as wp
 
 from dynahoi_lerobot.renderers.raycast.shapes import (
@@ -115,6 +118,7 @@ class Worlds:
         casters, caster_counts: shapes that may shade what a tile shows, likewise.
         visible, depths: (N, H, tiles across) index of the shape that each pixel shows, -1 for none, and depth [m].
         colors: (N, H, tiles across) 0xBBGGRR from the middle of each pixel.
+        images: (N, H, W, 3) RGB.
         cam_xpos, cam_xmat: (N, cameras) poses, world.
         light_xdir: (N, lights) directions in which light travels, world; of all lights the first counts.
         diffuse, specular: (N, lights) their colours.
@@ -130,6 +134,7 @@ class Worlds:
     visible: wp.array3d[Indices]
     depths: wp.array3d[Row]
     colors: wp.array3d[Indices]
+    images: wp.array4d[wp.uint8]
     cam_xpos: wp.array2d[wp.vec3]
     cam_xmat: wp.array2d[wp.mat33]
     light_xdir: wp.array2d[wp.vec3]
@@ -137,6 +142,22 @@ class Worlds:
     specular: wp.array2d[wp.vec3]
     light_camera: wp.array[wp.vec3]
     light_from_camera: wp.array[wp.mat33]
+
+
+def worlds_of(fields: Mapping[str, wp.array], intrinsics: Any, shapes: int) -> Any:
+    """Return ``Worlds`` of per-world fields of N rows, by name, on warp's current device; nothing is placed yet."""
+    worlds, nsim = Worlds(), fields["geom_xpos"].shape[0]
+    worlds.cam_xpos, worlds.cam_xmat, worlds.light_xdir = (fields[n] for n in ("cam_xpos", "cam_xmat", "light_xdir"))
+    worlds.diffuse, worlds.specular = fields["light_diffuse"], fields["light_specular"]
+    worlds.shapes = wp.empty((nsim, shapes), dtype=Shape)
+    tiles, rows = (nsim, intrinsics.tiles_across**2), (nsim, intrinsics.size, intrinsics.tiles_across)
+    worlds.lists, worlds.casters = wp.empty((*tiles, shapes), dtype=int), wp.empty((*tiles, shapes), dtype=int)
+    worlds.counts, worlds.caster_counts = wp.empty(tiles, dtype=int), wp.zeros(tiles, dtype=int)
+    worlds.visible, worlds.depths = wp.empty(rows, dtype=Indices), wp.empty(rows, dtype=Row)
+    worlds.colors = wp.empty(rows, dtype=Indices)
+    worlds.images = wp.empty((nsim, intrinsics.size, intrinsics.size, 3), dtype=wp.uint8)
+    worlds.light_camera, worlds.light_from_camera = wp.empty(nsim, dtype=wp.vec3), wp.empty(nsim, dtype=wp.mat33)
+    return worlds
 
 
 @wp.kernel
