@@ -44,21 +44,6 @@ THUMB = FINGERS.index("thumb")
 
 
 @dataclass(frozen=True, eq=False)
-class Substeps:
-    """What n worlds did in the 25 physics steps of one control step.
-
-    Attributes:
-        acting: (n,) bool, the control phase has begun.
-        palm_distance: (n, 25) palm centre to target centre [m].
-        contacts: of shape (n, 25), what touches the target; None if the rule uses no contact sensors.
-    """
-
-    acting: np.ndarray
-    palm_distance: np.ndarray
-    contacts: TargetContacts | None
-
-
-@dataclass(frozen=True, eq=False)
 class Track:
     """What a verdict is read from: one episode's T frames in the control phase.
 
@@ -122,10 +107,15 @@ class CaptureRule(ABC):
         """Return the collision bits that a target asks for from the start."""
 
     @abstractmethod
-    def events(self, substeps: Substeps) -> np.ndarray:
+    def events(self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None) -> np.ndarray:
         """Return (n,) the physics step within the control step after which its event is due, or ``NO_EVENT``.
 
         Also called for worlds whose event has happened; the result is ignored there.
+
+        Args:
+            acting: (n,) bool, the control phase has begun.
+            palm_distance: (n, 25) palm centre to target centre [m].
+            contacts: of shape (n, 25), what touches the target; None if the rule uses no contact sensors.
         """
 
     @abstractmethod
@@ -157,7 +147,6 @@ class Attach(CaptureRule):
     a fast target cannot slip between two frames (Appendix "Evaluation Criteria").
     """
 
-    name = "attach"
     welds = True
     collides_after = 0
     expert = "intercept"
@@ -167,11 +156,11 @@ class Attach(CaptureRule):
         """Return the environment's bit for real dynamics, none for a prescribed path."""
         return ENVIRONMENT if isinstance(motion, PhysicalMotion) else 0
 
-    def events(self, substeps: Substeps) -> np.ndarray:
+    def events(self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None) -> np.ndarray:
         """Return the closest physics step where it is within the localisation radius."""
-        closest = substeps.palm_distance.argmin(axis=1)
-        inside = substeps.palm_distance.min(axis=1) < self.localization_radius_m
-        return np.where(inside & substeps.acting, closest, NO_EVENT)
+        closest = palm_distance.argmin(axis=1)
+        inside = palm_distance.min(axis=1) < self.localization_radius_m
+        return np.where(inside & acting, closest, NO_EVENT)
 
     def captured(self, track: Track) -> np.ndarray:
         """Return (T,) bool: localised, and the pose matched at the first localised frame."""
@@ -199,7 +188,6 @@ class AttachLenient(Attach):
     distance meets the localization criterion".
     """
 
-    name = "attach_lenient"
     localization_radius_m = LENIENT_RADIUS_M
 
 
@@ -211,7 +199,6 @@ class Contact(CaptureRule):
     a free body from that physics step on, at the velocity it had; a pendulum's string lets go likewise.
     """
 
-    name = "contact"
     welds = False
     collides_after = HAND_BIT | ENVIRONMENT
     expert = "match"
@@ -225,10 +212,10 @@ class Contact(CaptureRule):
         """Return the hand's bit, and for real dynamics the environment's; a driven path heeds no obstacle."""
         return HAND_BIT | (ENVIRONMENT if isinstance(motion, PhysicalMotion) else 0)
 
-    def events(self, substeps: Substeps) -> np.ndarray:
+    def events(self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None) -> np.ndarray:
         """Return the first physics step in which the hand touches the target."""
-        assert substeps.contacts is not None
-        touched = substeps.contacts.by_hand  # (n, 25)
+        assert contacts is not None
+        touched = contacts.by_hand  # (n, 25)
         return np.where(touched.any(axis=1), touched.argmax(axis=1), NO_EVENT)
 
     def captured(self, track: Track) -> np.ndarray:

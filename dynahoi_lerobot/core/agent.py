@@ -49,7 +49,6 @@ class WorldState:
         attempt: (N,) int, 1 for the first try at an episode.
         target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
         target_velocity: (N, 6) linear [m/s] and angular [rad/s], along the world's axes.
-        target_contacts: (N, 5) 1 where the finger touches the target.
         localized: (N,) bool, the target has been localised in the control phase.
         control: the limits of the hand and the latency of its commands.
         localization_radius_m: palm centre to target centre, below which the target is localised [m].
@@ -63,7 +62,6 @@ class WorldState:
     attempt: np.ndarray
     target_pose: np.ndarray
     target_velocity: np.ndarray
-    target_contacts: np.ndarray
     localized: np.ndarray
     control: ControlClass
     localization_radius_m: float

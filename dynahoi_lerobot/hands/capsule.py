@@ -4,7 +4,7 @@ Lengths follow an adult hand; the palm hangs on a three-axis gantry. The palm ce
 surface, in the middle of what the fingers enclose. Every joint is a position servo with a force limit.
 """
 
-import functools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -12,15 +12,18 @@ import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import FINGER_DOF, FINGERS
-from dynahoi_lerobot.core.numerics import norm, product
-from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, HIDDEN_GROUP, Hand
-from dynahoi_lerobot.hands.parts import (
+from dynahoi_lerobot.core.numerics import product
+from dynahoi_lerobot.hands.base import (
     FINGER_BANDWIDTH_RAD_S,
-    SKIN,
+    HAND_GEOM_PREFIX,
+    HANDS,
+    HIDDEN_GROUP,
+    SKIN_GEOM_PREFIX,
+    SKIN_GROUP,
+    SLEEVE_GEOM,
+    Hand,
     add_palm,
     add_servo,
-    add_skin,
-    close_around,
     quat_z_to,
 )
 
@@ -42,7 +45,6 @@ class Finger:
         axis: flexion axis, unit vector, palm frame; positive rotation closes.
         lengths: of the three links [m].
         radius: of the links [m].
-        closed: (3,) joint angles of the closed hand [rad].
     """
 
     base: tuple[float, float, float]
@@ -50,28 +52,38 @@ class Finger:
     axis: tuple[float, float, float]
     lengths: tuple[float, float, float]
     radius: float
-    closed: tuple[float, float, float]
 
 
 def _row_finger(z: float, scale: float) -> Finger:
     lengths = (0.046 * scale, 0.029 * scale, 0.022 * scale)
-    return Finger((-0.046, 0.014, z), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), lengths, 0.0085, (1.15, 1.35, 1.0))
+    return Finger((-0.046, 0.014, z), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), lengths, 0.0085)
 
 
 HAND = {
-    "thumb": Finger(
-        (-0.042, -0.022, 0.032), (0.0, -0.5, 0.8660), (0.0, 0.8660, 0.5), (0.044, 0.034, 0.026), 0.0095, (1.0, 1.4, 0.8)
-    ),
+    "thumb": Finger((-0.042, -0.022, 0.032), (0.0, -0.5, 0.8660), (0.0, 0.8660, 0.5), (0.044, 0.034, 0.026), 0.0095),
     "index": _row_finger(0.034, 0.98),
     "middle": _row_finger(0.013, 1.05),
     "ring": _row_finger(-0.008, 1.0),
     "little": _row_finger(-0.028, 0.82),
 }
-OPPOSED_THUMB = Finger(
-    (-0.042, -0.03, 0.004), (0.0, -0.9798, 0.2), (0.0, 0.2, 0.9798), (0.044, 0.034, 0.026), 0.0095, (1.0, 1.4, 0.8)
-)
+OPPOSED_THUMB = Finger((-0.042, -0.03, 0.004), (0.0, -0.9798, 0.2), (0.0, 0.2, 0.9798), (0.044, 0.034, 0.026), 0.0095)
 """Points away from the fingers and a little up, and flexes towards them."""
 JOINT_SUFFIXES = ("base", "middle", "tip")
+
+SKIN = (0.87, 0.68, 0.55, 1.0)
+PALM_X_M = -0.0475
+"""Middle of the palm's thickness, palm frame."""
+HEEL_Y_M, WRIST_Y_M, SLEEVE_Y_M = -0.062, -0.112, -0.21
+"""Where the palm ends, where the sleeve begins and ends, palm frame."""
+METACARPALS = {
+    "index": (0.018, 0.0118),
+    "middle": (0.007, 0.0118),
+    "ring": (-0.004, 0.0115),
+    "little": (-0.014, 0.0105),
+}
+"""Of each finger's bone in the palm: height at the heel and radius [m]; it ends in the knuckle."""
+KNUCKLE_X_M = -0.0015
+"""How far a knuckle stands out on the back of the hand."""
 
 
 @HANDS.register("capsule")
@@ -79,6 +91,9 @@ class CapsuleHand(Hand):
     """Eighteen degrees of freedom: three slides of the palm and three flexion joints in each of five fingers."""
 
     fingers: ClassVar[dict[str, Finger]] = HAND
+    full_closure_rad: ClassVar = {
+        finger: (1.0, 1.4, 0.8) if finger == "thumb" else (1.15, 1.35, 1.0) for finger in FINGERS
+    }
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add palm, fingers, servos, sites and the ego camera to ``spec``."""
@@ -89,30 +104,17 @@ class CapsuleHand(Hand):
         )  # fmt: skip
         for name in FINGERS:
             self._add_finger(spec, palm, name, self.fingers[name])
-        add_skin(palm, {name: finger.base for name, finger in self.fingers.items()})
+        _add_skin(palm, {name: finger.base for name, finger in self.fingers.items()})
 
-    def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
-        """Return (15,) angles [rad] at which each fingertip pad is ``grasp_radius_m`` away from the palm's axis.
-
-        Larger objects give smaller rotations (Figure 3b of the paper). Fingers that cannot come that close stop at
-        full closure.
-        """
-        closure, distance = self._closure_table()
-        return close_around(grasp_radius_m, closure, distance, [self.fingers[name].closed for name in FINGERS])
-
-    @classmethod
-    @functools.cache
-    def _closure_table(cls) -> tuple[np.ndarray, np.ndarray]:
-        """Closure fractions (K,) and, per finger, the pad's distance (5, K) [m] from the middle of the grasp volume.
-
-        That is the axis through the palm centre, along z: fingers close around an upright object. The thumb's is the
-        distance to the palm centre itself, as it comes from above.
-        """
-        closure, distance = np.linspace(0.0, 1.0, 101), np.zeros((len(FINGERS), 101))
-        for i, name in enumerate(FINGERS):
-            pads = [pad_position(cls.fingers[name], share) for share in closure]
-            distance[i] = [norm(pad if name == "thumb" else pad[:2]) for pad in pads]
-        return closure, np.minimum.accumulate(distance, axis=1)
+    def fingertips(self, closure: np.ndarray) -> np.ndarray:
+        """Return (K, 5, 3) positions of the fingertips [m], palm frame, at fractions (K,) of full closure."""
+        # in closed form: MuJoCo normalises the axes above, which turns the benchmark's reference grasps by 3e-5 rad
+        return np.array(
+            [
+                [_pad_position(self.fingers[name], share * np.array(self.full_closure_rad[name])) for name in FINGERS]
+                for share in closure
+            ]
+        )
 
     def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, finger: Finger) -> None:
         parent, pos = palm, np.asarray(finger.base)
@@ -144,12 +146,12 @@ class OpposedHand(CapsuleHand):
     fingers: ClassVar[dict[str, Finger]] = {**HAND, "thumb": OPPOSED_THUMB}
 
 
-def pad_position(finger: Finger, closure: float) -> np.ndarray:
-    """Return (3,) the fingertip pad [m], palm frame, at a fraction of full closure."""
+def _pad_position(finger: Finger, joints: np.ndarray) -> np.ndarray:
+    """(3,) the fingertip pad [m], palm frame, at joint angles (3,) [rad]."""
     pos, rotation = np.asarray(finger.base, float), np.eye(3)
     along = np.asarray(finger.along)
-    for angle, link in zip(finger.closed, finger.lengths, strict=True):
-        rotation = product(rotation, _turn(np.asarray(finger.axis), angle * closure))
+    for angle, link in zip(joints, finger.lengths, strict=True):
+        rotation = product(rotation, _turn(np.asarray(finger.axis), angle))
         pos = pos + product(rotation, along) * link
     return pos + product(rotation, np.cross(finger.axis, along)) * finger.radius
 
@@ -159,3 +161,32 @@ def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
     mujoco.mju_axisAngle2Quat(quat, axis, angle)
     mujoco.mju_quat2Mat(matrix, quat)
     return matrix.reshape(3, 3)
+
+
+def _add_skin(palm: mujoco.MjsBody, bases: Mapping[str, tuple[float, float, float]]) -> None:
+    """Add the drawn palm, wrist and sleeve to the body ``palm``.
+
+    Args:
+        palm: the palm's body.
+        bases: (3,) first joint of each finger [m], palm frame.
+    """
+    for finger, (heel_z, radius) in METACARPALS.items():
+        knuckle = np.add(bases[finger], (KNUCKLE_X_M, -0.002, 0.0))
+        _add_capsule(palm, finger, (PALM_X_M, HEEL_Y_M, heel_z), knuckle, radius)
+    _add_capsule(palm, "thumb_mound", (PALM_X_M + 0.004, HEEL_Y_M, 0.012), bases["thumb"], 0.0135)
+    _add_capsule(palm, "thumb_web", bases["thumb"], np.add(bases["index"], (0.0, -0.012, -0.004)), 0.0085)
+    _add_capsule(palm, "little_mound", (PALM_X_M + 0.003, HEEL_Y_M, -0.010), (PALM_X_M + 0.003, -0.02, -0.024), 0.0125)
+    for name, z in (("wrist_upper", 0.0085), ("wrist_lower", -0.0075)):
+        _add_capsule(palm, name, (PALM_X_M, HEEL_Y_M, z), (PALM_X_M, WRIST_Y_M, z), 0.0165)
+    palm.add_geom(
+        name=SLEEVE_GEOM, type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(0.031, 0, 0), mass=0.0, contype=0, conaffinity=0,
+        fromto=(PALM_X_M, WRIST_Y_M, 0.0005, PALM_X_M, SLEEVE_Y_M, 0.0005), rgba=SKIN, group=SKIN_GROUP,
+    )  # fmt: skip
+
+
+def _add_capsule(palm: mujoco.MjsBody, name: str, start: object, end: object, radius: float) -> None:
+    palm.add_geom(
+        name=f"{SKIN_GEOM_PREFIX}{name}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(radius, 0, 0), mass=0.0,
+        fromto=np.concatenate([np.asarray(start), np.asarray(end)]), contype=0, conaffinity=0, rgba=SKIN,
+        group=SKIN_GROUP,
+    )  # fmt: skip

@@ -5,17 +5,23 @@ eighteen degrees of freedom as the bundled hands. What collides is also what is 
 cylinders, and the boxes around its palm's convex pieces; so no mesh has to be rendered.
 """
 
-import functools
 import os
 from pathlib import Path
+from typing import ClassVar
 
 import mujoco
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import FINGERS, JOINT_NAMES
-from dynahoi_lerobot.core.numerics import norm
-from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, PALM_SITE, Hand
-from dynahoi_lerobot.hands.parts import FINGER_BANDWIDTH_RAD_S, add_palm, add_servo, close_around, quat_z_to
+from dynahoi_lerobot.hands.base import (
+    FINGER_BANDWIDTH_RAD_S,
+    HAND_GEOM_PREFIX,
+    HANDS,
+    Hand,
+    add_palm,
+    add_servo,
+    quat_z_to,
+)
 
 MENAGERIE_ROOT = "MENAGERIE_ROOT"
 """Environment variable with the folder of MuJoCo Menagerie."""
@@ -34,9 +40,9 @@ FLEXIONS = {
     "little": ("pinky_MCP_FE", "pinky_PIP", "pinky_DIP"),
 }
 """The joints that move, from the palm outwards, in the names of the model."""
+JOINTS = dict(zip((joint for finger in FINGERS for joint in FLEXIONS[finger]), JOINT_NAMES, strict=True))
+"""Our names of these joints."""
 TIPS = {finger: f"{joints[0].split('_')[0]}_fingertip" for finger, joints in FLEXIONS.items()}
-CLOSURE_RAD = {finger: (1.0, 0.9, 0.8) if finger == "thumb" else (1.15, 1.35, 1.0) for finger in FINGERS}
-"""How far each joint flexes when the hand closes fully."""
 
 WRIST_POS_M = (-0.046, -0.0835, 0.0)
 WRIST_QUAT = (np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0)
@@ -50,6 +56,10 @@ SKIN = (0.79, 0.82, 0.93, 1.0)
 @HANDS.register("sharpa")
 class SharpaHand(Hand):
     """The Sharpa Wave of MuJoCo Menagerie, on the gantry, with its own torque limits; for the rule ``attach``."""
+
+    full_closure_rad: ClassVar = {
+        finger: (1.0, 0.9, 0.8) if finger == "thumb" else (1.15, 1.35, 1.0) for finger in FINGERS
+    }
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add palm, fingers, servos, sites and the ego camera to ``spec``.
@@ -69,18 +79,10 @@ class SharpaHand(Hand):
             if parent == WRIST:
                 bodies[i].name = f"{_finger_of(model, i)}_base"
                 bodies[i].set_frame(wrist)
-        for name, joint in zip(JOINT_NAMES, _flexions(), strict=True):
+        for joint, name in JOINTS.items():
             source = model.joint(SIDE + joint)
             inertia = float(model.dof_armature[source.dofadr[0]])
             add_servo(spec, name, inertia, FINGER_BANDWIDTH_RAD_S, float(model.jnt_actfrcrange[source.id, 1]))
-
-    def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
-        """Return (15,) angles [rad] at which each fingertip is ``grasp_radius_m`` away from the middle of the grasp.
-
-        Fingers that cannot come that close stop at full closure.
-        """
-        closure, distance = _closure_table()
-        return close_around(grasp_radius_m, closure, distance, [CLOSURE_RAD[finger] for finger in FINGERS])
 
 
 def _add_body(parent: mujoco.MjsBody, model: mujoco.MjModel, i: int) -> mujoco.MjsBody:
@@ -103,13 +105,13 @@ def _add_body(parent: mujoco.MjsBody, model: mujoco.MjModel, i: int) -> mujoco.M
 def _add_flexion(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
     """Add a joint that flexes, turned so that positive angles close; other joints stay as they are at zero."""
     name = model.joint(joint).name.removeprefix(SIDE)
-    if name not in _flexions():
+    if name not in JOINTS:
         return
     low, high = model.jnt_range[joint]
     sign = 1.0 if high >= -low else -1.0
     low, high = sorted((sign * low, sign * high))
     body.add_joint(
-        name=JOINT_NAMES[_flexions().index(name)],
+        name=JOINTS[name],
         pos=model.jnt_pos[joint],
         axis=sign * model.jnt_axis[joint],
         range=(min(low, IDLE_RANGE_RAD), high),
@@ -149,34 +151,7 @@ def menagerie_model_path() -> Path:
     return root / MODEL
 
 
-def _flexions() -> list[str]:
-    return [joint for finger in FINGERS for joint in FLEXIONS[finger]]
-
-
 def _finger_of(model: mujoco.MjModel, i: int) -> str:
     """Return the finger that body ``i`` belongs to."""
     first = model.body(i).name.removeprefix(SIDE).split("_")[0]
     return {joints[0].split("_")[0]: finger for finger, joints in FLEXIONS.items()}[first]
-
-
-@functools.cache
-def _closure_table() -> tuple[np.ndarray, np.ndarray]:
-    """Closure fractions (K,) and, per finger, the tip's distance (5, K) [m] from the middle of the grasp volume.
-
-    As for the bundled hands, fingers close around an axis along z; the thumb's distance is to the middle itself.
-    """
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    SharpaHand().add_to(spec)
-    model = spec.compile()
-    data, closure = mujoco.MjData(model), np.linspace(0.0, 1.0, 101)
-    full = np.concatenate([CLOSURE_RAD[finger] for finger in FINGERS])
-    joints = [int(model.joint(name).qposadr[0]) for name in JOINT_NAMES]
-    distance = np.zeros((len(FINGERS), len(closure)))
-    for k, share in enumerate(closure):
-        data.qpos[joints] = share * full
-        mujoco.mj_kinematics(model, data)
-        for i, finger in enumerate(FINGERS):
-            offset = data.site(f"{finger}_tip").xpos - data.site(PALM_SITE).xpos
-            distance[i, k] = norm(offset if finger == "thumb" else offset[:2])
-    return closure, np.minimum.accumulate(distance, axis=1)

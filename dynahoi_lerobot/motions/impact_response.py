@@ -55,12 +55,10 @@ def reach_m(target: TargetObject) -> float:
 
     Impacts are along that axis, so that boxes are hit in the middle of a face.
     """
-    extents = []
-    for primitive in target.primitives:
-        size = np.asarray(primitive.half_size)
-        along = size[0] if primitive.shape == "box" else size[0] + abs(primitive.pos[0])
-        extents.append(along)
-    return float(max(extents))
+    return max(
+        primitive.half_size[0] + (0.0 if primitive.shape == "box" else abs(primitive.pos[0]))
+        for primitive in target.primitives
+    )
 
 
 STRIKER_RADIUS_M = 0.02

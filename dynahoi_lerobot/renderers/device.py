@@ -36,12 +36,7 @@ with _without_line(NO_CUDA):
 
 
 class Mirror:
-    """Device arrays that are refreshed from arrays of the batch.
-
-    Attributes:
-        arrays: device arrays by field name, each with one row per world of the batch; only the rows of the worlds
-            copied last are in use.
-    """
+    """Device arrays that are refreshed from arrays of the batch; only the rows of the worlds copied last are in use."""
 
     def __init__(self, sources: dict[str, np.ndarray], arrays: dict[str, wp.array]) -> None:
         """Pair each device array with the source of the same name.
@@ -50,21 +45,18 @@ class Mirror:
             sources: (N, ...) arrays of the batch, views that follow the simulation.
             arrays: device arrays of N rows.
         """
-        self.arrays = arrays
-        self._sources = sources
-        self._staging = {
-            name: array if str(array.device) == "cpu" else wp.empty_like(array, device="cpu")
-            for name, array in arrays.items()
-        }
-        self._rows = {name: array.numpy() for name, array in self._staging.items()}
+        self._fields = []
+        for name, array in arrays.items():
+            staging = array if str(array.device) == "cpu" else wp.empty_like(array, device="cpu")
+            self._fields.append((sources[name], staging.numpy(), staging, array))
 
     def copy(self, ids: np.ndarray) -> None:
         """Copy the rows ``ids`` (n,) of every field into the first n rows of its device array."""
-        for name, source in self._sources.items():
-            rows = self._rows[name][: len(ids)]
-            rows[...] = source[ids].reshape(rows.shape)
-            if self._staging[name] is not self.arrays[name]:
-                wp.copy(self.arrays[name][: len(ids)], self._staging[name][: len(ids)])  # type: ignore[arg-type] - slices of arrays are arrays
+        n_worlds = len(ids)
+        for source, rows, staging, array in self._fields:
+            rows[:n_worlds] = source[ids].reshape(n_worlds, *rows.shape[1:])
+            if staging is not array:
+                wp.copy(array[:n_worlds], staging[:n_worlds])  # type: ignore[arg-type] - slices of arrays are arrays
 
 
 def world_fields(batch: Batch, model_fields: Iterable[str], data_fields: Iterable[str]) -> dict[str, np.ndarray]:

@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dynahoi_lerobot.hands.base import EGO_CAMERA
+from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.renderers.base import Renderer
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.scene.scene import Scene
 
-CAMERAS = (EGO_CAMERA, SIDE_CAMERA)
+CAMERAS = (EGO_VIEW, SIDE_CAMERA)
 DEPTH_LEVEL_M = 0.01
 """Depth per grey level [m]; 2.55 m and more is white, as is a ray that hits nothing."""
 FARTHEST_LEVEL = 255
@@ -44,10 +44,10 @@ MODALITIES: dict[str, Callable[[Renderer, np.ndarray], np.ndarray]] = {
 VIEWS = {camera + suffix: (camera, draw) for camera in CAMERAS for suffix, draw in MODALITIES.items()}
 """Camera and rendering function of every view, by name."""
 
-EXTRA_VIEWS = tuple(name for name in VIEWS if name != EGO_CAMERA)
+EXTRA_VIEWS = tuple(name for name in VIEWS if name != EGO_VIEW)
 """Views that are rendered only if asked for."""
 
-MOTION_VIEW = EGO_CAMERA + "_motion"
+MOTION_VIEW = EGO_VIEW + "_motion"
 """Grey images of the hand's camera now, two and four frames ago in the three channels, for policies that take one
 frame; it is composed from ``ego`` and costs no rendering."""
 OPTIONAL_VIEWS = (*EXTRA_VIEWS, MOTION_VIEW)

@@ -8,12 +8,11 @@ import numpy as np
 
 from dynahoi_lerobot.captures import CaptureRule, Track
 from dynahoi_lerobot.core.agent import Meeting, Observation
-from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
+from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.features import FEATURES, Feature, frame_features
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.objects.primitives import as_table, extent
@@ -198,9 +197,9 @@ def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | N
         "intercept_position": spec.intercept_pos_h,
         "open_joints": spec.open_joints,
         "reference_joints": spec.reference_joints,
-        "ego_camera": camera_pose(model, EGO_CAMERA),
+        "ego_camera": camera_pose(model, EGO_VIEW),
         "side_camera": camera_pose(model, SIDE_CAMERA),
-        "ego_intrinsics": intrinsics(model, EGO_CAMERA, batch.cameras.image_size),
+        "ego_intrinsics": intrinsics(model, EGO_VIEW, batch.cameras.image_size),
         "side_intrinsics": intrinsics(model, SIDE_CAMERA, batch.cameras.image_size),
         "hand_limits": [batch.palm_speed_m_s, batch.control.joint_speed_rad_s, batch.control.latency_ms],
         "first_plan": planned_speed_and_lead_time(spec, meeting),

@@ -16,7 +16,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.numerics import arcsin, arctan2, norm, product, quat_to_matrix, tan
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.hands.parts import CAMERA_POS
+from dynahoi_lerobot.hands.base import CAMERA_POS
 from dynahoi_lerobot.motions.launch import Box, Launch
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.sampling.homes import box_distance, hand_points, keeps_clear

@@ -123,7 +123,7 @@ def _set_options(spec: mujoco.MjSpec) -> None:
 
 def _add_materials(spec: mujoco.MjSpec) -> None:
     for pattern in PATTERNS:
-        for use, (contrast, _) in USES.items():
+        for use, (contrast, repeat) in USES.items():
             pixels = texture_pixels(pattern, contrast)
             texture = spec.add_texture(
                 name=f"{pattern}_{use}",
@@ -133,7 +133,6 @@ def _add_materials(spec: mujoco.MjSpec) -> None:
                 nchannel=3,
             )
             texture.data = pixels.tobytes()
-        for use, (_, repeat) in USES.items():
             material = spec.add_material(
                 name=f"{pattern}_{use}", texrepeat=(repeat, repeat), specular=1.0, shininess=SHININESS
             )

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import FINGERS
+from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGERS
 from dynahoi_lerobot.hands import HANDS, Hand
-from dynahoi_lerobot.hands.base import EGO_CAMERA, HAND_GEOM_PREFIX, PALM_SITE, SKIN_GEOM_PREFIX, SLEEVE_GEOM
+from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, PALM_SITE, SKIN_GEOM_PREFIX, SLEEVE_GEOM
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.scene.model import (
     DISTRACTORS,
@@ -30,7 +30,7 @@ class Scene:
     Attributes:
         model: the MuJoCo model; never written to.
         hand: the embodiment in it.
-        slots: geom ids of the target's primitives, by shape.
+        slots: geom ids of the target's primitives, by shape; ``target_geoms``: of all of them, sorted.
         target_body, target_qpos, target_dof: ids and first addresses of the free target.
         hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of the actuators.
         striker_body, striker_geom, striker_dof: the striker's ids and the address of its slide.
@@ -58,6 +58,7 @@ class Scene:
 
         self.model, self.hand = model, hand
         self.slots = {shape: tuple(starting(f"target_{shape}_").tolist()) for shape in TARGET_SLOTS}
+        self.target_geoms = np.sort([geom for ids in self.slots.values() for geom in ids])
         self.target_body = model.body("target").id
         self.target_qpos, self.target_dof = int(target.qposadr[0]), int(target.dofadr[0])
         self.hand_qpos, self.hand_dof = model.jnt_qposadr[joints].copy(), model.jnt_dofadr[joints].copy()
@@ -75,15 +76,10 @@ class Scene:
         self.tether_geom = geoms["tether"]
         self.palm_site = model.site(PALM_SITE).id
         self.tip_sites = np.array([model.site(f"{finger}_tip").id for finger in FINGERS])
-        self.camera = model.camera(EGO_CAMERA).id
+        self.camera = model.camera(EGO_VIEW).id
         self.materials = {model.mat(i).name: i for i in range(model.nmat)}
         self.skin_geoms, self.sleeve_geoms = starting(SKIN_GEOM_PREFIX), starting(SLEEVE_GEOM)
         self.hand_geoms = starting(HAND_GEOM_PREFIX)
-
-    @property
-    def target_geoms(self) -> np.ndarray:
-        """Geom ids of all slots of the target."""
-        return np.array(sorted(g for ids in self.slots.values() for g in ids))
 
     def slots_of(self, target: TargetObject) -> list[int]:
         """Return the geom id for each of the target's primitives, in their order.

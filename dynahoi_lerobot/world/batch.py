@@ -16,7 +16,6 @@ from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX, EGO_VIEW, H
 from dynahoi_lerobot.core.features import EYE, TRUTH
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS, one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.renderers.views import MOTION_VIEW
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
@@ -285,7 +284,6 @@ class WorldBatch:
             attempt=self.attempt.copy(),
             target_pose=self.target_pose,
             target_velocity=self.target_velocity,
-            target_contacts=self.touching(),
             localized=self.localized.copy(),
             control=self.control,
             localization_radius_m=self.rule.localization_radius_m,
@@ -366,9 +364,7 @@ class WorldBatch:
                 f"environment_state {EYE} needs ObAct ({error}): install ./policies/lerobot_policy_obact"
             ) from error
         model = self.scene.model
-        return Detector(
-            self.size, camera_pose(model, EGO_CAMERA), intrinsics(model, EGO_CAMERA, self.cameras.image_size)
-        )
+        return Detector(self.size, camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, self.cameras.image_size))
 
     def _sighting(
         self, detector: Detector, shown: dict[str, np.ndarray], state: np.ndarray, ids: np.ndarray | None

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.captures import NO_EVENT, CaptureRule, Substeps
+from dynahoi_lerobot.captures import NO_EVENT, CaptureRule
 from dynahoi_lerobot.core.conventions import PALM_DOF, SUBSTEPS
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts, read_contacts
@@ -67,11 +67,11 @@ class Physics:
         """
         control = self._control(ids, set_points, frame)
         before = self._batch.state[ids].copy()
-        substeps = Substeps(acting, *self._roll(ids, control))
-        self._keep(ids, substeps.contacts)
-        self.palm_distance[ids] = substeps.palm_distance.min(axis=1)
+        palm_distance, contacts = self._roll(ids, control)
+        self._keep(ids, contacts)
+        self.palm_distance[ids] = palm_distance.min(axis=1)
         self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
-        events = np.where(self.released[ids], NO_EVENT, self._rule.events(substeps))
+        events = np.where(self.released[ids], NO_EVENT, self._rule.events(acting, palm_distance, contacts))
         for row in np.flatnonzero(events != NO_EVENT):
             self._batch.state[ids[row]] = before[row]
             self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1)

@@ -7,9 +7,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, FINGERS
+from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, EGO_VIEW, FINGERS
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, tan
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.scene.scene import Scene
@@ -111,7 +110,7 @@ class Cameras:
         self._renderer_class = RENDERERS[renderer]
         self._renderers: dict[str, Renderer] = {}
 
-    def render(self, ids: np.ndarray | None = None, view: str = EGO_CAMERA) -> np.ndarray:
+    def render(self, ids: np.ndarray | None = None, view: str = EGO_VIEW) -> np.ndarray:
         """Return (N, H, W, 3) uint8 RGB of a view; only worlds ``ids`` (default: all) are drawn, others are black."""
         camera, draw = VIEWS[view]
         n_worlds = self._batch.nsim
@@ -124,11 +123,11 @@ class Cameras:
 
     def segmentation(self) -> np.ndarray:
         """Return (N, H, W) int32 geom ids seen by the hand's camera, -1 where nothing is."""
-        return self._renderer(EGO_CAMERA).segmentation(np.arange(self._batch.nsim))
+        return self._renderer(EGO_VIEW).segmentation(np.arange(self._batch.nsim))
 
     def depth(self) -> np.ndarray:
         """Return (N, H, W) float32 depth along the axis of the hand's camera [m], 0 where nothing is."""
-        return self._renderer(EGO_CAMERA).depth(np.arange(self._batch.nsim))
+        return self._renderer(EGO_VIEW).depth(np.arange(self._batch.nsim))
 
     def _renderer(self, camera: str) -> Renderer:
         if camera not in self._renderers:

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.renderers import RENDERERS
 from dynahoi_lerobot.scene.model import SHOWN_GROUPS
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -121,6 +121,6 @@ def test_a_shape_it_cannot_draw_is_refused(specs: list[EpisodeSpec]) -> None:
     batch.scene.model.geom_type[geom] = mujoco.mjtGeom.mjGEOM_MESH.value
     try:
         with pytest.raises(ValueError, match=r"'tiles' cannot draw MuJoCo's geom types \[7\]; use 'warp'"):
-            RENDERERS["tiles"](batch.scene, batch._batch, 32, EGO_CAMERA)
+            RENDERERS["tiles"](batch.scene, batch._batch, 32, EGO_VIEW)
     finally:
         batch.scene.model.geom_type[geom] = kind

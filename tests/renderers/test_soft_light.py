@@ -9,16 +9,16 @@ import pytest
 import warp as wp
 
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.renderers.raycast import shadows
+from dynahoi_lerobot.renderers.raycast import shapes
 from dynahoi_lerobot.renderers.raycast.textures import level_sides, shrink
 from tests.world.playing import wait, world
 
 TYPES = {
-    mujoco.mjtGeom.mjGEOM_SPHERE: shadows.shadow_sphere,
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: shadows.shadow_ellipsoid,
-    mujoco.mjtGeom.mjGEOM_CAPSULE: shadows.shadow_capsule,
-    mujoco.mjtGeom.mjGEOM_CYLINDER: shadows.shadow_cylinder,
-    mujoco.mjtGeom.mjGEOM_BOX: shadows.shadow_box,
+    mujoco.mjtGeom.mjGEOM_SPHERE: shapes.shadow_sphere,
+    mujoco.mjtGeom.mjGEOM_ELLIPSOID: shapes.shadow_ellipsoid,
+    mujoco.mjtGeom.mjGEOM_CAPSULE: shapes.shadow_capsule,
+    mujoco.mjtGeom.mjGEOM_CYLINDER: shapes.shadow_cylinder,
+    mujoco.mjtGeom.mjGEOM_BOX: shapes.shadow_box,
 }
 SIZE_M = np.array([0.3, 0.2, 0.4])
 SHARP_RAD, SOFT_RAD = 1e-7, 0.02

@@ -4,13 +4,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
-from dynahoi_lerobot.hands.base import EGO_CAMERA
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.recorder import camera_pose, episode_constants, intrinsics
@@ -36,7 +35,7 @@ def moved(hand: str, home_w: np.ndarray, palm_w: np.ndarray, joints: np.ndarray)
 
 
 @pytest.mark.parametrize("hand", HANDS.names())
-@pytest.mark.parametrize(("camera", "carried"), [(EGO_CAMERA, True), (SIDE_CAMERA, False)])
+@pytest.mark.parametrize(("camera", "carried"), [(EGO_VIEW, True), (SIDE_CAMERA, False)])
 def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(hand: str, camera: str, carried: bool):
     rng, model = np.random.default_rng(3), compile_scene(hand).model
     fixed = camera_pose(model, camera)
@@ -48,7 +47,7 @@ def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(hand: str, camer
         np.testing.assert_allclose(found.xmat.reshape(3, 3), quat_to_matrix(fixed[3:]), atol=POSITION_ERROR_M)
 
 
-@pytest.mark.parametrize("camera", [EGO_CAMERA, SIDE_CAMERA])
+@pytest.mark.parametrize("camera", [EGO_VIEW, SIDE_CAMERA])
 def test_a_point_appears_where_pose_and_intrinsics_project_it(specs: list[EpisodeSpec], camera: str):
     """The target's middle among its pixels, in every world that shows more than 30 of them."""
     size, shown = 128, 0

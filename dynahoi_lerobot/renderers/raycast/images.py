@@ -4,10 +4,9 @@
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.rows import Worlds, meet_shape, ray_of, surface_row, trace_row
-from dynahoi_lerobot.renderers.raycast.shadows import sunlight_row
+from dynahoi_lerobot.renderers.raycast.rows import Look, meet_shape, sunlight_row, surface_row, trace_row
 from dynahoi_lerobot.renderers.raycast.textures import Textures
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, slope
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, Worlds, ray_of, slope
 
 SOLID = wp.constant(1.0)
 """Alpha of an opaque shape."""
@@ -16,30 +15,6 @@ CORNER_M = wp.constant(0.12)
 """Share of the light from all around that corners of the room take away, and the distance at which it is half that."""
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
-
-
-@wp.struct
-class Look:
-    """How all worlds are drawn.
-
-    Attributes:
-        soft: 1 for shadows, soft light and smooth edges; 0 for what MuJoCo's other renderers draw.
-        ambient: RGB of the light that reaches every surface, 0 to 1; what the ground reflects if ``soft``.
-        fill: RGB of the light from the camera, or from the whole sky if ``soft``.
-        fill_wrap: how far beyond a right angle that light reaches, as a cosine; ``sun_wrap``: likewise the sun's.
-        pixel_rad: angle between the rays of neighbouring pixels [rad].
-        floor: number of the shape that is the floor, whose frame is the world's.
-        room_half_m: distance of the walls from the middle of the room [m].
-    """
-
-    soft: int
-    ambient: wp.vec3
-    fill: wp.vec3
-    fill_wrap: float
-    sun_wrap: float
-    pixel_rad: float
-    floor: int
-    room_half_m: float
 
 
 @wp.func
@@ -54,7 +29,8 @@ def color_row(
         s = worlds.lists[w, tile, k]
         clear = 1.0 - worlds.shapes[w, s].alpha
         if clear > 0.0:
-            transparency = _mix_row(visible, s, clear, transparency)
+            for i in range(TILE):
+                transparency[i] = wp.where(visible[i] == s, clear, transparency[i])
             most_transparent = wp.max(transparency)
     if most_transparent > 0.0:
         behind, solid = trace_row(worlds, w, tile, xs, ys, SOLID)
@@ -64,15 +40,6 @@ def color_row(
             green[i] = wp.lerp(green[i], g[i], transparency[i])
             blue[i] = wp.lerp(blue[i], b[i], transparency[i])
     return red, green, blue
-
-
-@wp.func
-def _mix_row(visible: Indices, s: int, value: float, others: Row) -> Row:
-    """Return a value where shape ``s`` is visible, and that of the other row elsewhere."""
-    row = Row()
-    for i in range(TILE):
-        row[i] = wp.where(visible[i] == s, value, others[i])
-    return row
 
 
 @wp.func
@@ -93,12 +60,7 @@ def _surface_row(
         for i in range(TILE):
             middle = wp.max(middle, wp.where(visible[i] == s, i, -1))
         if middle >= 0:
-            fill = worlds.shapes[w, s].up
-            if look.soft == 0:
-                fill = worlds.shapes[w, s].from_camera * wp.vec3(0.0, 0.0, 1.0)
-            cosine, filled, highlight, brightness = surface_row(
-                worlds.shapes, w, s, fill, specular[0], textures, look.pixel_rad, middle, depths, xs, ys
-            )
+            cosine, filled, highlight, brightness = surface_row(worlds, look, textures, w, s, middle, depths, xs, ys)
             rgb, shine = worlds.shapes[w, s].color_rgb, specular * worlds.shapes[w, s].specularity
             for i in range(TILE):
                 direct = wp.max(cosine[i] + sun_wrap, 0.0) / (1.0 + sun_wrap) * sun[i]
@@ -125,94 +87,62 @@ def _openness_row(worlds: Worlds, look: Look, w: int, depths: Row, visible: Indi
 
 
 @wp.kernel
-def trace(
-    first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds, visible: wp.array3d[Indices], depths: wp.array3d[Row]
-):
+def trace(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
     """Write index (-1 for none) and depth [m] of the shapes that one pixel row of one tile shows.
 
     Launched over (pixel rows, tile columns); the rows of all images are numbered consecutively from ``first_row``.
     """
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
-    tile = tile_of(intrinsics, y, column)
-    distance, shape = trace_row(worlds, w, tile, intrinsics.slopes[column], ys_of(intrinsics, y), 0.0)
-    visible[w, y, column] = shape
-    depths[w, y, column] = distance
+    tile = _tile_of(intrinsics, y, column)
+    distance, shape = trace_row(worlds, w, tile, _xs_of(intrinsics, column), _ys_of(intrinsics, y), 0.0)
+    worlds.visible[w, y, column] = shape
+    worlds.depths[w, y, column] = distance
 
 
 @wp.kernel
-def render_color(
-    first_row: int,
-    intrinsics: CameraIntrinsics,
-    look: Look,
-    textures: Textures,
-    worlds: Worlds,
-    visible: wp.array3d[Indices],
-    depths: wp.array3d[Row],
-    colors: wp.array3d[Indices],
-    images: wp.array3d[wp.uint32],
-):
-    """Write the colours of one pixel row of one tile, from the middle of each pixel, as 0xBBGGRR.
-
-    Launched as ``trace`` is, after it.
-    """
+def render_color(first_row: int, intrinsics: CameraIntrinsics, look: Look, textures: Textures, worlds: Worlds):
+    """Write the colours in the middle of the pixels of one row of one tile. Launched as ``trace``, after it."""
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
-    tile = tile_of(intrinsics, y, column)
-    xs, ys = intrinsics.slopes[column] * 1.0, ys_of(intrinsics, y)
-    red, green, blue = color_row(worlds, look, textures, w, tile, depths[w, y, column], visible[w, y, column], xs, ys)
+    tile, xs, ys = _tile_of(intrinsics, y, column), _xs_of(intrinsics, column), _ys_of(intrinsics, y)
+    depths, visible = worlds.depths[w, y, column], worlds.visible[w, y, column]
+    red, green, blue = color_row(worlds, look, textures, w, tile, depths, visible, xs, ys)
     packed = Indices()
     for i in range(TILE):
         packed[i] = _level(red[i]) + (_level(green[i]) << 8) + (_level(blue[i]) << 16)
-    colors[w, y, column] = packed
-    write_row(images, w, y, column, packed)
-
-
-@wp.kernel
-def render_ids_and_depth(
-    intrinsics: CameraIntrinsics,
-    shown: wp.array[int],
-    worlds: Worlds,
-    labels: wp.array3d[int],
-    distances: wp.array3d[float],
-):
-    """Write geom ids (-1 for none) and depth [m] (0 for none) of one pixel row of one tile.
-
-    Launched over (worlds, pixel rows, tile columns).
-    """
-    w, y, column = wp.tid()
-    tile = tile_of(intrinsics, y, column)
-    depths, visible = trace_row(worlds, w, tile, intrinsics.slopes[column], ys_of(intrinsics, y), 0.0)
-    for i in range(wp.min(TILE, intrinsics.size - column * TILE)):
-        labels[w, y, column * TILE + i] = -1
-        distances[w, y, column * TILE + i] = 0.0
-        if visible[i] >= 0:
-            labels[w, y, column * TILE + i] = shown[visible[i]]
-            distances[w, y, column * TILE + i] = depths[i]
+    worlds.colors[w, y, column] = packed
+    _write_row(worlds, w, y, column, packed)
 
 
 @wp.func
-def write_row(images: wp.array3d[wp.uint32], w: int, y: int, column: int, colors: Indices):
-    """Write one pixel row of one tile of the images, whose bytes are taken four at a time."""
-    for group in range(TILE // 4):
-        a, b = wp.uint32(colors[4 * group]), wp.uint32(colors[4 * group + 1])
-        c, d = wp.uint32(colors[4 * group + 2]), wp.uint32(colors[4 * group + 3])
-        word = 3 * (TILE // 4 * column + group)
-        images[w, y, word] = a | (b << wp.uint32(24))
-        images[w, y, word + 1] = (b >> wp.uint32(8)) | (c << wp.uint32(16))
-        images[w, y, word + 2] = (c >> wp.uint32(16)) | (d << wp.uint32(8))
+def _write_row(worlds: Worlds, w: int, y: int, column: int, colors: Indices):
+    """Write one pixel row of one tile of the images, whose last tiles may stick out."""
+    for i in range(wp.min(TILE, worlds.images.shape[2] - column * TILE)):
+        worlds.images[w, y, column * TILE + i, 0] = wp.uint8(colors[i])
+        worlds.images[w, y, column * TILE + i, 1] = wp.uint8(colors[i] >> 8)
+        worlds.images[w, y, column * TILE + i, 2] = wp.uint8(colors[i] >> 16)
 
 
 @wp.func
-def ys_of(intrinsics: CameraIntrinsics, y: int) -> Row:
-    """Return the slopes upwards of the rays through the middle of pixel row ``y``."""
+def _xs_of(intrinsics: CameraIntrinsics, column: int) -> Row:
+    """Slopes to the right of the rays through the pixels of a tile column."""
+    xs = Row()
+    for i in range(TILE):
+        xs[i] = slope(intrinsics, float(column * TILE + i) + 0.5)
+    return xs
+
+
+@wp.func
+def _ys_of(intrinsics: CameraIntrinsics, y: int) -> Row:
+    """Slopes upwards of the rays through the middle of pixel row ``y``."""
     return Row(-slope(intrinsics, float(y) + 0.5))
 
 
 @wp.func
-def tile_of(intrinsics: CameraIntrinsics, y: int, column: int) -> int:
-    """Return the number of the tile in a pixel row and a tile column."""
-    return (y // TILE) * ((intrinsics.size + TILE - 1) // TILE) + column
+def _tile_of(intrinsics: CameraIntrinsics, y: int, column: int) -> int:
+    """The number of the tile in a pixel row and a tile column."""
+    return (y // TILE) * intrinsics.tiles_across + column
 
 
 @wp.func
@@ -230,39 +160,25 @@ STEP = wp.constant(0.03)
 
 
 @wp.kernel
-def smooth_edges(
-    first_row: int,
-    intrinsics: CameraIntrinsics,
-    worlds: Worlds,
-    visible: wp.array3d[Indices],
-    depths: wp.array3d[Row],
-    colors: wp.array3d[Indices],
-    images: wp.array3d[wp.uint32],
-):
-    """Smooth the edges in one pixel row of one tile of the images.
-
-    Launched as ``trace`` is, after ``colors`` (0xBBGGRR) and ``images`` are written.
-    """
+def smooth_edges(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
+    """Smooth the edges in one pixel row of one tile of the images. Launched as ``trace``, after ``render_color``."""
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
     y_above, y_below = wp.max(y - 1, 0), wp.min(y + 1, intrinsics.size - 1)
-    before, behind = wp.max(column - 1, 0), wp.min(column + 1, visible.shape[2] - 1)
-    here = visible[w, y, column] + Indices(0)  # a sum is a copy; what is read of an array is read again at every use
-    above, below = visible[w, y_above, column] + Indices(0), visible[w, y_below, column] + Indices(0)
-    left, right = (
-        visible[w, y, before][wp.where(column > 0, TILE - 1, 0)],
-        visible[w, y, behind][wp.where(behind > column, 0, TILE - 1)],
-    )
+    before, behind = wp.max(column - 1, 0), wp.min(column + 1, intrinsics.tiles_across - 1)
+    here = worlds.visible[w, y, column] + Indices(0)  # a sum is a copy; what is read of an array is read at every use
+    above, below = worlds.visible[w, y_above, column] + Indices(0), worlds.visible[w, y_below, column] + Indices(0)
+    left = worlds.visible[w, y, before][wp.where(column > 0, TILE - 1, 0)]
+    right = worlds.visible[w, y, behind][wp.where(behind > column, 0, TILE - 1)]
     if _all_alike(here, above, below, left, right) == 0:
-        near = _sides_row(
-            here, depths[w, y, column], left, depths[w, y, before][TILE - 1], right, depths[w, y, behind][0]
-        )
-        near = _jumps_row(near, here, depths[w, y, column], above, depths[w, y_above, column])
-        edges = _jumps_row(near, here, depths[w, y, column], below, depths[w, y_below, column])
+        depths = worlds.depths[w, y, column]
+        depth_left, depth_right = worlds.depths[w, y, before][TILE - 1], worlds.depths[w, y, behind][0]
+        near = _sides_row(here, depths, left, depth_left, right, depth_right)
+        near = _jumps_row(near, here, depths, above, worlds.depths[w, y_above, column])
+        edges = _jumps_row(near, here, depths, below, worlds.depths[w, y_below, column])
         if wp.max(edges) == 1:
-            write_row(
-                images, w, y, column, _smooth_row(intrinsics, worlds, colors, edges, here, above, below, w, y, column)
-            )
+            smooth = _smooth_row(intrinsics, worlds, edges, here, above, below, w, y, column)
+            _write_row(worlds, w, y, column, smooth)
 
 
 @wp.func
@@ -318,7 +234,6 @@ def _offset(sample: int) -> wp.vec2:
 def _smooth_row(
     intrinsics: CameraIntrinsics,
     worlds: Worlds,
-    colors: wp.array3d[Indices],
     edges: Indices,
     here: Indices,
     above: Indices,
@@ -328,9 +243,9 @@ def _smooth_row(
     column: int,
 ) -> Indices:
     """Colours of a row, in which pixels on edges are the mean of four samples."""
-    sharp, smooth = colors[w, y, column] + Indices(0), colors[w, y, column] + Indices(0)
-    color_above = colors[w, wp.max(y - 1, 0), column] + Indices(0)
-    color_below = colors[w, wp.min(y + 1, intrinsics.size - 1), column] + Indices(0)
+    sharp, smooth = worlds.colors[w, y, column] + Indices(0), worlds.colors[w, y, column] + Indices(0)
+    color_above = worlds.colors[w, wp.max(y - 1, 0), column] + Indices(0)
+    color_below = worlds.colors[w, wp.min(y + 1, intrinsics.size - 1), column] + Indices(0)
     members, xs, ys = Members(), Row(), Row()
     found = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
     for i in range(TILE):
@@ -344,7 +259,7 @@ def _smooth_row(
                 ys[SAMPLES * found + k] = -slope(intrinsics, float(y) + 0.5) + offset[1] / intrinsics.focal
             found += 1
         if found == GROUP or (found > 0 and i == TILE - 1):
-            seen = _trace_seen(worlds, here, above, below, w, tile_of(intrinsics, y, column), xs, ys)
+            seen = _trace_seen(worlds, here, above, below, w, _tile_of(intrinsics, y, column), xs, ys)
             for j in range(found):
                 at = members[j]
                 left, right = wp.max(at - 1, 0), wp.min(at + 1, TILE - 1)

@@ -1,4 +1,4 @@
-"""One shape and sixteen rays from the camera: depth, lighting and texture at the points where they enter the shape.
+"""One shape and sixteen rays from the camera: depth, lighting, texture and shadow at the points that they meet.
 
 The loops over the rays hold no branches and stay loops, so that compilers turn them into vector instructions; that is
 most of the speed on a CPU. Shapes are passed by number, as the processor waits for a copy that it has just stored in
@@ -12,7 +12,7 @@ import warp as wp
 from dynahoi_lerobot.renderers.raycast import shapes as solids
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE
 from dynahoi_lerobot.renderers.raycast.textures import Textures, level_of, texel
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, Indices, Row, Shape
+from dynahoi_lerobot.renderers.raycast.tiling import FAR, SPREAD, TILE, Indices, Row, Shape, Worlds, may_shade, ray_of
 from dynahoi_lerobot.scene.model import SHININESS
 
 HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
@@ -21,21 +21,36 @@ HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
 
 
-@wp.func
-def ray_of(from_camera: wp.mat33, x: float, y: float) -> wp.vec3:
-    """Return the direction (x, y, -1) of the camera's frame, turned into another frame."""
-    return wp.vec3(
-        from_camera[0, 0] * x + from_camera[0, 1] * y - from_camera[0, 2],
-        from_camera[1, 0] * x + from_camera[1, 1] * y - from_camera[1, 2],
-        from_camera[2, 0] * x + from_camera[2, 1] * y - from_camera[2, 2],
-    )
+@wp.struct
+class Look:
+    """How all worlds are drawn.
+
+    Attributes:
+        soft: 1 for shadows, soft light and smooth edges; 0 for what MuJoCo's other renderers draw.
+        ambient: RGB of the light that reaches every surface, 0 to 1; what the ground reflects if ``soft``.
+        fill: RGB of the light from the camera, or from the whole sky if ``soft``.
+        fill_wrap: how far beyond a right angle that light reaches, as a cosine; ``sun_wrap``: likewise the sun's.
+        pixel_rad: angle between the rays of neighbouring pixels [rad].
+        floor: number of the shape that is the floor, whose frame is the world's.
+        room_half_m: distance of the walls from the middle of the room [m].
+    """
+
+    soft: int
+    ambient: wp.vec3
+    fill: wp.vec3
+    fill_wrap: float
+    sun_wrap: float
+    pixel_rad: float
+    floor: int
+    room_half_m: float
 
 
 def _entering(enter: wp.Function) -> wp.Function:
     """Return a function that intersects one type of shape with every ray of a row."""
 
     @wp.func
-    def entered(size: wp.vec3, o: wp.vec3, from_camera: wp.mat33, xs: Row, ys: Row) -> Row:
+    def entered(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> Row:
+        size, o, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
         row = Row()
         for i in range(TILE):
             row[i] = enter(size, o, ray_of(from_camera, xs[i], ys[i]))
@@ -49,26 +64,18 @@ def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
 
     @wp.func
     def surface(
-        shapes: wp.array2d[Shape],
-        w: int,
-        s: int,
-        fill: wp.vec3,
-        specular: float,
-        textures: Textures,
-        pixel_rad: float,
-        middle: int,
-        depths: Row,
-        xs: Row,
-        ys: Row,
+        worlds: Worlds, look: Look, textures: Textures, w: int, s: int, middle: int, depths: Row, xs: Row, ys: Row
     ) -> tuple[Row, Row, Row, Row]:
         diffuse, filled, highlight, brightness = Row(), Row(), Row(0.0), Row(1.0)
+        shapes = worlds.shapes
         size, o, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
         light = shapes[w, s].to_light
+        fill = wp.where(look.soft == 1, shapes[w, s].up, from_camera * wp.vec3(0.0, 0.0, 1.0))
         for i in range(TILE):
             n = normal(size, o + depths[i] * ray_of(from_camera, xs[i], ys[i]))
             diffuse[i] = wp.dot(n, light)
             filled[i] = wp.dot(n, fill)
-        if specular > 0.0:
+        if worlds.specular[w, 0][0] > 0.0:
             for i in range(TILE):
                 ray = ray_of(from_camera, xs[i], ys[i])
                 n = normal(size, o + depths[i] * ray)
@@ -79,7 +86,7 @@ def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
             ray = ray_of(from_camera, xs[middle], ys[middle])
             n = normal(size, o + depths[middle] * ray)
             facing = wp.abs(wp.dot(n, ray)) / wp.length(ray)
-            level = level_of(textures, shapes[w, s].repeats_per_m * depths[middle] * pixel_rad, facing)
+            level = level_of(textures, shapes[w, s].repeats_per_m * depths[middle] * look.pixel_rad, facing)
             start = shapes[w, s].texture * textures.texels_each + textures.starts[level]
             side, repeat = textures.sides[level], shapes[w, s].repeat
             for i in range(TILE):
@@ -89,6 +96,22 @@ def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
         return diffuse, filled, highlight, brightness
 
     return surface
+
+
+def _shading(shadow: wp.Function) -> wp.Function:
+    """Return a function that computes what one type of shape takes from the points of a row."""
+
+    @wp.func
+    def shaded(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, ys: Row) -> Row:
+        size, o, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+        light = shapes[w, s].to_light
+        row = Row()
+        for i in range(TILE):
+            point = o + depths[i] * ray_of(from_camera, xs[i], ys[i])
+            row[i] = shadow(size, SPREAD, point, light)
+        return row
+
+    return shaded
 
 
 def _of_a_row(solid: str) -> tuple[wp.Function, wp.Function]:
@@ -103,113 +126,61 @@ _enter_capsule, _surface_capsule = _of_a_row("capsule")
 _enter_cylinder, _surface_cylinder = _of_a_row("cylinder")
 _enter_ellipsoid, _surface_ellipsoid = _of_a_row("ellipsoid")
 _enter_box, _surface_box = _of_a_row("box")
+_shade_sphere, _shade_capsule, _shade_cylinder, _shade_ellipsoid, _shade_box = (
+    _shading(getattr(solids, f"shadow_{solid}")) for solid in ("sphere", "capsule", "cylinder", "ellipsoid", "box")
+)
 
 
 @wp.func
-def enter_row(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> Row:
-    """Return the depths [m] at which a row of rays from the camera enters a shape, negative where it does not."""
-    geom_type = shapes[w, s].geom_type
-    size, camera, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
-    if geom_type == PLANE:
-        return _enter_plane(size, camera, from_camera, xs, ys)
-    if geom_type == CAPSULE:
-        return _enter_capsule(size, camera, from_camera, xs, ys)
-    if geom_type == BOX:
-        return _enter_box(size, camera, from_camera, xs, ys)
-    if geom_type == CYLINDER:
-        return _enter_cylinder(size, camera, from_camera, xs, ys)
-    if geom_type == ELLIPSOID:
-        return _enter_ellipsoid(size, camera, from_camera, xs, ys)
-    return _enter_sphere(size, camera, from_camera, xs, ys)
+def _enter_row(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> Row:
+    """The depths [m] at which a row of rays from the camera enters a shape, negative where it does not."""
+    kind = shapes[w, s].geom_type
+    if kind == PLANE:
+        return _enter_plane(shapes, w, s, xs, ys)
+    if kind == CAPSULE:
+        return _enter_capsule(shapes, w, s, xs, ys)
+    if kind == BOX:
+        return _enter_box(shapes, w, s, xs, ys)
+    if kind == CYLINDER:
+        return _enter_cylinder(shapes, w, s, xs, ys)
+    if kind == ELLIPSOID:
+        return _enter_ellipsoid(shapes, w, s, xs, ys)
+    return _enter_sphere(shapes, w, s, xs, ys)
 
 
 @wp.func
 def surface_row(
-    shapes: wp.array2d[Shape],
-    w: int,
-    s: int,
-    fill: wp.vec3,
-    specular: float,
-    textures: Textures,
-    pixel_rad: float,
-    middle: int,
-    depths: Row,
-    xs: Row,
-    ys: Row,
+    worlds: Worlds, look: Look, textures: Textures, w: int, s: int, middle: int, depths: Row, xs: Row, ys: Row
 ) -> tuple[Row, Row, Row, Row]:
     """Return what the points of a row on a shape look like.
 
     Args:
-        shapes: of all worlds; ``w``, ``s``: the world and the shape.
-        fill: direction, in the shape's frame, of the light that is not the sun's.
-        specular: whether there are highlights, if greater than 0.
-        textures: of the scene.
-        pixel_rad: angle between the rays of neighbouring pixels [rad].
+        worlds, look, textures: of the scene; ``w``, ``s``: the world and the shape.
         middle: a ray of those that show the shape; it decides how sharp the texture is.
         depths: of the points [m]; ``xs``, ``ys``: slopes of their rays.
 
     Returns:
-        Cosines between normal and light and between normal and ``fill``, highlights (Blinn, 1977), and the brightness
-        of the texture, 0 to 1.
+        Cosines between normal and sunlight and between normal and the other light, highlights (Blinn, 1977), and the
+        brightness of the texture, 0 to 1.
     """
-    kind = shapes[w, s].geom_type
+    kind = worlds.shapes[w, s].geom_type
     if kind == PLANE:
-        return _surface_plane(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+        return _surface_plane(worlds, look, textures, w, s, middle, depths, xs, ys)
     if kind == CAPSULE:
-        return _surface_capsule(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+        return _surface_capsule(worlds, look, textures, w, s, middle, depths, xs, ys)
     if kind == BOX:
-        return _surface_box(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+        return _surface_box(worlds, look, textures, w, s, middle, depths, xs, ys)
     if kind == CYLINDER:
-        return _surface_cylinder(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+        return _surface_cylinder(worlds, look, textures, w, s, middle, depths, xs, ys)
     if kind == ELLIPSOID:
-        return _surface_ellipsoid(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
-    return _surface_sphere(shapes, w, s, fill, specular, textures, pixel_rad, middle, depths, xs, ys)
+        return _surface_ellipsoid(worlds, look, textures, w, s, middle, depths, xs, ys)
+    return _surface_sphere(worlds, look, textures, w, s, middle, depths, xs, ys)
 
 
 TIE = wp.constant(1.0e-6)
 """Relative depth difference below which the later of two geoms is visible, as in MuJoCo."""
 MISSED = wp.constant(1.0e30)
 """Depth of what is not met: beyond all others."""
-
-
-@wp.struct
-class LightFrame:
-    """A world's light frame, whose z axis points towards the light.
-
-    Attributes:
-        camera: position of the camera [m].
-        from_camera: rotation from the camera's axes.
-        spread: angular radius of the light [rad].
-    """
-
-    camera: wp.vec3
-    from_camera: wp.mat33
-    spread: float
-
-
-@wp.struct
-class Worlds:
-    """What there is in each world of a batch, and in which tiles of its image.
-
-    Attributes:
-        shapes: (N, S) shapes.
-        lists, counts: (N, tiles, S) shapes that a tile may show, and (N, tiles) how many.
-        casters, caster_counts: shapes that may shade what a tile shows, likewise.
-        caster_lows, caster_highs: (N, S) corners of boxes around the shapes that cast shadows [m], light frame.
-        light_frames: (N,) light frames.
-        diffuse, specular: (N, lights) colours of the light, of which the first counts.
-    """
-
-    shapes: wp.array2d[Shape]
-    lists: wp.array3d[int]
-    counts: wp.array2d[int]
-    casters: wp.array3d[int]
-    caster_counts: wp.array2d[int]
-    caster_lows: wp.array2d[wp.vec3]
-    caster_highs: wp.array2d[wp.vec3]
-    light_frames: wp.array[LightFrame]
-    diffuse: wp.array2d[wp.vec3]
-    specular: wp.array2d[wp.vec3]
 
 
 @wp.func
@@ -229,7 +200,7 @@ def meet_shape(
     shapes: wp.array2d[Shape], w: int, s: int, depths: Row, visible: Indices, xs: Row, ys: Row
 ) -> tuple[Row, Indices]:
     """Return depths and indices with those of shape ``s`` where it is nearer."""
-    row = enter_row(shapes, w, s, xs, ys)
+    row = _enter_row(shapes, w, s, xs, ys)
     nearest, seen = Row(), Indices()
     for i in range(TILE):
         limit = depths[i] + TIE * wp.max(depths[i], 1.0)
@@ -237,3 +208,52 @@ def meet_shape(
         nearest[i] = wp.where(ahead <= limit, row[i], depths[i])
         seen[i] = wp.where(ahead <= limit, s, visible[i])
     return nearest, seen
+
+
+@wp.func
+def _shade_row(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, ys: Row) -> Row:
+    """The share of the light that a shape takes from the points of a row."""
+    kind = shapes[w, s].geom_type
+    if kind == CAPSULE:
+        return _shade_capsule(shapes, w, s, depths, xs, ys)
+    if kind == BOX:
+        return _shade_box(shapes, w, s, depths, xs, ys)
+    if kind == CYLINDER:
+        return _shade_cylinder(shapes, w, s, depths, xs, ys)
+    if kind == ELLIPSOID:
+        return _shade_ellipsoid(shapes, w, s, depths, xs, ys)
+    return _shade_sphere(shapes, w, s, depths, xs, ys)
+
+
+@wp.func
+def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row) -> Row:
+    """Return the share of the light, 0 to 1, that reaches the points of a row; no shape shades itself."""
+    row = Row(1.0)
+    if worlds.caster_counts[w, tile] == 0:
+        return row
+    low, high = _row_bounds(worlds.light_camera[w], worlds.light_from_camera[w], depths, visible, xs, ys)
+    for k in range(worlds.caster_counts[w, tile]):
+        s = worlds.casters[w, tile, k]
+        if may_shade(worlds.shapes[w, s].low, worlds.shapes[w, s].high, low, high):
+            taken = _shade_row(worlds.shapes, w, s, depths, xs, ys)
+            alpha = worlds.shapes[w, s].alpha
+            for i in range(TILE):
+                left = wp.where(visible[i] == s, 1.0, 1.0 - alpha * taken[i])
+                row[i] = wp.min(row[i], left)
+    return row
+
+
+@wp.func
+def _row_bounds(
+    camera: wp.vec3, from_camera: wp.mat33, depths: Row, visible: Indices, xs: Row, ys: Row
+) -> tuple[wp.vec3, wp.vec3]:
+    """Lower and upper corner [m], light frame, of a box around the points of a row, whose rays lie in a plane."""
+    least, most = Indices(), Indices()
+    for i in range(TILE):
+        least[i] = wp.cast(depths[i], wp.int32)  # bits of floats that are not negative are in the order of the floats
+        most[i] = wp.where(visible[i] >= 0, least[i], 0)
+    near, far = wp.cast(wp.min(least), wp.float32), wp.cast(wp.max(most), wp.float32)
+    first, last = ray_of(from_camera, xs[0], ys[0]), ray_of(from_camera, xs[TILE - 1], ys[TILE - 1])
+    low = wp.min(wp.min(near * first, far * first), wp.min(near * last, far * last))
+    high = wp.max(wp.max(near * first, far * first), wp.max(near * last, far * last))
+    return camera + low, camera + high

@@ -1,8 +1,11 @@
-"""Ray intersection, surface normal and texture coordinates of MuJoCo's primitive geoms, in the geom's own frame.
+"""Ray intersection, normal, texture coordinates and soft shadow of MuJoCo's primitive geoms, in the geom's own frame.
 
 Rays are ``o + t * d`` with the origin ``o`` [m] and a direction ``d`` of any length; ``size`` holds MuJoCo's half-sizes
 [m]. Only the point where a ray enters a shape counts, so a camera inside one does not see it; a negative t means that
 the ray does not enter. Nothing here branches on the ray, so that a compiler can vectorise over rays.
+
+The light is directional and seen as a small disc. How much of it a shape takes follows from how far outside the shape's
+outline, as the light sees it, the ray to the light passes.
 """
 
 import mujoco
@@ -19,6 +22,10 @@ GEOM_TYPES = frozenset((PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX))
 
 MISS = wp.constant(-1.0)
 TINY = wp.constant(1.0e-15)
+THIN = wp.constant(1.0e-6)
+FLAT = wp.constant(1.0e-4)
+"""Least size [m] of a shadow's round end, and least sine between a ray and the sides it may pass."""
+BESIDE_ALL = wp.constant(1.0e3)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -197,6 +204,88 @@ def _azimuth(p: wp.vec3) -> float:
     """Azimuth in full turns, 0 to 1."""
     turn = wp.atan2(p[1], p[0]) * (0.5 / wp.pi)
     return wp.where(turn < 0.0, turn + 1.0, turn)
+
+
+@wp.func
+def shadow_sphere(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share of the light, 0 to 1, that a sphere takes from point ``o``; ``d`` is the way to the light.
+
+    Half of the light is taken on the outline, as the light sees the sphere, and the penumbra is as wide on either side;
+    it widens with the distance from the shape. ``spread`` is the light's angular radius [rad].
+    """
+    along = wp.max(-wp.dot(o, d), 0.0)
+    return _covered(size[0], wp.length(o + along * d), spread * along)
+
+
+@wp.func
+def shadow_ellipsoid(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that an ellipsoid takes: in the space in which it is a sphere."""
+    point, way = wp.cw_div(o, size), wp.cw_div(d, size)
+    along = wp.max(-wp.dot(point, way) / wp.dot(way, way), 0.0)
+    return _covered(1.0, wp.length(point + along * way), 3.0 * spread * along / (size[0] + size[1] + size[2]))
+
+
+@wp.func
+def shadow_capsule(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that a capsule takes: from the nearest approach of ray and axis."""
+    across = wp.max(d[0] * d[0] + d[1] * d[1], THIN)
+    z = wp.clamp(o[2] - d[2] * (o[0] * d[0] + o[1] * d[1]) / across, -size[1], size[1])
+    from_axis = wp.vec3(o[0], o[1], o[2] - z)
+    along = wp.max(-wp.dot(from_axis, d), 0.0)
+    return _covered(size[0], wp.length(from_axis + along * d), spread * along)
+
+
+@wp.func
+def shadow_cylinder(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that a cylinder takes: its outline is a rectangle with an ellipse at either end."""
+    a, b = wp.max(d[0] * d[0] + d[1] * d[1], THIN), o[0] * d[0] + o[1] * d[1]
+    inside = wp.max(b * b - a * (o[0] * o[0] + o[1] * o[1] - size[0] * size[0]), 0.0)
+    end = wp.min((wp.sqrt(inside) - b) / a, slab_exit(o[2], d[2], size[1]))
+    aslant, radius, flat = wp.sqrt(a), size[0], wp.max(size[0] * wp.abs(d[2]), FLAT)
+    across = wp.where(a > THIN, wp.vec3(d[1] / aslant, -d[0] / aslant, 0.0), wp.vec3(1.0, 0.0, 0.0))
+    x, y = wp.abs(wp.dot(o, across)), wp.abs(wp.dot(o, wp.cross(across, d)))
+    beyond = wp.max(y - size[1] * aslant, 0.0)
+    slope = wp.vec2(x / (radius * radius), beyond / (flat * flat))
+    scale = wp.sqrt(x * slope[0] + beyond * slope[1])
+    round = wp.where(beyond > 0.0, scale * (scale - 1.0) / wp.max(wp.length(slope), THIN), -radius)
+    outside = wp.max(wp.max(x - radius, y - size[1] * aslant - flat), round)
+    return _straight(outside, spread, end)
+
+
+@wp.func
+def shadow_box(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
+    """Return the share that a box takes: its outline is a hexagon of three pairs of parallel sides."""
+    end = wp.min(slab_exit(o[0], d[0], size[0]), wp.min(slab_exit(o[1], d[1], size[1]), slab_exit(o[2], d[2], size[2])))
+    x = _beside(o[1] * d[2] - o[2] * d[1], size[1] * wp.abs(d[2]) + size[2] * wp.abs(d[1]), d[1], d[2])
+    y = _beside(o[2] * d[0] - o[0] * d[2], size[2] * wp.abs(d[0]) + size[0] * wp.abs(d[2]), d[2], d[0])
+    z = _beside(o[0] * d[1] - o[1] * d[0], size[0] * wp.abs(d[1]) + size[1] * wp.abs(d[0]), d[0], d[1])
+    return _straight(wp.max(x, wp.max(y, z)), spread, end)
+
+
+@wp.func
+def _beside(along: float, half: float, d1: float, d2: float) -> float:
+    """Distance [m] at which a ray passes outside a pair of sides, if its direction has these parts across them."""
+    aslant = wp.sqrt(d1 * d1 + d2 * d2)
+    return wp.where(aslant < FLAT, -BESIDE_ALL, (wp.abs(along) - half) / wp.max(aslant, FLAT))
+
+
+@wp.func
+def _covered(radius: float, passing: float, wider: float) -> float:
+    """Share of the light's disc behind a disc of this radius, which the ray passes at this distance from its centre."""
+    return _half_shadow(passing - radius, wider) * wp.min(radius / (wider + THIN), 1.0)
+
+
+@wp.func
+def _straight(outside: float, spread: float, end: float) -> float:
+    """Share of the light that a ray loses which passes this far outside an outline and leaves the shape at ``end``."""
+    return wp.where(end > 0.0, _half_shadow(outside, spread * end), 0.0)
+
+
+@wp.func
+def _half_shadow(outside: float, wider: float) -> float:
+    """Share of the light's disc behind an edge that a ray passes this far outside [m]; half of it on the edge."""
+    share = wp.clamp(0.5 - outside / (2.0 * wider + THIN), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
 
 
 @wp.func
