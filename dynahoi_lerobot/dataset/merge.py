@@ -104,8 +104,8 @@ def _assemble(
 ) -> Manifest:
     """Write a dataset of stored episodes: of each source those with the given indices, None for all."""
     first = sources[0][0]
-    columns = first.features, first.array_features
-    with new_folder(root) as folder, DatasetWriter(folder, *columns, limits or FileLimits()) as writer:
+    columns = first.array_features
+    with new_folder(root) as folder, DatasetWriter(folder, columns, limits=limits, features=first.features) as writer:
         for store, kept in sources:
             opened: dict[str, Opened] = {}
             for index, (row, table) in enumerate(store.stored_episodes()):

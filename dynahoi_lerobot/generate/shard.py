@@ -45,11 +45,7 @@ class ShardMaker:
         return [shard for shard in range(self.plan.shards) if not self.path(shard).is_dir()]
 
     def make(self, shard: int, tick: Callable[[], object] = lambda: None) -> None:
-        """Make one shard, a dataset of its own, or do nothing if it is already there.
-
-        Args:
-            shard: its number.
-            tick: called after each stored episode.
+        """Make one shard, a dataset of its own, or do nothing if it is there; ``tick`` after each stored episode.
 
         Raises:
             CommandError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of another seed.
@@ -59,10 +55,7 @@ class ShardMaker:
         if target.is_dir():
             return
         options = (plan.features, plan.encoding, plan.limits)
-        with (
-            new_folder(target) as folder,
-            DatasetWriter.for_episodes(folder, *options, subtasks=plan.subtasks) as writer,
-        ):
+        with new_folder(target) as folder, DatasetWriter(folder, *options, subtasks=plan.subtasks) as writer:
             tally = self._fill(shard, writer, tick)
             writer.finish(plan.identity(), tally)
 
