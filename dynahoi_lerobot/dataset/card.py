@@ -40,12 +40,7 @@ BINS = 50
 
 
 def write_card(store: Store, manifest: Manifest) -> None:
-    """Write the card and its histograms of a dataset that lacks only these and the manifest.
-
-    Args:
-        store: the dataset.
-        manifest: what is known about it; the files that it lists do not matter.
-    """
+    """Write the card and its histograms of a dataset that lacks only these and the manifest, which lists no files."""
     histograms = {key: HISTOGRAM_PATH.format(key=key) for key in DRAWN}
     for key, name in histograms.items():
         (path := store.root / name).parent.mkdir(exist_ok=True)

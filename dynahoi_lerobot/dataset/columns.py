@@ -43,13 +43,7 @@ def dataset_features(episode: Episode) -> tuple[Feature, ...]:
 
 
 def info_features(features: Sequence[Feature], encoding: Encoding, *, subtasks: bool = False) -> Features:
-    """Return ``info.json``'s feature table: the columns of the frame table, then LeRobot's own.
-
-    Args:
-        features: the dataset's columns.
-        encoding: how images are stored.
-        subtasks: whether to include LeRobot's language column.
-    """
+    """Return ``info.json``'s feature table: a dataset's columns of the frame table, then LeRobot's own."""
     table = {feature.key: _info(feature, encoding) for feature in features if not feature.in_episode_table}
     table |= {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
     return table | ({LANGUAGE: {"dtype": "language", "shape": [1], "names": None}} if subtasks else {})
@@ -118,13 +112,7 @@ def arrow_schema(features: Features) -> pa.Schema:
 
 
 def frame_columns(episode: Episode, arrays: dict[str, np.ndarray], schema: pa.Schema) -> dict[str, pa.Array]:
-    """Return one episode's columns of the frame table, without LeRobot's own.
-
-    Args:
-        episode: the episode.
-        arrays: what ``content_arrays`` returned.
-        schema: what ``arrow_schema`` returned.
-    """
+    """Return one episode's columns of the frame table, of which ``arrays`` are the numeric ones, without LeRobot's."""
     columns = {key: flat_array(values, schema.field(key).type) for key, values in arrays.items()}
     for view, images in episode.images.items():
         if (key := IMAGE_PREFIX + view) in schema.names:

@@ -85,8 +85,7 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
 
     Args:
         kind: ``local``, ``slurm`` or ``ray``.
-        plan: what to make.
-        root: the dataset's folder.
+        plan, root: what to make, and where.
         record: plays the expert; a module's function.
         resources: what the tasks get.
 

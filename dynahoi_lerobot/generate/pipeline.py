@@ -147,11 +147,7 @@ def _count() -> None:
 
 
 def exit_with_parent(parent: int) -> None:
-    """End this process soon after its parent has ended, however that happens.
-
-    Args:
-        parent: the parent's process id. If it has ended already, this process ends here.
-    """
+    """End this process soon after its parent, of that process id, has ended, however that happens or has happened."""
 
     def watch() -> None:
         while os.getppid() == parent:

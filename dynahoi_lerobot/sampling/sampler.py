@@ -143,6 +143,11 @@ class Candidate:
         name = str(self.rng.choice(allowed))
         return OBJECTS[name].sample(self.rng)
 
+    def _draw_instruction(self) -> str:
+        style = self.recipe.instructions
+        reveals = self.rng.random() < 0.5 if style == "mixed" else style == "reveal"
+        return (REVEALING if reveals else NEUTRAL).format(object=self.target.name, phrase=self.kind.phrase)
+
     def accept(self, paths_w: Sequence[np.ndarray], home_pos_w: np.ndarray) -> EpisodeSpec | None:
         """Draw the rest and return the episode, or None if the protocol asks for a screen and none can be placed.
 
@@ -157,7 +162,7 @@ class Candidate:
             motion=self.motions[-1],
             target=self.target,
             appearance=Appearance.sample(self.rng),
-            task=draw_instruction(self.recipe.instructions, self.target.name, self.kind.phrase, self.rng),
+            task=self._draw_instruction(),
             protocol=self.recipe.protocol,
             hand=self.recipe.hand,
             open_joints=hand.open_joints(),
@@ -206,16 +211,3 @@ def _roll_ahead(
     for i, path in zip(ids, rolled, strict=True):
         paths[i].append(path)
     return paths
-
-
-def draw_instruction(style: str, object_name: str, phrase: str, rng: np.random.Generator) -> str:
-    """Return an instruction.
-
-    Args:
-        style: one of ``INSTRUCTION_STYLES``.
-        object_name: what is to be caught.
-        phrase: the motion, as it continues "the object that is".
-        rng: decides between the two where the style is ``mixed``.
-    """
-    reveals = rng.random() < 0.5 if style == "mixed" else style == "reveal"
-    return (REVEALING if reveals else NEUTRAL).format(object=object_name, phrase=phrase)

@@ -63,13 +63,7 @@ def approach_frames(travel_m: float) -> int:
 
 
 def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
-    """Draw duration and travel of one episode.
-
-    Args:
-        kind: kind of motion.
-        protocol: one of ``rules.PROTOCOLS``.
-        rng: source of the random numbers.
-    """
+    """Draw duration and travel of one episode of a kind of motion under one of ``rules.PROTOCOLS``."""
     table = kind_table(kind)
     duration, travel = np.unravel_index(rng.choice(table.size, p=table.ravel()), table.shape)
     travel_m = _draw_travel(MOTIONS[kind], int(travel), rng)

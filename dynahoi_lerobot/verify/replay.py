@@ -32,13 +32,9 @@ GPU's, made them."""
 def replay_problems(
     store: Store, indices: list[int], recipe: Recipe | None, note: Callable[[str], object]
 ) -> Iterator[str]:
-    """Make episodes again and yield what differs.
+    """Make episodes again by the manifest's recipe, None if it cannot be read, and yield what differs.
 
-    Args:
-        store: the dataset.
-        indices: of the episodes.
-        recipe: of the manifest, None if it cannot be read.
-        note: told in a sentence what was found equal.
+    ``note`` is told in a sentence what was found equal.
     """
     made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
     if recipe is None or made_with != here:

@@ -75,13 +75,7 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
 
 
 def derived_problems(episode: Episode, row: EpisodeRow, table: pa.Table) -> Iterator[str]:
-    """Yield stored columns that a reader derives from others, and that say something else.
-
-    Args:
-        episode: as it was read.
-        row: its row of the episode table.
-        table: its frames.
-    """
+    """Yield stored columns of an episode that a reader derives from others, and that say something else."""
     for feature in FEATURES.values():
         if feature.derived and holds(table, feature):
             wanted = np.reshape(getattr(episode, feature.name), (len(episode), -1))
