@@ -112,12 +112,7 @@ INK, TEXT = "#4477aa", "#888888"
 
 
 def histogram_svg(values: np.ndarray, names: Sequence[str]) -> str:
-    """Return one panel per dimension, six in a row; any version of any library draws the same bytes.
-
-    Args:
-        values: (N, D) in a unit of their own.
-        names: of the D dimensions.
-    """
+    """Return a panel for each dimension of (N, D) values; any version of any library draws the same bytes."""
     panels = [_panel(name, column) for name, column in zip(names, values.T, strict=True)]
     placed = [
         f'<g transform="translate({GAP + number % COLUMNS * (WIDTH + GAP)},'

@@ -44,12 +44,9 @@ def table_stats(arrays: dict[str, np.ndarray]) -> dict[str, Stats]:
 
 
 def image_stats(images: np.ndarray) -> Stats:
-    """Return the statistics of an episode's images in levels from 0 to 1, each (3, 1, 1).
+    """Return the statistics of an episode's images (T, H, W, 3) uint8 RGB, in levels from 0 to 1, each (3, 1, 1).
 
-    Of up to 100 frames all count, of more about ``frames ** 0.75``, as LeRobot samples them.
-
-    Args:
-        images: (T, H, W, 3) uint8 RGB.
+    As LeRobot samples them, up to 100 frames all count, of more about ``frames ** 0.75``.
     """
     size = max(images.shape[1:3])
     step = size // SMALL_IMAGE if size >= LARGE_IMAGE else 1

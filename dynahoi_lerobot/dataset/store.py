@@ -271,8 +271,7 @@ class Store:
         """Return the episode of a row with all its columns and of its frames."""
         keys = self.image_keys if images else []
         views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
-        values = own_values(row)
-        return Episode(images=views, **values, **content_values(table, values))
+        return Episode(images=views, **own_values(row), **content_values(table))
 
     def stored_episodes(self) -> Iterator[tuple[EpisodeRow, pa.Table]]:
         """Yield every episode's full row and its frames; each file is read once.

@@ -162,13 +162,9 @@ class DatasetWriter:
         self._append(row, frame_table.frame_columns(episode, arrays, self._schema), packets, lambda _: stream)
 
     def copy(self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]) -> None:
-        """Append one episode that another dataset holds, without decoding or encoding images.
+        """Append one episode that another dataset of the same features holds, without decoding or encoding images.
 
-        Args:
-            store: the other dataset, with the same features.
-            row: its full row of the episode table.
-            table: its frames.
-            packets: its packets of each view; none without video.
+        It has its full row, its frames and its packets of each view, none without video.
         """
         columns = {name: table[name].combine_chunks() for name in table.column_names}
         own = episode_table.without_place(row)

@@ -96,7 +96,8 @@ class Candidate:
             raise ValueError(f"a seed must be 0 to {MAX_SEED}, got {seed}")
         names = recipe.motion_names
         self.recipe, self.seed, self.kind = recipe, seed, MOTIONS[names[seed % len(names)]]
-        self.rng = np.random.default_rng([zlib.crc32(recipe.stream.encode()), seed, *salt_words(recipe.salt)])
+        stream = zlib.crc32(recipe.split_definition.stream.encode())
+        self.rng = np.random.default_rng([stream, seed, *salt_words(recipe.salt)])
         self.draw_timing()
 
     def draw_timing(self) -> None:
@@ -112,7 +113,8 @@ class Candidate:
             ValueError: if none of the recipe's objects can move this way.
         """
         self.target = self._draw_target()
-        window_s, fastest = self.timing.window_frames * CONTROL_DT, self.recipe.path_speeds[-1]
+        split, window_s = self.recipe.split_definition, self.timing.window_frames * CONTROL_DT
+        fastest = split.path_speeds[-1]
         intercept_s = window_s + self.timing.approach_frames * CONTROL_DT
         draw = Draw(
             rng=self.rng,
@@ -120,13 +122,12 @@ class Candidate:
             window_s=fastest * window_s,
             intercept_s=fastest * intercept_s,
             horizon_s=fastest * self.timing.path_frames * CONTROL_DT,
-            speed_scale=self.recipe.speed_scale,
+            speed_scale=split.speed_scale,
         )
         motion = self.kind.sample(draw)
         self.motions = [motion]
         if fastest != 1.0 and isinstance(motion, PrescribedMotion):
-            speeds = self.recipe.path_speeds
-            self.motions = [Retimed(motion, speed, intercept_s, draw.intercept_s) for speed in speeds]
+            self.motions = [Retimed(motion, speed, intercept_s, draw.intercept_s) for speed in split.path_speeds]
         return motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
 
     @property
@@ -178,7 +179,7 @@ class Candidate:
             fingerprint=self.recipe.fingerprint(),
         )
         spec = randomize_appearance(furnish(spec), self.recipe.appearance)  # around the longest path
-        played = self.recipe.path_speeds.index(self.recipe.path_speed)
+        played = self.recipe.split_definition.path_speeds.index(self.recipe.path_speed)
         spec = replace(spec, motion=self.motions[played], oracle_path=paths_w[played])
         return with_screen(spec) if PROTOCOLS[self.recipe.protocol].has_screen else spec
 

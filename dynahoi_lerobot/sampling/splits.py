@@ -149,11 +149,8 @@ def refuse_to_mix(noun: str, found: Iterable[tuple[object, str]], remedy: str) -
 def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
     """Refuse results of different salts, or of a salt and the public stream.
 
-    Args:
-        found: what holds the results, for the message, and the ``stream_label`` of its split.
-
     Raises:
-        ValueError: naming two that do not go together.
+        ValueError: naming two, by their names in ``found``, whose ``stream_label`` there do not go together.
     """
     streams = [(where, label.partition(JOINT)[2] or PUBLIC) for where, label in found]
     refuse_to_mix("salt", streams, "evaluate both with one salt, or without")

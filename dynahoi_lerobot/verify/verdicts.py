@@ -41,12 +41,7 @@ did is not among them, and only a replay can say."""
 
 
 def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
-    """Yield columns that do not follow from those before them.
-
-    Args:
-        episode: without its images.
-        hand: its name; None where nobody knows it, so that fingertips are taken as they are.
-    """
+    """Yield columns that do not follow from those before them; where no ``hand`` is known, fingertips are believed."""
     if problem := not_finite(episode):
         yield problem
         return
