@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -207,8 +208,5 @@ def _roll_ahead(
     ids = [i for i, candidate in candidates.items() for _ in candidate.motions]
     motions = [motion for candidate in candidates.values() for motion in candidate.motions]
     targets = [candidates[i].target for i in ids]
-    rolled = roll_ahead(motions, targets, [frames[i] for i in ids], hand=recipe.hand, threads=threads)
-    paths: dict[int, list[np.ndarray]] = {i: [] for i in candidates}
-    for i, path in zip(ids, rolled, strict=True):
-        paths[i].append(path)
-    return paths
+    rolled = iter(roll_ahead(motions, targets, [frames[i] for i in ids], hand=recipe.hand, threads=threads))
+    return {i: list(islice(rolled, len(candidate.motions))) for i, candidate in candidates.items()}

@@ -15,12 +15,7 @@ from lerobot.datasets.video_utils import RGBEncoderConfig  # noqa: E402
 
 logging.disable(logging.NOTSET)
 
-
 REPO = "local/dataset"
-
-
-def open_dataset(root: Path, **options) -> LeRobotDataset:
-    return LeRobotDataset(REPO, root=root, video_backend="pyav", **options)
 
 
 def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobotDataset:
@@ -33,7 +28,7 @@ def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> LeRobot
         feature["shape"] = tuple(feature["shape"])
     encoder = RGBEncoderConfig(vcodec="h264", crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1)
     dataset = LeRobotDataset.create(
-        "local/dataset", 20, features, root=root, robot_type="dynahoi_hand", rgb_encoder=encoder, encoder_threads=1
+        REPO, 20, features, root=root, robot_type="dynahoi_hand", rgb_encoder=encoder, encoder_threads=1
     )
     for episode in episodes:
         arrays = content_arrays(episode, columns)

@@ -15,11 +15,11 @@ from lerobot.scripts.lerobot_eval import _env_features_to_dataset_features
 from lerobot.utils.collate import lerobot_collate_fn
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.dataset import read_episodes, write_episodes
+from dynahoi_lerobot.dataset import open_dataset, read_episodes, write_episodes
 from dynahoi_lerobot.dataset.columns import LANGUAGE, SUBTASKS, subtask_rows
 from dynahoi_lerobot.dataset.video import Encoding
 from tests.dataset.episodes import varied_episode, write
-from tests.dataset.lerobot_api import REPO, open_dataset, write_with_lerobot
+from tests.dataset.lerobot_api import REPO, write_with_lerobot
 from tests.synthetic import synthetic_episode
 from tests.tools import generated
 
