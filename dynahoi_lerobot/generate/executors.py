@@ -17,8 +17,7 @@ from multiprocess.process import parent_process
 
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.generate.pipeline import exit_with_parent, finished, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationPlan, Record
-from dynahoi_lerobot.generate.shard import ShardMaker
+from dynahoi_lerobot.generate.plan import GenerationPlan, Record, ShardMaker
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 DEFAULT_TASKS = 1000

@@ -27,7 +27,7 @@ from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
-from dynahoi_lerobot.sampling.splits import check_salt, sealed, stream_label
+from dynahoi_lerobot.sampling.splits import check_salt, sealed
 
 INSTRUCTION_STYLES: tuple[str, ...] = ("reveal", "neutral", "mixed")
 """``reveal`` names object and motion, ``neutral`` the object only, ``mixed`` is either with equal probability."""
@@ -160,11 +160,6 @@ class Recipe:
     def object_names(self) -> list[str]:
         """The objects to draw from."""
         return list(self.objects or self.split_definition.objects)
-
-    @property
-    def split_label(self) -> str:
-        """What episodes say of their split: the stream's name, and digits that identify the salt if there is one."""
-        return stream_label(self.split_definition.stream, self.salt)
 
     def stored(self) -> dict[str, Any]:
         """Return the values as datasets and results hold them: of the salt only a hash."""

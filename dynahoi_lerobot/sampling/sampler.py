@@ -21,7 +21,7 @@ from dynahoi_lerobot.sampling.oracle_path import roll_ahead
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.screen import with_screen
-from dynahoi_lerobot.sampling.splits import salt_words
+from dynahoi_lerobot.sampling.splits import salt_words, stream_label
 from dynahoi_lerobot.sampling.timing import Timing, draw_timing
 from dynahoi_lerobot.scene.appearance import Appearance
 
@@ -160,7 +160,7 @@ class Candidate:
         hand = HANDS[self.recipe.hand]()
         spec = EpisodeSpec(
             seed=self.seed,
-            split=self.recipe.split_label,
+            split=stream_label(self.recipe.split_definition.stream, self.recipe.salt),
             motion=self.motions[-1],
             target=self.target,
             appearance=Appearance.sample(self.rng),
