@@ -164,7 +164,7 @@ class DatasetWriter:
     def copy(self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]) -> None:
         """Append one episode that another dataset of the same features holds, without decoding or encoding images.
 
-        It has its full row, its frames and its packets of each view, none without video.
+        ``row`` is its full row, ``table`` its frames, and ``packets`` are those of each view, none without video.
         """
         columns = {name: table[name].combine_chunks() for name in table.column_names}
         own = episode_table.without_place(row)

@@ -146,7 +146,7 @@ def _count() -> None:
 
 
 def exit_with_parent(parent: int) -> None:
-    """End this process soon after its parent, of that process id, has ended, however that happens or has happened."""
+    """End this process soon after its ``parent``, a process id, has ended, however that happens; now, if it has."""
 
     def watch() -> None:
         while os.getppid() == parent:

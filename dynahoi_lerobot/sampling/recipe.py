@@ -27,7 +27,7 @@ from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
-from dynahoi_lerobot.sampling.splits import check_salt, sealed
+from dynahoi_lerobot.sampling.splits import check_salt, seal
 
 INSTRUCTION_STYLES: tuple[str, ...] = ("reveal", "neutral", "mixed")
 """``reveal`` names object and motion, ``neutral`` the object only, ``mixed`` is either with equal probability."""
@@ -163,7 +163,7 @@ class Recipe:
 
     def stored(self) -> dict[str, Any]:
         """Return the values as datasets and results hold them: of the salt only a hash."""
-        return sealed(dataclasses.asdict(self))
+        return dataclasses.asdict(self) | {"salt": seal(self.salt)}
 
     def changed(self, **changes: Any) -> Self:
         """Return the recipe with other values; with another capture rule come its hand and expert.

@@ -13,7 +13,7 @@ import math
 import struct
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.core.conventions import SEED_LIMIT
 from dynahoi_lerobot.core.registry import known
@@ -98,11 +98,6 @@ def seal(salt: str) -> str:
     if not salt or salt.startswith(SEALED):
         return salt
     return SEALED + hashlib.sha256(b"dynahoi salt, published" + salt.encode()).hexdigest()[:HASH_DIGITS]
-
-
-def sealed(recipe: dict[str, Any]) -> dict[str, Any]:
-    """Return a recipe's values as files hold them."""
-    return recipe | {"salt": seal(recipe["salt"])} if "salt" in recipe else recipe
 
 
 def salt_words(salt: str) -> list[int]:
