@@ -55,13 +55,8 @@ def _reader[N: (int, float)](convert: Callable[[str], N], noun: str, low: N, hig
 def add_field_arguments(parser: ArgumentParser, cls: type, fields: Iterable[str], **notes: str) -> None:
     """Declare an option for each of some ``fields`` of a dataclass: ``--control-class`` for ``control_class``.
 
-    Type and help come from the dataclass and the ``Attributes`` of its docstring. Options that are not given are None.
-
-    Args:
-        parser: where to declare them.
-        cls: the dataclass, whose fields are strings, numbers, flags or tuples of strings.
-        fields: their names.
-        notes: what this command adds to the help of a field.
+    Type and help come from the dataclass, whose fields are strings, numbers, flags or tuples of strings, and from the
+    ``Attributes`` of its docstring; ``notes`` add to the help of a field. Options that are not given are None.
     """
     hints, docs = get_type_hints(cls), field_docs(cls)
     for name in fields:

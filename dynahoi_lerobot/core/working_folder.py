@@ -17,11 +17,7 @@ LOCK, TASK = "lock", "plan.json"
 
 @contextmanager
 def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
-    """Make a folder, or enter that of an interrupted run of the same task, and hold its lock.
-
-    Args:
-        path: the folder.
-        task: JSON values that tell this task from others.
+    """Make a folder, or enter that of an interrupted run of the same task, given as JSON values, and hold its lock.
 
     Raises:
         BlockingIOError: if another process works in it.

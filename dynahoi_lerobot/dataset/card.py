@@ -40,12 +40,7 @@ BINS = 50
 
 
 def write_card(store: Store, manifest: Manifest) -> None:
-    """Write the card and its histograms of a dataset that lacks only these and the manifest.
-
-    Args:
-        store: the dataset.
-        manifest: what is known about it; the files that it lists do not matter.
-    """
+    """Write the card and its histograms of a dataset that lacks only these and the manifest, which lists no files."""
     histograms = {key: HISTOGRAM_PATH.format(key=key) for key in DRAWN}
     for key, name in histograms.items():
         (path := store.root / name).parent.mkdir(exist_ok=True)
@@ -117,12 +112,7 @@ INK, TEXT = "#4477aa", "#888888"
 
 
 def histogram_svg(values: np.ndarray, names: Sequence[str]) -> str:
-    """Return one panel per dimension, six in a row; any version of any library draws the same bytes.
-
-    Args:
-        values: (N, D) in a unit of their own.
-        names: of the D dimensions.
-    """
+    """Return a panel for each dimension of (N, D) values; any version of any library draws the same bytes."""
     panels = [_panel(name, column) for name, column in zip(names, values.T, strict=True)]
     placed = [
         f'<g transform="translate({GAP + number % COLUMNS * (WIDTH + GAP)},'

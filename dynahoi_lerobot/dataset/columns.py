@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -43,13 +43,7 @@ def dataset_features(episode: Episode) -> tuple[Feature, ...]:
 
 
 def info_features(features: Sequence[Feature], encoding: Encoding, *, subtasks: bool = False) -> Features:
-    """Return ``info.json``'s feature table: the columns of the frame table, then LeRobot's own.
-
-    Args:
-        features: the dataset's columns.
-        encoding: how images are stored.
-        subtasks: whether to include LeRobot's language column.
-    """
+    """Return ``info.json``'s feature table: a dataset's columns of the frame table, then LeRobot's own."""
     table = {feature.key: _info(feature, encoding) for feature in features if not feature.in_episode_table}
     table |= {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
     return table | ({LANGUAGE: {"dtype": "language", "shape": [1], "names": None}} if subtasks else {})
@@ -80,13 +74,13 @@ def content_arrays(episode: Episode, features: Sequence[Feature]) -> dict[str, n
     return {f.key: np.asarray(getattr(episode, f.name), f.dtype).reshape(len(episode), -1) for f in stored}
 
 
-def content_values(table: pa.Table, known: Container[str]) -> dict[str, Any]:
-    """Return the attributes of an Episode that its rows of the frame table hold, without those that are ``known``.
+def content_values(table: pa.Table) -> dict[str, Any]:
+    """Return the attributes of an Episode that its rows of the frame table hold.
 
     Raises:
         KeyError: if a column is missing that every dataset has.
     """
-    stored = (f for f in FEATURES.values() if not (f.in_episode_table or f.derived or f.name in known))
+    stored = (f for f in FEATURES.values() if not (f.in_episode_table or f.derived))
     held = (f for f in stored if holds(table, f) or not f.optional)
     return {f.name: column_array(table, f.key)[:, ... if f.shape else 0] for f in held}
 
@@ -118,13 +112,7 @@ def arrow_schema(features: Features) -> pa.Schema:
 
 
 def frame_columns(episode: Episode, arrays: dict[str, np.ndarray], schema: pa.Schema) -> dict[str, pa.Array]:
-    """Return one episode's columns of the frame table, without LeRobot's own.
-
-    Args:
-        episode: the episode.
-        arrays: what ``content_arrays`` returned.
-        schema: what ``arrow_schema`` returned.
-    """
+    """Return one episode's columns of the frame table, of which ``arrays`` are the numeric ones, without LeRobot's."""
     columns = {key: flat_array(values, schema.field(key).type) for key, values in arrays.items()}
     for view, images in episode.images.items():
         if (key := IMAGE_PREFIX + view) in schema.names:
@@ -155,12 +143,8 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
 def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, Any]]:
     """Return the subtasks of an episode in LeRobot's form, each with the time [s] from which it is active.
 
-    The hand watches the target while commands are void, then reaches for it, and holds it from the first frame on which
-    it is localised.
-
-    Args:
-        acting: (T,) bool, commands take effect.
-        localized: (T,) bool, the target is, or has been, localised.
+    The hand watches the target while commands are void, then reaches for it while ``acting`` (T,) bool, and holds it
+    from the first frame on which it is ``localized`` (T,) bool.
     """
     state = np.where(localized, 2, acting)  # (T,)
     begins = np.flatnonzero(np.diff(state, prepend=-1))

@@ -85,12 +85,7 @@ def place_row(row: EpisodeRow, episode_index: int, first_index: int, task_index:
 
 
 def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
-    """Return the schema of the episode files.
-
-    Args:
-        features: ``info.json``'s feature table.
-        columns: the dataset's columns; those that are in this table count.
-    """
+    """Return the schema of the episode files: of ``columns``, those that are in this table count."""
     images = image_keys(features)
     videos = [key for key in images if features[key]["dtype"] == "video"]
     types: dict[str, pa.DataType] = {"episode_index": pa.int64(), "tasks": pa.list_(pa.string())}

@@ -34,13 +34,9 @@ def merge(
     limits: FileLimits | None = None,
     provenance: dict[str, Any] | None = None,
 ) -> Manifest:
-    """Merge datasets, in the given order, into a new one; ``root`` appears when it is complete.
+    """Merge datasets of this project, in the given order, into a new one; ``root`` appears when it is complete.
 
-    Args:
-        sources: folders of datasets written by this project.
-        root: a path that does not exist yet.
-        limits: file size limits.
-        provenance: stored in the manifest: recipe, seed, encoding and code fingerprint.
+    Its manifest tells the ``provenance``: recipe, seed, encoding and code fingerprint.
 
     Raises:
         FileExistsError: if ``root`` exists.
@@ -69,12 +65,7 @@ def merge(
 
 
 def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest:
-    """Copy the named episodes, in their order, to a new dataset; ``output`` appears when it is complete.
-
-    Args:
-        root: a dataset written by this project.
-        output: a path that does not exist yet.
-        episodes: indices of the episodes to keep.
+    """Copy the episodes of some indices, in their order, to a new dataset; ``output`` appears when it is complete.
 
     Raises:
         FileExistsError: if ``output`` exists.
@@ -104,8 +95,8 @@ def _assemble(
 ) -> Manifest:
     """Write a dataset of stored episodes: of each source those with the given indices, None for all."""
     first = sources[0][0]
-    columns = first.features, first.array_features
-    with new_folder(root) as folder, DatasetWriter(folder, *columns, limits or FileLimits()) as writer:
+    columns = first.array_features
+    with new_folder(root) as folder, DatasetWriter(folder, columns, limits=limits, features=first.features) as writer:
         for store, kept in sources:
             opened: dict[str, Opened] = {}
             for index, (row, table) in enumerate(store.stored_episodes()):
@@ -115,12 +106,9 @@ def _assemble(
 
 
 def _packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
-    """Return the packets of each view of an episode; none without video.
+    """Return the packets of each view of an episode; none without video. Episodes are asked for in their order.
 
-    Args:
-        store: the dataset.
-        row: of the episode; episodes are asked for in their order.
-        opened: the file of each view that was read last, which stays open as long as episodes are in it.
+    The file of each view that was read last stays in ``opened`` as long as episodes are in it.
 
     Raises:
         ValueError: if a file is shorter than the row says.

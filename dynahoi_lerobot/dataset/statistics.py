@@ -43,21 +43,16 @@ def table_stats(arrays: dict[str, np.ndarray]) -> dict[str, Stats]:
     }
 
 
-def sampled_frames(frames: int) -> np.ndarray:
-    """Return the frames whose images LeRobot counts: all up to 100, then about ``frames ** 0.75``."""
-    count = max(min(frames, 100), min(int(frames**0.75), 10_000))
-    return np.round(np.linspace(0, frames - 1, count)).astype(int)
-
-
 def image_stats(images: np.ndarray) -> Stats:
-    """Return the statistics of an episode's images in levels from 0 to 1, each (3, 1, 1).
+    """Return the statistics of an episode's images (T, H, W, 3) uint8 RGB, in levels from 0 to 1, each (3, 1, 1).
 
-    Args:
-        images: (T, H, W, 3) uint8 RGB.
+    As LeRobot samples them, up to 100 frames all count, of more about ``frames ** 0.75``.
     """
     size = max(images.shape[1:3])
     step = size // SMALL_IMAGE if size >= LARGE_IMAGE else 1
-    images = images[sampled_frames(len(images)), ::step, ::step]
+    n_sampled = max(min(len(images), 100), min(int(len(images) ** 0.75), 10_000))
+    sampled = np.round(np.linspace(0, len(images) - 1, n_sampled)).astype(int)
+    images = images[sampled, ::step, ::step]
     counts = np.stack([np.bincount(images[..., channel].ravel(), minlength=256) for channel in range(3)])  # (3, 256)
     share = counts / counts.sum(axis=1, keepdims=True)
     below = np.cumsum(counts, axis=1)

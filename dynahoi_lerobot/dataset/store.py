@@ -46,11 +46,9 @@ def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: b
         IndexError: if the dataset has no episode of an index.
     """
     store = Store(root)
-    if indices is None:
-        for row, table in store.stored_episodes():
-            yield store.as_episode(row, table, images=images)
-    for index in indices or ():
-        yield store.episode(index, images=images)
+    chosen = ((row := store.row(index), store.frames(row)) for index in indices or ())
+    for row, table in store.stored_episodes() if indices is None else chosen:
+        yield store.as_episode(row, table, images=images)
 
 
 def frame_column(root: Path, key: str) -> np.ndarray:
@@ -201,14 +199,15 @@ class Store:
             raise ValueError(f"{self.root} holds no {table}: there is no file in {folder}")
         return paths
 
-    def table(self, path: Path, columns: list[str]) -> pa.Table:
-        """Return columns of a file of a table.
+    def table(self, path: Path, columns: list[str] | None = None, episode: int | None = None) -> pa.Table:
+        """Return a file of a table, or of it some columns, or the rows of one episode.
 
         Raises:
             ValueError: if it is missing or damaged.
         """
         with reading(path):
-            return pq.read_table(path, columns=columns)
+            only = None if episode is None else [("episode_index", "=", episode)]
+            return pq.read_table(path, columns=columns, filters=only)
 
     def full_rows(self) -> Iterator[EpisodeRow]:
         """Yield the rows of the episode table with all their columns."""
@@ -233,8 +232,7 @@ class Store:
         Raises:
             ValueError: if their file is missing or damaged.
         """
-        with reading(path := self.data_path(row)):
-            return pq.read_table(path, filters=[("episode_index", "=", row["episode_index"])])
+        return self.table(self.data_path(row), episode=row["episode_index"])
 
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
@@ -252,27 +250,15 @@ class Store:
         if not 0 <= index < self.episodes:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
         for path in self.row_files():
-            with reading(path):
-                found = pq.read_table(path, filters=[("episode_index", "=", index)])
-            if found.num_rows:
+            if (found := self.table(path, episode=index)).num_rows:
                 return found.to_pylist()[0]
         raise IndexError(f"{self.root} holds no row of episode {index}")
-
-    def episode(self, index: int, *, images: bool = True) -> Episode:
-        """Return one episode; ``images`` says whether to decode its images.
-
-        Raises:
-            IndexError: if there is no such episode.
-        """
-        row = self.row(index)
-        return self.as_episode(row, self.frames(row), images=images)
 
     def as_episode(self, row: EpisodeRow, table: pa.Table, *, images: bool) -> Episode:
         """Return the episode of a row with all its columns and of its frames."""
         keys = self.image_keys if images else []
         views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
-        values = own_values(row)
-        return Episode(images=views, **values, **content_values(table, values))
+        return Episode(images=views, **own_values(row), **content_values(table))
 
     def stored_episodes(self) -> Iterator[tuple[EpisodeRow, pa.Table]]:
         """Yield every episode's full row and its frames; each file is read once.
@@ -283,7 +269,6 @@ class Store:
         path, table, used = Path(), pa.table({}), 0
         for row in self.full_rows():
             if (holder := self.data_path(row)) != path:
-                with reading(holder):
-                    path, table, used = holder, pq.read_table(holder), 0
+                path, table, used = holder, self.table(holder), 0
             yield row, table.slice(used, row["length"]).combine_chunks()
             used += row["length"]

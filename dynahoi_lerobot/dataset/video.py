@@ -121,12 +121,7 @@ class Encoding:
 
 
 def encode(images: np.ndarray, encoding: Encoding) -> list[Packet]:
-    """Return the packets of one episode, one a frame, of which the first is a key frame.
-
-    Args:
-        images: (T, H, W, 3) uint8 RGB, H = W.
-        encoding: a video's.
-    """
+    """Return the packets of one episode's square images (T, H, W, 3) uint8 RGB, one a frame, the first a key frame."""
     encoder = cast(VideoCodecContext, av.CodecContext.create(CODECS[encoding.codec], "w"))
     encoding.configure(encoder, images.shape[1])
     packets: list[Packet] = []

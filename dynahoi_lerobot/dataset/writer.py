@@ -55,7 +55,7 @@ def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding |
     if (first := next(remaining, None)) is None:
         raise ValueError("got no episodes; a dataset needs at least one")
     columns = frame_table.dataset_features(first)
-    with new_folder(root) as folder, DatasetWriter.for_episodes(folder, columns, encoding) as writer:
+    with new_folder(root) as folder, DatasetWriter(folder, columns, encoding) as writer:
         for episode in chain([first], remaining):
             writer.add(episode)
         return writer.finish()
@@ -100,62 +100,49 @@ class DatasetWriter:
     closes its files whatever happens.
     """
 
-    def __init__(self, root: Path, features: Features, columns: Sequence[Feature], limits: FileLimits) -> None:
-        """Make the folder ``root`` for a dataset that is put together from others; see ``for_episodes``.
-
-        Args:
-            root: a path that does not exist yet; its parent does.
-            features: ``info.json``'s feature table.
-            columns: the dataset's columns; those of the frame table may be left out.
-            limits: file size limits.
-
-        Raises:
-            FileExistsError: if ``root`` exists.
-        """
-        root.mkdir()
-        self.root, self.limits, self.features = root, limits, features
-        self.episodes = self.frames = 0
-        self._schema = frame_table.arrow_schema(features)
-        self._data = _Tables(root, paths.DATA_PATH, self._schema, limits)
-        self._rows = _Tables(root, paths.EPISODES_PATH, episode_table.row_schema(features, columns), limits)
-        self._pending: list[EpisodeRow] = []
-        self._tasks: dict[str, int] = {}
-        self._image_keys = frame_table.image_keys(features)
-        self._image_stats: dict[str, list[Stats]] = {key: [] for key in self._image_keys}
-        self._videos: dict[str, VideoFile] = {}
-        """The file of each view that is being written; all of them begin and end with the same episodes."""
-        self._n_videos = 0
-        self._columns, self._encoding = tuple(columns), Encoding()
-
-    @classmethod
-    def for_episodes(
-        cls,
+    def __init__(
+        self,
         root: Path,
-        features: Sequence[Feature],
+        columns: Sequence[Feature],
         encoding: Encoding | None = None,
         limits: FileLimits | None = None,
         *,
         subtasks: bool = False,
-    ) -> Self:
-        """Return a writer of new episodes.
+        features: Features | None = None,
+    ) -> None:
+        """Make the folder ``root``.
 
         Args:
             root: a path that does not exist yet; its parent does.
-            features: the columns that every episode fills, see ``columns.dataset_features``.
+            columns: what every episode fills, see ``columns.dataset_features``.
             encoding: how images are stored.
             limits: file size limits.
             subtasks: whether to write subtasks as LeRobot's column for language.
+            features: ``info.json``'s feature table of the datasets whose episodes are copied; with it, ``columns`` need
+                only be those of the episode table.
 
         Raises:
             FileExistsError: if ``root`` exists.
             ValueError: if video cannot hold images of this size.
         """
-        encoding = encoding or Encoding()
-        encoding.check_size(max((feature.shape[0] for feature in features if feature.is_image), default=0))
-        table = frame_table.info_features(features, encoding, subtasks=subtasks)
-        writer = cls(root, table, features, limits or FileLimits())
-        writer._encoding = encoding
-        return writer
+        self._encoding = encoding or Encoding()
+        self._encoding.check_size(max((column.shape[0] for column in columns if column.is_image), default=0))
+        root.mkdir()
+        self.root, self.limits = root, limits or FileLimits()
+        self.features = features or frame_table.info_features(columns, self._encoding, subtasks=subtasks)
+        self.episodes = self.frames = 0
+        self._schema = frame_table.arrow_schema(self.features)
+        self._data = _Tables(root, paths.DATA_PATH, self._schema, self.limits)
+        row_schema = episode_table.row_schema(self.features, columns)
+        self._rows = _Tables(root, paths.EPISODES_PATH, row_schema, self.limits)
+        self._pending: list[EpisodeRow] = []
+        self._tasks: dict[str, int] = {}
+        self._image_keys = frame_table.image_keys(self.features)
+        self._image_stats: dict[str, list[Stats]] = {key: [] for key in self._image_keys}
+        self._videos: dict[str, VideoFile] = {}
+        """The file of each view that is being written; all of them begin and end with the same episodes."""
+        self._n_videos = 0
+        self._columns = tuple(columns)
 
     def add(self, episode: Episode) -> None:
         """Append one episode.
@@ -175,13 +162,9 @@ class DatasetWriter:
         self._append(row, frame_table.frame_columns(episode, arrays, self._schema), packets, lambda _: stream)
 
     def copy(self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]) -> None:
-        """Append one episode that another dataset holds, without decoding or encoding images.
+        """Append one episode that another dataset of the same features holds, without decoding or encoding images.
 
-        Args:
-            store: the other dataset, with the same features.
-            row: its full row of the episode table.
-            table: its frames.
-            packets: its packets of each view; none without video.
+        ``row`` is its full row, ``table`` its frames, and ``packets`` are those of each view, none without video.
         """
         columns = {name: table[name].combine_chunks() for name in table.column_names}
         own = episode_table.without_place(row)

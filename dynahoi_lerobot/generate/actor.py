@@ -5,8 +5,6 @@ Nothing here imports torch before a policy is loaded.
 
 import hashlib
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -44,11 +42,6 @@ class RecordedPolicy(Agent):
 
     def act(self, observation: Observation) -> np.ndarray:
         """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
-        with self._alone():
-            return self._policy.act(observation)
-
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
         import torch
 
         threads = torch.get_num_threads()
@@ -56,8 +49,9 @@ class RecordedPolicy(Agent):
         try:
             with torch.random.fork_rng(devices=[]):
                 torch.set_rng_state(self._random)
-                yield
+                command = self._policy.act(observation)
                 self._random = torch.get_rng_state()
+                return command
         finally:
             torch.set_num_threads(threads)
 

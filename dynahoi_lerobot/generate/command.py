@@ -93,12 +93,20 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recip
     if args.executor is not None:
         from dynahoi_lerobot.generate import executors
 
+        resources = executors.ClusterResources(
+            args.tasks, -1 if args.workers == 1 else args.workers, args.cpus_per_task,
+            gpus_per_task=args.gpus_per_task, partition=args.partition, time=args.time,
+        )  # fmt: skip
         recorder = record or partial(loop.record, threads=args.cpus_per_task)
-        work = (args.executor, plan, args.root, recorder, _resources(args))
+        work = (args.executor, plan, args.root, recorder, resources)
         if args.dry_run or not executors.run(*work):
             print(executors.describe(*work))
             return 0
-    manifest = _generate(plan, args, record or partial(loop.record, threads=_threads(args)))
+    record = record or partial(loop.record, threads=_threads(args))
+    with tqdm(total=plan.episodes, desc="generating", unit="episode", smoothing=0.05, disable=None) as bar:
+        manifest = generate(
+            plan, args.root, record=record, workers=args.workers, progress=lambda done: bar.update(done - bar.n)
+        )
     if complete:
         print(f"{args.root} was already complete and agrees with its manifest", file=sys.stderr)
     summary = _summary(args.root, manifest)
@@ -153,24 +161,6 @@ def _encoding(args: argparse.Namespace) -> Encoding:
     if settings and not encoding.is_video:
         raise ValueError(f"{settings[0]} is {given[settings[0]]!r}; images has none, only a video has")
     return encoding
-
-
-def _resources(args: argparse.Namespace) -> Any:
-    from dynahoi_lerobot.generate.executors import ClusterResources
-
-    return ClusterResources(
-        args.tasks, -1 if args.workers == 1 else args.workers, args.cpus_per_task, gpus_per_task=args.gpus_per_task,
-        partition=args.partition, time=args.time,
-    )  # fmt: skip
-
-
-def _generate(plan: GenerationPlan, args: argparse.Namespace, record: Record) -> Manifest:
-    with tqdm(total=plan.episodes, desc="generating", unit="episode", smoothing=0.05, disable=None) as bar:
-
-        def show(done: int) -> None:
-            bar.update(done - bar.n)
-
-        return generate(plan, args.root, record=record, workers=args.workers, progress=show)
 
 
 def _summary(root: Path, manifest: Manifest) -> dict[str, Any]:

@@ -17,8 +17,7 @@ from multiprocess.process import parent_process
 
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.generate.pipeline import exit_with_parent, finished, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationPlan, Record
-from dynahoi_lerobot.generate.shard import ShardMaker
+from dynahoi_lerobot.generate.plan import GenerationPlan, Record, ShardMaker
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 DEFAULT_TASKS = 1000
@@ -85,8 +84,7 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
 
     Args:
         kind: ``local``, ``slurm`` or ``ray``.
-        plan: what to make.
-        root: the dataset's folder.
+        plan, root: what to make, and where.
         record: plays the expert; a module's function.
         resources: what the tasks get.
 

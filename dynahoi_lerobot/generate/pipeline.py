@@ -22,8 +22,7 @@ from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.core.working_folder import LOCK, TASK, differences, read_task, working_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
-from dynahoi_lerobot.generate.plan import GenerationPlan, Progress, Record
-from dynahoi_lerobot.generate.shard import SHARD, ShardMaker
+from dynahoi_lerobot.generate.plan import SHARD, GenerationPlan, Progress, Record, ShardMaker
 
 logger = logging.getLogger(__name__)
 
@@ -147,11 +146,7 @@ def _count() -> None:
 
 
 def exit_with_parent(parent: int) -> None:
-    """End this process soon after its parent has ended, however that happens.
-
-    Args:
-        parent: the parent's process id. If it has ended already, this process ends here.
-    """
+    """End this process soon after its ``parent``, a process id, has ended, however that happens; now, if it has."""
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -147,7 +147,7 @@ def record(
     label, see `teacher_labels`; an episode ends soon after its outcome. Each is a function of (recipe, seed): batch
     size and threads do not matter.
     """
-    if len(recipe.path_speeds) > 1:
+    if len(recipe.split_definition.path_speeds) > 1:
         raise ValueError(f"split {recipe.split!r} is for evaluations; record another one")
     batch = WorldBatch(recipe, min(batch_size, max(1, len(seeds))), threads)
     expert = Demonstrator(EXPERTS[recipe.expert](), recipe.perturbed_share)

@@ -19,7 +19,7 @@ DECIDING = (
     "core", "objects", "motions", "hands", "scene", "renderers", "experts", "world", "sampling", "rollout", "dataset",
 )  # fmt: skip
 """Rooms that decide what is in a dataset; all others read datasets, play policies or spread work."""
-DECIDING_MODULES = ("__init__.py", "captures.py", "generate/plan.py", "generate/shard.py")
+DECIDING_MODULES = ("__init__.py", "captures.py", "generate/plan.py")
 """Modules outside them that do, too."""
 
 

@@ -88,12 +88,9 @@ def find_homes(
 
 
 def choose_home(paths_w: Sequence[np.ndarray], timing: Timing, homes: np.ndarray) -> np.ndarray | None:
-    """Return the first of ``homes`` (K, 3) that the target never reaches by itself, or None.
+    """Return the first of ``homes`` (K, 3), from ``find_homes``, that the target never reaches by itself, or None.
 
-    Args:
-        paths_w: (F, 3) path of the untouched target over the whole episode [m], world, of it and of its twins.
-        timing: frames and travel of the episode.
-        homes: from ``find_homes``.
+    ``paths_w`` are as there, (F, 3) [m], world, but over the whole episode.
     """
     clear = np.all([_clear_of(path_w[timing.window_frames :], homes) for path_w in paths_w], axis=0)
     return homes[clear.argmax()] if clear.any() else None
@@ -142,14 +139,7 @@ def _clear_of(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
 
 
 def visible(points: np.ndarray) -> np.ndarray:
-    """Tell which points the camera of the open reference hand sees.
-
-    Args:
-        points: (..., 3) relative to the palm centre [m], world axes.
-
-    Returns:
-        (...) bool.
-    """
+    """Tell which points (..., 3) from the palm centre [m], world axes, the open reference hand's camera sees."""
     pos, rotation, half = _camera()
     local = product(points - pos, rotation)  # x right, y up, z backwards
     depth = np.maximum(-local[..., 2], MIN_DEPTH_M)

@@ -27,7 +27,7 @@ from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
-from dynahoi_lerobot.sampling.splits import check_salt, sealed, stream_label
+from dynahoi_lerobot.sampling.splits import check_salt, seal
 
 INSTRUCTION_STYLES: tuple[str, ...] = ("reveal", "neutral", "mixed")
 """``reveal`` names object and motion, ``neutral`` the object only, ``mixed`` is either with equal probability."""
@@ -119,10 +119,11 @@ class Recipe:
             for name in chosen:
                 registry[name]  # raises if there is none
                 self._check_split_of(noun, name)
-        if self.path_speed not in self.path_speeds:
-            allowed = ", ".join(f"{speed:g}" for speed in self.path_speeds)
+        speeds = self.split_definition.path_speeds
+        if self.path_speed not in speeds:
+            allowed = ", ".join(f"{speed:g}" for speed in speeds)
             raise ValueError(f"path_speed must be {allowed} in split {self.split!r}, got {self.path_speed}")
-        if len(self.path_speeds) > 1 and PROTOCOLS[self.protocol].has_screen:
+        if len(speeds) > 1 and PROTOCOLS[self.protocol].has_screen:
             raise ValueError(f"split {self.split!r} has no protocol {self.protocol!r}: screens depend on the speed")
         check_salt(self.salt)
         if len(set(self.views)) < len(self.views):
@@ -143,14 +144,9 @@ class Recipe:
             self.teacher()
 
     @property
-    def stream(self) -> str:
-        """Seed stream of the split; ``test_small`` shares that of ``test``."""
-        return self._split.stream
-
-    @property
-    def path_speeds(self) -> tuple[float, ...]:
-        """How many times as fast the same episodes can be played, the greatest last."""
-        return self._split.path_speeds
+    def split_definition(self) -> Split:
+        """What the benchmark says of the split."""
+        return BENCHMARK.splits[self.split]
 
     @property
     def motion_names(self) -> list[str]:
@@ -158,26 +154,16 @@ class Recipe:
         if self.motions:
             return list(self.motions)
         objects = [OBJECTS[name] for name in self.object_names]
-        return [name for name in self._split.motions if any(map(MOTIONS[name].suits, objects))]
+        return [name for name in self.split_definition.motions if any(map(MOTIONS[name].suits, objects))]
 
     @property
     def object_names(self) -> list[str]:
         """The objects to draw from."""
-        return list(self.objects or self._split.objects)
-
-    @property
-    def speed_scale(self) -> float:
-        """How many times as far as in training speeds reach; 1 for the speeds of training."""
-        return self._split.speed_scale
-
-    @property
-    def split_label(self) -> str:
-        """What episodes say of their split: the stream's name, and digits that identify the salt if there is one."""
-        return stream_label(self.stream, self.salt)
+        return list(self.objects or self.split_definition.objects)
 
     def stored(self) -> dict[str, Any]:
         """Return the values as datasets and results hold them: of the salt only a hash."""
-        return sealed(dataclasses.asdict(self))
+        return dataclasses.asdict(self) | {"salt": seal(self.salt)}
 
     def changed(self, **changes: Any) -> Self:
         """Return the recipe with other values; with another capture rule come its hand and expert.
@@ -215,10 +201,6 @@ class Recipe:
             f"on-policy recordings need an expert that labels any state ({able}), got {self.expert!r} of capture rule "
             f"{self.capture!r}"
         )
-
-    @property
-    def _split(self) -> Split:
-        return BENCHMARK.splits[self.split]
 
     def _check_split_of(self, noun: str, name: str) -> None:
         """Refuse what the benchmark holds out for another split, and what an ``ood_`` split holds none of."""

@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from dynahoi_lerobot.sampling.oracle_path import roll_ahead
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.screen import with_screen
-from dynahoi_lerobot.sampling.splits import salt_words
+from dynahoi_lerobot.sampling.splits import salt_words, stream_label
 from dynahoi_lerobot.sampling.timing import Timing, draw_timing
 from dynahoi_lerobot.scene.appearance import Appearance
 
@@ -96,7 +97,8 @@ class Candidate:
             raise ValueError(f"a seed must be 0 to {MAX_SEED}, got {seed}")
         names = recipe.motion_names
         self.recipe, self.seed, self.kind = recipe, seed, MOTIONS[names[seed % len(names)]]
-        self.rng = np.random.default_rng([zlib.crc32(recipe.stream.encode()), seed, *salt_words(recipe.salt)])
+        stream = zlib.crc32(recipe.split_definition.stream.encode())
+        self.rng = np.random.default_rng([stream, seed, *salt_words(recipe.salt)])
         self.draw_timing()
 
     def draw_timing(self) -> None:
@@ -112,7 +114,8 @@ class Candidate:
             ValueError: if none of the recipe's objects can move this way.
         """
         self.target = self._draw_target()
-        window_s, fastest = self.timing.window_frames * CONTROL_DT, self.recipe.path_speeds[-1]
+        split, window_s = self.recipe.split_definition, self.timing.window_frames * CONTROL_DT
+        fastest = split.path_speeds[-1]
         intercept_s = window_s + self.timing.approach_frames * CONTROL_DT
         draw = Draw(
             rng=self.rng,
@@ -120,13 +123,12 @@ class Candidate:
             window_s=fastest * window_s,
             intercept_s=fastest * intercept_s,
             horizon_s=fastest * self.timing.path_frames * CONTROL_DT,
-            speed_scale=self.recipe.speed_scale,
+            speed_scale=split.speed_scale,
         )
         motion = self.kind.sample(draw)
         self.motions = [motion]
         if fastest != 1.0 and isinstance(motion, PrescribedMotion):
-            speeds = self.recipe.path_speeds
-            self.motions = [Retimed(motion, speed, intercept_s, draw.intercept_s) for speed in speeds]
+            self.motions = [Retimed(motion, speed, intercept_s, draw.intercept_s) for speed in split.path_speeds]
         return motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
 
     @property
@@ -143,6 +145,11 @@ class Candidate:
         name = str(self.rng.choice(allowed))
         return OBJECTS[name].sample(self.rng)
 
+    def _draw_instruction(self) -> str:
+        style = self.recipe.instructions
+        reveals = self.rng.random() < 0.5 if style == "mixed" else style == "reveal"
+        return (REVEALING if reveals else NEUTRAL).format(object=self.target.name, phrase=self.kind.phrase)
+
     def accept(self, paths_w: Sequence[np.ndarray], home_pos_w: np.ndarray) -> EpisodeSpec | None:
         """Draw the rest and return the episode, or None if the protocol asks for a screen and none can be placed.
 
@@ -153,11 +160,11 @@ class Candidate:
         hand = HANDS[self.recipe.hand]()
         spec = EpisodeSpec(
             seed=self.seed,
-            split=self.recipe.split_label,
+            split=stream_label(self.recipe.split_definition.stream, self.recipe.salt),
             motion=self.motions[-1],
             target=self.target,
             appearance=Appearance.sample(self.rng),
-            task=draw_instruction(self.recipe.instructions, self.target.name, self.kind.phrase, self.rng),
+            task=self._draw_instruction(),
             protocol=self.recipe.protocol,
             hand=self.recipe.hand,
             open_joints=hand.open_joints(),
@@ -173,7 +180,7 @@ class Candidate:
             fingerprint=self.recipe.fingerprint(),
         )
         spec = randomize_appearance(furnish(spec), self.recipe.appearance)  # around the longest path
-        played = self.recipe.path_speeds.index(self.recipe.path_speed)
+        played = self.recipe.split_definition.path_speeds.index(self.recipe.path_speed)
         spec = replace(spec, motion=self.motions[played], oracle_path=paths_w[played])
         return with_screen(spec) if PROTOCOLS[self.recipe.protocol].has_screen else spec
 
@@ -201,21 +208,5 @@ def _roll_ahead(
     ids = [i for i, candidate in candidates.items() for _ in candidate.motions]
     motions = [motion for candidate in candidates.values() for motion in candidate.motions]
     targets = [candidates[i].target for i in ids]
-    rolled = roll_ahead(motions, targets, [frames[i] for i in ids], hand=recipe.hand, threads=threads)
-    paths: dict[int, list[np.ndarray]] = {i: [] for i in candidates}
-    for i, path in zip(ids, rolled, strict=True):
-        paths[i].append(path)
-    return paths
-
-
-def draw_instruction(style: str, object_name: str, phrase: str, rng: np.random.Generator) -> str:
-    """Return an instruction.
-
-    Args:
-        style: one of ``INSTRUCTION_STYLES``.
-        object_name: what is to be caught.
-        phrase: the motion, as it continues "the object that is".
-        rng: decides between the two where the style is ``mixed``.
-    """
-    reveals = rng.random() < 0.5 if style == "mixed" else style == "reveal"
-    return (REVEALING if reveals else NEUTRAL).format(object=object_name, phrase=phrase)
+    rolled = iter(roll_ahead(motions, targets, [frames[i] for i in ids], hand=recipe.hand, threads=threads))
+    return {i: list(islice(rolled, len(candidate.motions))) for i, candidate in candidates.items()}

@@ -208,14 +208,10 @@ _EXTENTS = {
 
 
 def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -> bool:
-    """Tell whether a panel across x stands in nobody's way.
+    """Tell whether a panel across x stands in nobody's way, ``radius_m`` being that of a sphere around the target.
 
-    Args:
-        panel: the screen.
-        spec: the episode.
-        meeting: frame at which a fast hand meets the target; all of the open hand keeps clear on its way there, and the
-            palm centre also on the way to the episode's intercept.
-        radius_m: of a sphere around the target [m].
+    All of the open hand keeps clear on its way to where a fast hand meets the target, at frame ``meeting``, and the
+    palm centre also on the way to the episode's intercept.
     """
     home, launch = spec.home_pos_w, spec.motion.launch(spec.target)
     return (

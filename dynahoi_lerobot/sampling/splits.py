@@ -13,7 +13,7 @@ import math
 import struct
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.core.conventions import SEED_LIMIT
 from dynahoi_lerobot.core.registry import known
@@ -100,11 +100,6 @@ def seal(salt: str) -> str:
     return SEALED + hashlib.sha256(b"dynahoi salt, published" + salt.encode()).hexdigest()[:HASH_DIGITS]
 
 
-def sealed(recipe: dict[str, Any]) -> dict[str, Any]:
-    """Return a recipe's values as files hold them."""
-    return recipe | {"salt": seal(recipe["salt"])} if "salt" in recipe else recipe
-
-
 def salt_words(salt: str) -> list[int]:
     """Return the numbers that go into the random numbers besides stream and seed; none without a salt.
 
@@ -149,11 +144,8 @@ def refuse_to_mix(noun: str, found: Iterable[tuple[object, str]], remedy: str) -
 def refuse_mixed_streams(found: Iterable[tuple[object, str]]) -> None:
     """Refuse results of different salts, or of a salt and the public stream.
 
-    Args:
-        found: what holds the results, for the message, and the ``stream_label`` of its split.
-
     Raises:
-        ValueError: naming two that do not go together.
+        ValueError: naming two, by their names in ``found``, whose ``stream_label`` there do not go together.
     """
     streams = [(where, label.partition(JOINT)[2] or PUBLIC) for where, label in found]
     refuse_to_mix("salt", streams, "evaluate both with one salt, or without")

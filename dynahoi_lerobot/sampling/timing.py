@@ -63,13 +63,7 @@ def approach_frames(travel_m: float) -> int:
 
 
 def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
-    """Draw duration and travel of one episode.
-
-    Args:
-        kind: kind of motion.
-        protocol: one of ``rules.PROTOCOLS``.
-        rng: source of the random numbers.
-    """
+    """Draw duration and travel of one episode of a kind of motion under one of ``rules.PROTOCOLS``."""
     table = kind_table(kind)
     duration, travel = np.unravel_index(rng.choice(table.size, p=table.ravel()), table.shape)
     travel_m = _draw_travel(MOTIONS[kind], int(travel), rng)
@@ -113,8 +107,8 @@ def kind_table(kind: str) -> np.ndarray:
 def _fitted_table() -> np.ndarray:
     """(22, D, T) joint table whose margins are equal kinds and the benchmark's durations and travels."""
     table = np.stack([_feasible(kind) for kind in BENCHMARK_KINDS]).astype(float)
-    kinds = np.full(len(BENCHMARK_KINDS), 1 / len(BENCHMARK_KINDS))
-    margins = (kinds, _normalized(BENCHMARK.durations.shares), _normalized(BENCHMARK.travels.shares))
+    shares = (np.ones(len(BENCHMARK_KINDS)), BENCHMARK.durations.shares, BENCHMARK.travels.shares)
+    margins = [np.divide(share, sum(share)) for share in shares]
     for _ in range(FITTING_SWEEPS):
         for axis, margin in enumerate(margins):
             others = tuple(a for a in range(3) if a != axis)
@@ -137,7 +131,3 @@ def _feasible(kind: str) -> np.ndarray:
 
 def _fits(length: int, approach: int) -> bool:
     return window_frames(length) + approach + MIN_GRASP_FRAMES <= length
-
-
-def _normalized(shares: tuple[float, ...]) -> np.ndarray:
-    return np.asarray(shares) / sum(shares)

@@ -12,7 +12,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, arrow_schema, bookkeeping_arrays, column_array
 from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
-from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, MANIFEST_PATH, TASKS_PATH, reading
+from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, MANIFEST_PATH, TASKS_PATH
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 
@@ -158,8 +158,7 @@ def tables_readable(store: Store) -> Iterator[str]:
     """Yield a sentence for each table that cannot be read; without them nothing else can be checked."""
     for path in (store.root / TASKS_PATH, *store.row_files(), *store.data_files()):
         try:
-            with reading(path):
-                pq.read_table(path)
+            store.table(path)
         except (ValueError, pa.ArrowException) as error:
             yield str(error)
 

@@ -32,13 +32,9 @@ GPU's, made them."""
 def replay_problems(
     store: Store, indices: list[int], recipe: Recipe | None, note: Callable[[str], object]
 ) -> Iterator[str]:
-    """Make episodes again and yield what differs.
+    """Make episodes again by the manifest's recipe, None if it cannot be read, and yield what differs.
 
-    Args:
-        store: the dataset.
-        indices: of the episodes.
-        recipe: of the manifest, None if it cannot be read.
-        note: told in a sentence what was found equal.
+    ``note`` is told in a sentence what was found equal.
     """
     made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
     if recipe is None or made_with != here:
@@ -59,17 +55,12 @@ def replay_problems(
                 yield f"episode {index} replays to other images of {key}: {None if view is None else view.shape}"
             else:
                 images.append((f"{key} of episode {index}", _apart(view, store, row, table, key)))
-    yield from _image_problems(images)
     equal = sum(apart == 0.0 for _, apart in images)
-    note(f"replayed {len(indices)} episodes; of {len(images)} videos of them {equal} are equal byte for byte")
-
-
-def _image_problems(images: list[tuple[str, float]]) -> Iterator[str]:
-    """Yield images that differ: by anything where others are equal, as codec and renderer then are the same."""
-    same_machine = any(apart == 0.0 for _, apart in images)
+    allowed = 0.0 if equal else BLOCK_LEVELS  # where some are equal, codec and renderer are the same
     for name, apart in images:
-        if apart > (0.0 if same_machine else BLOCK_LEVELS):
+        if apart > allowed:
             yield f"{name} shows other images than are made again, up to {apart:.1f} levels of 255 over {BLOCK_PX} px"
+    note(f"replayed {len(indices)} episodes; of {len(images)} videos of them {equal} are equal byte for byte")
 
 
 def _facts(made: Episode, stored: Episode) -> Iterator[str]:

@@ -41,12 +41,7 @@ did is not among them, and only a replay can say."""
 
 
 def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
-    """Yield columns that do not follow from those before them.
-
-    Args:
-        episode: without its images.
-        hand: its name; None where nobody knows it, so that fingertips are taken as they are.
-    """
+    """Yield columns that do not follow from those before them; where no ``hand`` is known, fingertips are believed."""
     if problem := not_finite(episode):
         yield problem
         return
@@ -75,13 +70,7 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
 
 
 def derived_problems(episode: Episode, row: EpisodeRow, table: pa.Table) -> Iterator[str]:
-    """Yield stored columns that a reader derives from others, and that say something else.
-
-    Args:
-        episode: as it was read.
-        row: its row of the episode table.
-        table: its frames.
-    """
+    """Yield stored columns of an episode that a reader derives from others, and that say something else."""
     for feature in FEATURES.values():
         if feature.derived and holds(table, feature):
             wanted = np.reshape(getattr(episode, feature.name), (len(episode), -1))

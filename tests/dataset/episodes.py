@@ -31,9 +31,9 @@ def varied_episode(seed: int, image_size: int = 32, views: Sequence[str] = ()) -
 
 
 def write(root: Path, seeds: range | list[int], image_size: int = 32, views: Sequence[str] = (), **options) -> Path:
-    """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter.for_episodes``."""
+    """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter``."""
     episodes = [varied_episode(seed, image_size, views) for seed in seeds]
-    writer = DatasetWriter.for_episodes(root, dataset_features(episodes[0]), **options)
+    writer = DatasetWriter(root, dataset_features(episodes[0]), **options)
     for episode in episodes:
         writer.add(episode)
     writer.finish()
@@ -49,7 +49,7 @@ def rewrite(root: Path, episodes: list[Episode], encoding: Encoding | None = Non
     """Put other episodes into a dataset's place, with its manifest's promises about where they come from."""
     manifest = Manifest.read(root)
     shutil.rmtree(root)
-    writer = DatasetWriter.for_episodes(root, dataset_features(episodes[0]), encoding)
+    writer = DatasetWriter(root, dataset_features(episodes[0]), encoding)
     for episode in episodes:
         writer.add(episode)
     writer.finish(manifest.provenance, manifest.yields)

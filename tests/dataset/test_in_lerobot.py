@@ -10,20 +10,51 @@ import torch
 from lerobot.configs.recipe import MessageTurn, TrainingRecipe
 from lerobot.datasets.dataset_tools import merge_datasets
 from lerobot.datasets.language_render import active_at, render_sample
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.datasets.video_utils import RGBEncoderConfig
 from lerobot.rl.buffer import ReplayBuffer
 from lerobot.scripts.lerobot_eval import _env_features_to_dataset_features
 from lerobot.utils.collate import lerobot_collate_fn
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.dataset import read_episodes, write_episodes
-from dynahoi_lerobot.dataset.columns import LANGUAGE, SUBTASKS, subtask_rows
+from dynahoi_lerobot.dataset import open_dataset, read_episodes, write_episodes
+from dynahoi_lerobot.dataset.columns import (
+    BOOKKEEPING,
+    LANGUAGE,
+    SUBTASKS,
+    content_arrays,
+    dataset_features,
+    info_features,
+    subtask_rows,
+)
 from dynahoi_lerobot.dataset.video import Encoding
 from tests.dataset.episodes import varied_episode, write
-from tests.dataset.lerobot_api import REPO, open_dataset, write_with_lerobot
 from tests.synthetic import synthetic_episode
 from tests.tools import generated
 
 SEEDS = range(4)
+REPO = "local/dataset"
+
+
+def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> None:
+    """The same episodes through LeRobot's own recording interface."""
+    columns = dataset_features(episodes[0])
+    described = info_features(columns, encoding)
+    features = {key: feature for key, feature in described.items() if key not in BOOKKEEPING}
+    for feature in features.values():
+        feature.pop("info", None)
+        feature["shape"] = tuple(feature["shape"])
+    encoder = RGBEncoderConfig(vcodec="h264", crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1)
+    dataset = LeRobotDataset.create(
+        REPO, 20, features, root=root, robot_type="dynahoi_hand", rgb_encoder=encoder, encoder_threads=1
+    )
+    for episode in episodes:
+        arrays = content_arrays(episode, columns)
+        for frame in range(len(episode)):
+            row = {key: np.asarray(values[frame]) for key, values in arrays.items()}
+            dataset.add_frame(row | {"observation.images.ego": episode.images["ego"][frame], "task": episode.meta.task})
+        dataset.save_episode()
+    dataset.finalize()
 
 
 @pytest.fixture(scope="module", params=["h264", "images"])

@@ -115,7 +115,7 @@ def test_what_is_no_dataset_is_refused_and_leaves_nothing(tmp_path, dataset):
         Store(tmp_path)
     assert not any(tmp_path.iterdir())
     with pytest.raises(IndexError, match="episode 6 does not exist"):
-        Store(dataset).episode(6)
+        Store(dataset).row(6)
     before = hash_files(dataset)
     with pytest.raises(FileExistsError, match="choose a new folder"):
         write_episodes(dataset, [varied_episode(0)])

@@ -119,5 +119,6 @@ def test_missing_library_is_named(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "datatrove.executor", None)
     monkeypatch.setitem(sys.modules, "datatrove", None)
     monkeypatch.delitem(sys.modules, "dynahoi_lerobot.generate.executors", raising=False)
+    monkeypatch.delattr("dynahoi_lerobot.generate.executors", raising=False)
     assert run("--root", tmp_path / "d", "--executor", "local") == 2
     assert "`scale`" in capsys.readouterr().err

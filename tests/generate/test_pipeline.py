@@ -11,8 +11,7 @@ from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.generate import pipeline
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace, workspace_path
-from dynahoi_lerobot.generate.plan import GenerationPlan
-from dynahoi_lerobot.generate.shard import ShardMaker
+from dynahoi_lerobot.generate.plan import GenerationPlan, ShardMaker
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 from tests.generate import recorder
 from tests.generate.recorder import PLAN, FakeRecipe

@@ -53,7 +53,7 @@ def test_only_its_own_split_contains_what_is_held_out(split: str):
     assert HELD_OUT_OBJECTS
     assert bool(HELD_OUT_MOTIONS & set(recipe.motion_names)) == (split == "ood_motion")
     assert bool(HELD_OUT_OBJECTS & set(recipe.object_names)) == (split == "ood_object")
-    assert (recipe.speed_scale > 1) == (split == "ood_speed")
+    assert (recipe.split_definition.speed_scale > 1) == (split == "ood_speed")
     if split in IN_DISTRIBUTION:
         assert recipe.motion_names == list(KINDS)
 

@@ -13,8 +13,8 @@ from lerobot.datasets.dataset_tools import (
     split_dataset,
 )
 
+from dynahoi_lerobot.dataset import open_dataset
 from dynahoi_lerobot.verify.command import verify
-from tests.dataset.lerobot_api import open_dataset
 from tests.verify.test_verify import FORMAT, VIDEO
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import

@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.dataset import frame_column, write_episodes
+from dynahoi_lerobot.dataset import frame_column, open_dataset, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
 from tests.dataset.episodes import changed, varied_episode
-from tests.dataset.lerobot_api import open_dataset
 
 SENTENCE = "episode 7: action.thumb_tip reaches 2.200, outside -0.500 to 1.500 in 1 frame"
 

@@ -50,8 +50,6 @@ def found(root: Path, **options) -> set[str]:
     [
         ("--environment-state", "truth", "--subtasks"),
         ("--capture", "contact", "--motions", "constant,struck"),
-        pytest.param(("--codec", "images", "--views", "side,ego_depth"), marks=pytest.mark.slow),
-        pytest.param(("--image-size", "0", "--keep-failures"), marks=pytest.mark.slow),
     ],
 )
 def test_what_was_generated_is_sound_and_replays_to_the_same_bytes(tmp_path, capsys, words):
