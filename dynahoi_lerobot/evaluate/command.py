@@ -154,7 +154,7 @@ def _vlm(args: argparse.Namespace) -> Agent:
         palm_speed_m_s=CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control),
         log=args.out / "vlm.jsonl" if args.out else None,
     )
-    return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
+    return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}")
 
 
 def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) -> list[EpisodeSpec]:

@@ -1,8 +1,6 @@
 """A vision-language model as an agent: one decision per world for every ten frames of the control phase."""
 
-import time
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -22,10 +20,9 @@ class VlmAgent(ChunkAgent):
 
     sees_images = True
 
-    def __init__(self, client: VlmClient, *, name: str = "vlm", concurrency: int = 8) -> None:
-        """Use ``client`` for up to ``concurrency`` decisions at a time."""
+    def __init__(self, client: VlmClient, *, name: str = "vlm") -> None:
+        """Ask ``client`` about all worlds that need a chunk at the same time."""
         self.name, self._client = name, client
-        self._threads = ThreadPoolExecutor(max_workers=concurrency)
         self._planned: list[deque[np.ndarray]] = []
 
     def reset(self, count: int) -> None:
@@ -59,16 +56,12 @@ class VlmAgent(ChunkAgent):
         shown = [i for i in worlds.tolist() if observation.images[EGO_VIEW][i].any()]
         actions = np.repeat(observation.state[:, None].astype(np.float64), HORIZON, axis=1)
         seconds = np.zeros(len(observation.state))
-        decisions = self._threads.map(lambda i: self._decision(observation, i), shown)
-        for i, (commands, took) in zip(shown, decisions, strict=True):
-            actions[i], seconds[i] = commands, took
+        asked = [(observation.tasks[i], actions[i, 0], observation.images[EGO_VIEW][i]) for i in shown]
+        for i, (commands, took) in zip(shown, self._client.plan(asked), strict=True):
+            seconds[i] = took
+            if commands is not None:
+                actions[i] = commands
         return actions[worlds], seconds[worlds]
-
-    def _decision(self, observation: Observation, i: int) -> tuple[np.ndarray, float]:
-        """Request a chunk (10, 18) for world ``i``; also return the seconds that it took."""
-        start, state = time.monotonic(), observation.state[i].astype(np.float64)
-        commands = self._client.plan(observation.tasks[i], state, observation.images[EGO_VIEW][i])
-        return np.repeat(state[None], HORIZON, axis=0) if commands is None else commands, time.monotonic() - start
 
     def report(self) -> dict[str, Any]:
         """Return the account of the client under ``vlm``."""

@@ -10,6 +10,7 @@ import re
 import threading
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -29,10 +30,10 @@ HTTP_URL = re.compile(r"https?://(\[[\da-fA-F:]+\]|[\w.-]+)(:\d+)?(/[^\s@]*)?")
 
 
 class VlmClient:
-    """One model behind one endpoint; safe to use from several threads.
+    """One model behind one endpoint.
 
-    Requests run in an event loop on a thread of their own, where the deadline of a decision ends them wherever they
-    wait. The ``openai`` package repeats what fails on the way, and pauses as a busy server asks it to.
+    Requests run in an event loop on a thread of their own, side by side, where the deadline of a decision ends them
+    wherever they wait. The ``openai`` package repeats what fails on the way, and pauses as a busy server asks it to.
     """
 
     def __init__(
@@ -68,19 +69,23 @@ class VlmClient:
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, daemon=True, name="vlm").start()
 
-    def plan(self, task: str, state: np.ndarray, image: np.ndarray) -> np.ndarray | None:
-        """Return the commands for the next frames, or None if the server gives no valid answer in time.
+    def plan(self, worlds: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray | None, float]]:
+        """Decide for several worlds at the same time.
 
         Args:
-            task: the instruction.
-            state: (18,) palm centre position [m], home frame, and joint angles [rad].
-            image: (H, W, 3) uint8 RGB of the hand's camera.
+            worlds: the instruction; (18,) palm centre position [m], home frame, and joint angles [rad]; and (H, W, 3)
+                uint8 RGB of the hand's camera.
 
         Returns:
-            (10, 18) palm centre position [m], home frame, and joint angles [rad], one row for each frame of 0.05 s.
+            For each of them, the commands for the next frames, (10, 18) palm centre position [m], home frame, and joint
+            angles [rad], one row for each frame of 0.05 s, or None if the server gives no valid answer in time; and
+            what the decision took [s].
         """
-        asked = messages(self._prompt, self._palm_speed_m_s, task, state, image)
-        return asyncio.run_coroutine_threadsafe(self._decide(task, asked), self._loop).result()
+
+        async def decide() -> list[tuple[np.ndarray | None, float]]:
+            return await asyncio.gather(*(self._decide(*world) for world in worlds))
+
+        return asyncio.run_coroutine_threadsafe(decide(), self._loop).result()
 
     def report(self) -> dict[str, Any]:
         """Return the names of model and prompt and the account so far, as JSON values.
@@ -97,14 +102,15 @@ class VlmClient:
             "problems": dict(self._problems),
         }
 
-    async def _decide(self, task: str, messages: list[dict[str, Any]]) -> np.ndarray | None:
+    async def _decide(self, task: str, state: np.ndarray, image: np.ndarray) -> tuple[np.ndarray | None, float]:
         """Ask until an answer is valid, ``MOST_ANSWERS`` are not or the deadline has passed."""
         start, commands = time.monotonic(), None
+        asked = messages(self._prompt, self._palm_speed_m_s, task, state, image)
         try:
             async with asyncio.timeout(self._timeout_s):
                 for _ in range(MOST_ANSWERS):
                     try:
-                        commands = await self._answer(task, messages)
+                        commands = await self._answer(task, asked)
                         break
                     except ReplyError as error:
                         self._note(task, error)
@@ -112,8 +118,9 @@ class VlmClient:
             self._note(task, error)
         self._totals["decisions"] += 1
         self._totals["failed"] += commands is None
-        self._seconds += time.monotonic() - start
-        return commands
+        took = time.monotonic() - start
+        self._seconds += took
+        return commands, took
 
     async def _answer(self, task: str, messages: list[dict[str, Any]]) -> np.ndarray:
         """Return the commands of one answer.
