@@ -156,9 +156,10 @@ class Repository:
 
     def upload(self, folder: Path, **options: Any) -> None:
         """Upload a folder; ``options`` go to ``HfApi.upload_folder``."""
-        message = f"Push {folder.resolve().name} with dynahoi"
-        defaults: dict[str, Any] = {"ignore_patterns": IGNORED, "commit_message": message}
-        self.api.upload_folder(repo_id=self.name, folder_path=folder, repo_type=self.kind, **defaults | options)
+        self.api.upload_folder(
+            repo_id=self.name, folder_path=folder, repo_type=self.kind, ignore_patterns=IGNORED,
+            commit_message=f"Push {folder.resolve().name} with dynahoi", **options,
+        )  # fmt: skip
 
     def upload_card(self, card: ModelCard) -> None:
         """Replace the card; the client makes no commit if it says the same."""
