@@ -138,8 +138,7 @@ def _actor(args: argparse.Namespace) -> Actor:
 
 def _vlm(args: argparse.Namespace) -> Agent:
     """Return the vision-language model that the arguments name."""
-    from dynahoi_lerobot.vlm.agent import VlmAgent
-    from dynahoi_lerobot.vlm.client import VlmClient
+    from dynahoi_lerobot.vlm.agent import VlmAgent, VlmClient
 
     if not args.model:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")

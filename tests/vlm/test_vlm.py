@@ -16,8 +16,7 @@ from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
-from dynahoi_lerobot.vlm.agent import VlmAgent
-from dynahoi_lerobot.vlm.client import Answer, ReplyError, VlmClient, parse_reply
+from dynahoi_lerobot.vlm.agent import Answer, ReplyError, VlmAgent, VlmClient, parse_reply
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, messages
 from tests.vlm.server import Exchange, Handler, serving
 
