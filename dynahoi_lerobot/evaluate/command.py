@@ -26,7 +26,6 @@ from dynahoi_lerobot.evaluate.results import (
     WEIGHTS,
     Results,
     ResultsError,
-    ResultsRecorder,
     RunInfo,
     command_line,
     read_results,
@@ -77,15 +76,16 @@ def run(args: argparse.Namespace) -> int:
         },
     )
     with working_folder(args.out, info.task()) if args.out else nullcontext():
-        recorder = ResultsRecorder.resume(args.out) if args.out else ResultsRecorder()
-        specs = _specs(args, recipe, recorder)
+        results = Results.resumed(args.out, info) if args.out else Results(Path(), info)
+        specs = _specs(args, recipe, results.seeds)
         args.batch_size = _batch_size(args, inference)
         for episodes in _played(args, recipe, actor, specs):
-            recorder.extend(episodes)
+            results = results.plus(episodes)
             info.extra.update(actor.report())
             if args.out:
-                recorder.write(args.out, info)
-        results = recorder.results(info, args.out or Path()) if specs else _finished(args.out, info, recorder)
+                results.write()
+        if not specs:
+            results = _finished(results)
     print(results_table([results]))
     if args.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
@@ -94,11 +94,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _finished(folder: Path, info: RunInfo, recorder: ResultsRecorder) -> Results:
+def _finished(results: Results) -> Results:
     """Return results of which nothing was left to play, as they are if they are whole."""
     with suppress(ResultsError):
-        return read_results(folder)
-    return recorder.write(folder, info)  # the earlier run ended between the renaming of two files
+        return read_results(results.folder)
+    results.write()  # the earlier run ended between the renaming of two files
+    return results
 
 
 def _real_time(actor: Actor, inference: Inference) -> Actor:
@@ -156,14 +157,14 @@ def _vlm(args: argparse.Namespace) -> Agent:
     return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}")
 
 
-def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) -> list[EpisodeSpec]:
-    """Sample the episodes that are not recorded yet."""
+def _specs(args: argparse.Namespace, recipe: Recipe, played: set[int]) -> list[EpisodeSpec]:
+    """Sample the episodes whose seeds are not among those ``played`` before."""
     seeds = split_seeds(args.split)
     if args.episodes is not None:
         if not 1 <= args.episodes <= len(seeds):
             raise ValueError(f"--episodes must be 1 to {len(seeds)}, all of split {args.split}; got {args.episodes}")
         seeds = seeds[: args.episodes]
-    return sample_specs(recipe, [seed for seed in seeds if seed not in recorder.seeds], threads=0)
+    return sample_specs(recipe, [seed for seed in seeds if seed not in played], threads=0)
 
 
 def _played(
