@@ -47,11 +47,6 @@ class Metric:
         """The definition: formula, unit and source."""
         return inspect.cleandoc(self.compute.__doc__ or "")
 
-    @property
-    def summary(self) -> str:
-        """The definition's first line."""
-        return self.doc.partition("\n")[0]
-
 
 METRICS: Registry[Metric] = Registry("metric", "dynahoi_lerobot.metrics")
 
