@@ -132,10 +132,8 @@ class Repository:
 
     def weights(self) -> dict[str, str]:
         """Return the sha256 of its large files, by path."""
-        from huggingface_hub.hf_api import RepoFile
-
-        tree = self.api.list_repo_tree(self.name, recursive=True, repo_type=self.kind)
-        return {entry.path: entry.lfs.sha256 for entry in tree if isinstance(entry, RepoFile) and entry.lfs}
+        info = self.api.repo_info(self.name, repo_type=self.kind, files_metadata=True)
+        return {file.rfilename: file.lfs.sha256 for file in info.siblings or () if file.lfs}
 
     def claim(self, folder: Path, *, private: bool) -> set[str]:
         """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``, and return its files.
