@@ -131,9 +131,9 @@ class Repository:
         return f"{self.api.endpoint}/{'datasets/' if self.kind == 'dataset' else ''}{self.name}"
 
     def weights(self) -> dict[str, str]:
-        """Return the sha256 of its large files, by path."""
-        info = self.api.repo_info(self.name, repo_type=self.kind, files_metadata=True)
-        return {file.rfilename: file.lfs.sha256 for file in info.siblings or () if file.lfs}
+        """Return the sha256 of a model's large files, by path."""
+        files = self.api.model_info(self.name, files_metadata=True).siblings or ()
+        return {file.rfilename: file.lfs.sha256 for file in files if file.lfs}
 
     def claim(self, folder: Path, *, private: bool) -> set[str]:
         """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``, and return its files.
