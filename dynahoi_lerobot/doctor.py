@@ -10,7 +10,7 @@ import platform
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import distributions, entry_points, requires, version
 from itertools import chain
@@ -85,13 +85,13 @@ def run(args: argparse.Namespace) -> int:
 
 def examine(folder: Path) -> Iterator[Fact]:
     """Yield the facts of every part, of the disk that of the output ``folder``; a part that raises is a problem."""
-    parts: tuple[tuple[str, Callable[[], Iterator[Fact]]], ...] = (
-        ("processor", processor), ("disk", lambda: disk(folder)), ("gpu", gpu), ("codecs", codecs),
-        ("versions", versions), ("plugins", plugins), ("pace", pace),
-    )  # fmt: skip
-    for name, look in parts:
+    parts = {
+        "processor": processor(), "disk": disk(folder), "gpu": gpu(), "codecs": codecs(),
+        "versions": versions(), "plugins": plugins(), "pace": pace(),
+    }  # fmt: skip
+    for name, facts in parts.items():
         try:
-            yield from look()
+            yield from facts
         except Exception as error:  # whatever a broken installation raises is what the user wants to know
             yield Fact(name, f"check failed: {type(error).__name__}: {error}", problem=True)
 
@@ -225,8 +225,7 @@ def pace() -> Iterator[Fact]:
 
 def frames_per_s() -> float:
     """Return the frames that one thread simulates and renders per second of processor time."""
-    for _ in record(PACED, [0], threads=1):  # compiles the scene and, once on a machine, the renderer
-        pass
+    list(record(PACED, [0], threads=1))  # compiles the scene and, once on a machine, the renderer
     start = time.process_time()
     frames = sum(len(episode) for episode in record(PACED, range(1, 1 + PACED_EPISODES), threads=1))
     return frames / (time.process_time() - start)

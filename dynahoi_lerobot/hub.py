@@ -131,11 +131,9 @@ class Repository:
         return f"{self.api.endpoint}/{'datasets/' if self.kind == 'dataset' else ''}{self.name}"
 
     def weights(self) -> dict[str, str]:
-        """Return the sha256 of its large files, by path."""
-        from huggingface_hub.hf_api import RepoFile
-
-        tree = self.api.list_repo_tree(self.name, recursive=True, repo_type=self.kind)
-        return {entry.path: entry.lfs.sha256 for entry in tree if isinstance(entry, RepoFile) and entry.lfs}
+        """Return the sha256 of a model's large files, by path."""
+        files = self.api.model_info(self.name, files_metadata=True).siblings or ()
+        return {file.rfilename: file.lfs.sha256 for file in files if file.lfs}
 
     def claim(self, folder: Path, *, private: bool) -> set[str]:
         """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``, and return its files.
@@ -156,9 +154,10 @@ class Repository:
 
     def upload(self, folder: Path, **options: Any) -> None:
         """Upload a folder; ``options`` go to ``HfApi.upload_folder``."""
-        message = f"Push {folder.resolve().name} with dynahoi"
-        defaults: dict[str, Any] = {"ignore_patterns": IGNORED, "commit_message": message}
-        self.api.upload_folder(repo_id=self.name, folder_path=folder, repo_type=self.kind, **defaults | options)
+        self.api.upload_folder(
+            repo_id=self.name, folder_path=folder, repo_type=self.kind, ignore_patterns=IGNORED,
+            commit_message=f"Push {folder.resolve().name} with dynahoi", **options,
+        )  # fmt: skip
 
     def upload_card(self, card: ModelCard) -> None:
         """Replace the card; the client makes no commit if it says the same."""

@@ -8,7 +8,7 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.rules import one_hot_phase
-from dynahoi_lerobot.evaluate.results import Results, ResultsRecorder, RunInfo
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
 from dynahoi_lerobot.rollout.recorder import next_frames
@@ -91,6 +91,6 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
 
 def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:
     """Write a result folder of ``episodes``, in place of earlier results."""
-    recorder = ResultsRecorder()
-    recorder.extend(episodes)
-    return recorder.write(folder, info)
+    results = Results(folder, info).plus(list(episodes))
+    results.write()
+    return results

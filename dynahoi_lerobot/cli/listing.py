@@ -49,7 +49,10 @@ def _splits(noun: str, name: str) -> str:
 
 
 def _metrics() -> list[Row]:
-    return [{"name": n, "unit": m.unit, "better": m.direction, "description": m.summary} for n, m in METRICS.items()]
+    return [
+        {"name": name, "unit": metric.unit, "better": metric.direction, "description": metric.doc.partition("\n")[0]}
+        for name, metric in METRICS.items()
+    ]
 
 
 def _features() -> list[Row]:

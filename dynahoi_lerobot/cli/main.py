@@ -102,10 +102,5 @@ def _check_outputs(args: argparse.Namespace) -> None:
             check_output(place)
 
 
-def entry() -> None:
-    """Console script: exit with the command's code."""
-    sys.exit(main())
-
-
 if __name__ == "__main__":
-    entry()
+    sys.exit(main())

@@ -14,6 +14,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -48,22 +49,28 @@ POLICY = "obact"
 """Name of the trained policy's results."""
 
 
-Size = dict[str, int]
-"""Of a quickstart: ``episodes`` of the dataset; ``steps`` of training, a multiple of ``LOG_STEPS``; evaluation episodes
-``per_kind`` of motion; and how many of ``KINDS`` are evaluated, from the first."""
-FULL: Size = {"episodes": 800, "steps": 600, "per_kind": 2, "kinds": len(KINDS)}
-TINY: Size = {"episodes": 2, "steps": LOG_STEPS, "per_kind": 1, "kinds": 2}
+@dataclass(frozen=True)
+class Size:
+    """How much is done: dataset episodes, training steps, evaluation episodes per kind, and how many of ``KINDS``."""
+
+    episodes: int = 800
+    steps: int = 600
+    per_kind: int = 2
+    kinds: int = len(KINDS)
+
+
+TINY = Size(episodes=2, steps=LOG_STEPS, per_kind=1, kinds=2)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi quickstart``."""
     parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="output folder")
-    parser.add_argument("--episodes", type=whole(1, 10**6), default=FULL["episodes"], help="dataset episodes")
-    parser.add_argument("--steps", type=whole(1, 10**6), default=FULL["steps"], help="training steps")
+    parser.add_argument("--episodes", type=whole(1, 10**6), default=Size.episodes, help="dataset episodes")
+    parser.add_argument("--steps", type=whole(1, 10**6), default=Size.steps, help="training steps")
     parser.add_argument(
         "--evaluation-episodes",
         type=whole(1, 1000),
-        default=FULL["per_kind"],
+        default=Size.per_kind,
         help="evaluation episodes per kind of motion",
     )
     parser.add_argument("--tiny", action="store_true", help="smoke test with meaningless scores")
@@ -83,10 +90,9 @@ def run(args: argparse.Namespace) -> int:
             "./policies/lerobot_policy_obact, in a checkout"
         )
     out = args.out.resolve()
-    chosen = {"episodes": args.episodes, "steps": args.steps, "per_kind": args.evaluation_episodes}
-    size = TINY if args.tiny else FULL | chosen
+    size = TINY if args.tiny else Size(args.episodes, args.steps, args.evaluation_episodes)
     start = time.monotonic()
-    with working_folder(out, {"quickstart": size}):
+    with working_folder(out, {"quickstart": asdict(size)}):
         _run_stages(out, size, start)
     _conclude(out, start, show=args.open)
     return 0
@@ -108,8 +114,8 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
 
 
 def _generate(out: Path, size: Size) -> None:
-    root, episodes = out / "dataset", size["episodes"]
-    _dynahoi("generate", "--root", root, "--episodes", episodes, "--image-size", IMAGE_SIZE, "--workers", cores())
+    words = ["--episodes", size.episodes, "--image-size", IMAGE_SIZE, "--workers", cores()]
+    _dynahoi("generate", "--root", out / "dataset", *words)
 
 
 def _dynahoi(*words: object) -> None:
@@ -129,11 +135,11 @@ def _train(out: Path, size: Size) -> None:
         f"--dataset.root={out / 'dataset'}",
         f"--output_dir={partial / 'run'}",
         f"--policy.device={_device()}",
-        f"--steps={size['steps']}",
-        f"--save_freq={size['steps']}",
+        f"--steps={size.steps}",
+        f"--save_freq={size.steps}",
         f"--log_freq={LOG_STEPS}",
     ]
-    total, looks = size["steps"] // LOG_STEPS, "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+    total, looks = size.steps // LOG_STEPS, "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
     bar = {"total": total, "desc": "encoding and training", "bar_format": looks}
     with _run_into("train", arguments, out, partial, STEPS_DONE, **bar):
         checkpoint.parent.mkdir(exist_ok=True)
@@ -142,7 +148,7 @@ def _train(out: Path, size: Size) -> None:
 
 def _evaluate(out: Path, size: Size) -> None:
     """Evaluate; keep the results only once every kind of motion has been played."""
-    kinds, results, partial = KINDS[: size["kinds"]], out / "results" / POLICY, out / "results" / f"{POLICY}.partial"
+    kinds, results, partial = KINDS[: size.kinds], out / "results" / POLICY, out / "results" / f"{POLICY}.partial"
     arguments = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
@@ -151,8 +157,8 @@ def _evaluate(out: Path, size: Size) -> None:
         f"--env.split={SMALL_TEST}",
         f"--env.image_size={IMAGE_SIZE}",
         f"--env.results_dir={partial / results.name}",
-        f"--eval.n_episodes={size['per_kind']}",
-        f"--eval.batch_size={size['per_kind']}",
+        f"--eval.n_episodes={size.per_kind}",
+        f"--eval.batch_size={size.per_kind}",
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     ]

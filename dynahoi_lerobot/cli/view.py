@@ -75,8 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint or a baseline")
     add_trust_argument(parser)
-    notes = dict.fromkeys(TRAINED_FOR, "by default the setting that the policy was trained with")
-    add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **notes)
+    add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **TRAINED_FOR)
     parser.add_argument("--view", default="ego", choices=VIEWS, help="camera and modality")
     parser.add_argument("--out", type=path, default=Path("episode.gif"), help="output file: .gif, .mp4 or .html")
 

@@ -2,8 +2,7 @@
 
 import gymnasium as gym
 
-from dynahoi_lerobot.env.single_env import DynahoiEnv
-from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
+from dynahoi_lerobot.env.vector_env import DynahoiEnv, DynahoiVectorEnv
 from dynahoi_lerobot.motions import MOTIONS
 
 __all__ = ["DynahoiEnv", "DynahoiVectorEnv", "register_envs"]

@@ -77,7 +77,12 @@ def checked_folder(path: str, *, trust: bool = False) -> Path:
             ``trust`` allows that.
     """
     described = described_folder(path)
-    _check_files(described, trust)
+    if not (described / CONFIG).is_file():
+        raise PolicyError(f"{described} holds no policy (no {CONFIG}){hint_at_checkpoint(described)}")
+    for finding in _findings(described):
+        if not trust:
+            raise PolicyError(f"{finding}; give --trust only if you would run a program from the same source")
+        print(f"--trust: {printable(finding)}", file=sys.stderr)
     if os.path.isdir(path):
         return described
     return _download(path, ["*"] if trust else ["*.safetensors"], revision=described.name)
@@ -179,17 +184,6 @@ def _download(repository: str, patterns: list[str], revision: str | None = None)
 
 
 # -- what could run ---------------------------------------------------------------------------------------------------
-
-
-def _check_files(folder: Path, trust: bool) -> None:
-    """Refuse, or print if it is trusted, whatever in the folder could run code."""
-    if not (folder / CONFIG).is_file():
-        raise PolicyError(f"{folder} holds no policy (no {CONFIG}){hint_at_checkpoint(folder)}")
-    findings = list(_findings(folder))
-    if findings and not trust:
-        raise PolicyError(f"{findings[0]}; give --trust only if you would run a program from the same source")
-    for finding in findings:
-        print(f"--trust: {printable(finding)}", file=sys.stderr)
 
 
 def _findings(folder: Path) -> Iterator[str]:

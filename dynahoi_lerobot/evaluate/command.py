@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
-from dynahoi_lerobot.core.arguments import given_fields
+from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, number, path, whole
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, TRUTH
@@ -20,27 +20,103 @@ from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
-from dynahoi_lerobot.evaluate.arguments import RECIPE_OPTIONS, VLM, add_arguments, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, VLM, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import episode_gif
-from dynahoi_lerobot.evaluate.results import (
-    WEIGHTS,
-    Results,
-    ResultsError,
-    ResultsRecorder,
-    RunInfo,
-    command_line,
-    read_results,
-)
+from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, ResultsError, RunInfo, command_line, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
-from dynahoi_lerobot.rollout.inference import SYNC, Inference, RealTimeAgent
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC, Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.fingerprint import surroundings
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import split_seeds, stream_label
+from dynahoi_lerobot.sampling.splits import SMALL_TEST, split_seeds, stream_label
+from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 from dynahoi_lerobot.world.batch import WorldBatch
 
-__all__ = ["add_arguments", "run"]
+RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views"))
+"""Fields of the recipe that are options of the command; the policy decides the views."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``dynahoi evaluate``."""
+    task = parser.add_mutually_exclusive_group(required=True)
+    task.add_argument(
+        "--replay",
+        type=path,
+        metavar="RESULTS",
+        help="re-execute the commands of a result folder and compare all numbers",
+    )
+    task.add_argument(
+        "--policy",
+        help=f"checkpoint folder, Hub repository, vlm, or a privileged baseline: expert, {', '.join(EXPERTS.names())}",
+    )
+    parser.add_argument("--split", default=SMALL_TEST, help="test, test_small, val, twins or one of the ood_ splits")
+    parser.add_argument("--out", type=path, help="result folder; an incomplete one is resumed")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        help="number of episodes: the first of the split, or random ones with --replay; all by default",
+    )
+    parser.add_argument(
+        "--replay-seed",
+        type=whole(0, 2**32 - 1),
+        help="with --replay: seed of the draw, as printed by an earlier replay",
+    )
+    state = f"by default what the policy reads; {TRUTH} must be given, and makes it privileged"
+    add_field_arguments(parser, Recipe, RECIPE_OPTIONS, environment_state=state, **TRAINED_FOR)
+    parser.add_argument(
+        "--batch-size",
+        type=whole(1, 4096),
+        default=32,
+        help="worlds simulated in parallel, without effect on results; 1 for policies with --inference-ms measured",
+    )
+    parser.add_argument("--gifs", type=whole(0, 10**6), default=0, help="number of episodes to record as GIFs in --out")
+    parser.add_argument("--per-kind", action="store_true", help="also print a row for each kind of motion")
+    _add_policy_arguments(parser)
+
+
+def _add_policy_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare what concerns LeRobot policies and vision-language models."""
+    parser.add_argument("--device", help="torch device of the policy")
+    add_trust_argument(parser)
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="override a field of the policy's config, such as n_action_steps=2; dictionaries as JSON; may be repeated",
+    )
+    parser.add_argument(
+        "--inference",
+        choices=INFERENCE_MODES,
+        default=SYNC,
+        help="; ".join(f"{mode}: {meaning}" for mode, meaning in INFERENCE_MODES.items()),
+    )
+    parser.add_argument(
+        "--inference-ms",
+        type=_latency,
+        default=0.0,
+        metavar="MS",
+        help="with --inference async or rtc: inference time [ms], or measured for the time on this machine",
+    )
+    parser.add_argument("--model", help="with --policy vlm: model name at the endpoint")
+    parser.add_argument("--prompt", default=DEFAULT_PROMPT, help=f"with --policy vlm: prompt, {' or '.join(PROMPTS)}")
+    parser.add_argument(
+        "--base-url",
+        help="with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from OPENAI_API_KEY",
+    )
+    parser.add_argument(
+        "--request-timeout",
+        type=number(0.001, 86_400.0),
+        default=60.0,
+        help="with --policy vlm: time limit of a decision with all its requests [s]",
+    )
+
+
+def _latency(text: str) -> float | None:
+    """Parse ``--inference-ms``; None is ``measured``."""
+    return None if text == "measured" else number(0.0, MAX_LATENCY_MS)(text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,15 +153,16 @@ def run(args: argparse.Namespace) -> int:
         },
     )
     with working_folder(args.out, info.task()) if args.out else nullcontext():
-        recorder = ResultsRecorder.resume(args.out) if args.out else ResultsRecorder()
-        specs = _specs(args, recipe, recorder)
+        results = Results.resumed(args.out, info) if args.out else Results(Path(), info)
+        specs = _specs(args, recipe, results.seeds)
         args.batch_size = _batch_size(args, inference)
         for episodes in _played(args, recipe, actor, specs):
-            recorder.extend(episodes)
+            results = results.plus(episodes)
             info.extra.update(actor.report())
             if args.out:
-                recorder.write(args.out, info)
-        results = recorder.results(info, args.out or Path()) if specs else _finished(args.out, info, recorder)
+                results.write()
+        if not specs:
+            results = _finished(results)
     print(results_table([results]))
     if args.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
@@ -94,11 +171,12 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _finished(folder: Path, info: RunInfo, recorder: ResultsRecorder) -> Results:
+def _finished(results: Results) -> Results:
     """Return results of which nothing was left to play, as they are if they are whole."""
     with suppress(ResultsError):
-        return read_results(folder)
-    return recorder.write(folder, info)  # the earlier run ended between the renaming of two files
+        return read_results(results.folder)
+    results.write()  # the earlier run ended between the renaming of two files
+    return results
 
 
 def _real_time(actor: Actor, inference: Inference) -> Actor:
@@ -138,8 +216,7 @@ def _actor(args: argparse.Namespace) -> Actor:
 
 def _vlm(args: argparse.Namespace) -> Agent:
     """Return the vision-language model that the arguments name."""
-    from dynahoi_lerobot.vlm.agent import VlmAgent
-    from dynahoi_lerobot.vlm.client import VlmClient
+    from dynahoi_lerobot.vlm.agent import VlmAgent, VlmClient
 
     if not args.model:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
@@ -154,17 +231,17 @@ def _vlm(args: argparse.Namespace) -> Agent:
         palm_speed_m_s=CAPTURES[args.capture or Recipe.capture].palm_speed_m_s(control),
         log=args.out / "vlm.jsonl" if args.out else None,
     )
-    return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}", concurrency=args.batch_size)
+    return VlmAgent(client, name=f"vlm:{args.model}:{args.prompt}")
 
 
-def _specs(args: argparse.Namespace, recipe: Recipe, recorder: ResultsRecorder) -> list[EpisodeSpec]:
-    """Sample the episodes that are not recorded yet."""
+def _specs(args: argparse.Namespace, recipe: Recipe, played: set[int]) -> list[EpisodeSpec]:
+    """Sample the episodes whose seeds are not among those ``played`` before."""
     seeds = split_seeds(args.split)
     if args.episodes is not None:
         if not 1 <= args.episodes <= len(seeds):
             raise ValueError(f"--episodes must be 1 to {len(seeds)}, all of split {args.split}; got {args.episodes}")
         seeds = seeds[: args.episodes]
-    return sample_specs(recipe, [seed for seed in seeds if seed not in recorder.seeds], threads=0)
+    return sample_specs(recipe, [seed for seed in seeds if seed not in played], threads=0)
 
 
 def _played(

@@ -8,7 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
+from dynahoi_lerobot.evaluate.rows import IDENTITY
 from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap_means
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
@@ -79,8 +79,7 @@ def compare(
 
 def paired_values(a: Results, b: Results, metric: str) -> np.ndarray:
     """Return (n, 2) values of ``metric``, in its unit, in the episodes that both have played and where it applies."""
-    other = {_identity(row): row[metric] for row in b.rows}
-    pairs = ((row[metric], other.get(_identity(row))) for row in a.rows)
+    pairs = [(a.rows[i][metric], b.rows[j][metric]) for i, j in _both_played(a, b)]
     return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
 
 
@@ -89,14 +88,19 @@ def command_distances_cm(a: Results, b: Results) -> np.ndarray:
 
     Each is a mean over the control frames that both have: an episode ends once its target is localised.
     """
-    other = {_identity(row): actions for row, actions in zip(b.rows, b.actions, strict=True)}
     means = []
-    for row, actions in zip(a.rows, a.actions, strict=True):
-        if (paired := other.get(_identity(row))) is not None:
-            frames = slice(row["window_frames"], min(len(actions), len(paired)))
-            apart_m = np.linalg.norm(actions[frames, :PALM_DOF] - paired[frames, :PALM_DOF], axis=1)
-            means.append(100 * apart_m.mean())
+    for i, j in _both_played(a, b):
+        frames = slice(a.rows[i]["window_frames"], min(len(a.actions[i]), len(b.actions[j])))
+        apart_m = np.linalg.norm(a.actions[i][frames, :PALM_DOF] - b.actions[j][frames, :PALM_DOF], axis=1)
+        means.append(100 * apart_m.mean())
     return np.array(means, np.float64)
+
+
+def _both_played(a: Results, b: Results) -> list[tuple[int, int]]:
+    """Return the place in A and that in B of every episode that both have."""
+    places = {tuple(row[name] for name in IDENTITY): place for place, row in enumerate(b.rows)}
+    found = [places.get(tuple(row[name] for name in IDENTITY)) for row in a.rows]
+    return [(i, j) for i, j in enumerate(found) if j is not None]
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
@@ -116,7 +120,3 @@ def _p_value(metric: Metric, differences: np.ndarray, means: np.ndarray) -> floa
         return mcnemar(int((differences > 0).sum()), int((differences < 0).sum()))
     far = min((means <= 0).sum(), (means >= 0).sum())
     return float(min(1.0, 2 * max(far, 1) / len(means)))
-
-
-def _identity(row: Row) -> tuple:
-    return tuple(row[name] for name in IDENTITY)

@@ -43,17 +43,7 @@ class PolicyAgent(ChunkAgent):
     def __init__(
         self, path: str, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
     ) -> None:
-        """Load a policy and its processors.
-
-        Args:
-            path: a ``pretrained_model`` folder, or a Hub repository id.
-            device: torch device, the policy's own if None.
-            settings: overrides of its config, ``KEY=VALUE`` each.
-            trust: load it even if that can run code of its own.
-
-        Raises:
-            PolicyError: as ``checked_folder`` and ``load_policy``.
-        """
+        """Load a policy and its processors; see ``checked_folder`` and ``load_policy`` for arguments and errors."""
         self.name = path
         folder = checkpoint.checked_folder(path, trust=trust)
         _register_plugins()

@@ -4,8 +4,8 @@ Whatever is damaged in it is one ``ResultsError``.
 """
 
 import json
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -84,7 +84,7 @@ class RunInfo:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """One evaluation: what was run, and a row and the actions of every episode.
+    """One evaluation: what was run, and a row and the actions of every episode, no images.
 
     Attributes:
         folder: where it was read from or written to.
@@ -96,10 +96,35 @@ class Results:
 
     folder: Path
     info: RunInfo
-    rows: tuple[Row, ...]
-    actions: tuple[np.ndarray, ...] = field(repr=False)
+    rows: tuple[Row, ...] = ()
+    actions: tuple[np.ndarray, ...] = field(default=(), repr=False)
     head: dict[str, Any] = field(default_factory=dict, repr=False)
     _by: dict[str, dict[str, Summary]] = field(default_factory=dict, init=False, repr=False)
+
+    @classmethod
+    def resumed(cls, folder: Path, info: RunInfo) -> Self:
+        """Return what an interrupted run of the same task has saved in ``folder``.
+
+        It may have ended before its first save, or between the renaming of two files, so that one of them holds more
+        episodes.
+
+        Raises:
+            ResultsError: if what it saved is damaged.
+        """
+        if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
+            return cls(folder, info)
+        rows, actions = _read_saved(folder)
+        return cls(folder, info, tuple(rows[: len(actions)]), tuple(actions[: len(rows)]))
+
+    def plus(self, episodes: Sequence[Episode]) -> Self:
+        """Return these results and those of further ``episodes``."""
+        rows, actions = map(episode_row, episodes), (np.array(episode.action, np.float32) for episode in episodes)
+        return replace(self, rows=(*self.rows, *rows), actions=(*self.actions, *actions))
+
+    @property
+    def seeds(self) -> set[int]:
+        """Seeds of the episodes."""
+        return {row["seed"] for row in self.rows}
 
     @cached_property
     def rules(self) -> dict[str, str]:
@@ -176,7 +201,13 @@ class Results:
         }
 
     def write(self) -> None:
-        """Write the three files; ``metrics.json`` is renamed last, so it is there only if the others are."""
+        """Write the three files; ``metrics.json`` is renamed last, so it is there only if the others are.
+
+        Raises:
+            ValueError: if there is no episode.
+        """
+        if not self.rows:
+            raise ValueError("no episode was recorded; results need at least one")
         text = json.dumps(self.as_json(), indent=2, allow_nan=False) + "\n"
         write_atomically(
             {
@@ -185,61 +216,6 @@ class Results:
                 self.folder / METRICS_FILE: lambda path: path.write_text(text, encoding="utf-8"),
             }
         )
-
-
-class ResultsRecorder:
-    """Collects episodes batch by batch and writes the result folder; keeps a row and the actions of each, no images."""
-
-    def __init__(self, rows: Sequence[Row] = (), actions: Sequence[np.ndarray] = ()) -> None:
-        """Start empty, or from the rows and (T, 18) actions of an earlier run."""
-        self._rows = list(rows)
-        self._actions = list(actions)
-
-    @classmethod
-    def resume(cls, folder: Path) -> Self:
-        """Return a recorder that resumes what an interrupted run of the same task has saved in ``folder``.
-
-        It may have ended before its first save, or between the renaming of two files, so that one of them holds more
-        episodes.
-
-        Raises:
-            ResultsError: if what it saved is damaged.
-        """
-        if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
-            return cls()
-        rows, actions = _read_saved(folder)
-        return cls(rows[: len(actions)], actions[: len(rows)])
-
-    @property
-    def seeds(self) -> set[int]:
-        """Seeds of the recorded episodes."""
-        return {row["seed"] for row in self._rows}
-
-    def extend(self, episodes: Iterable[Episode]) -> None:
-        """Record ``episodes``, which may be a generator."""
-        for episode in episodes:
-            self._rows.append(episode_row(episode))
-            self._actions.append(np.array(episode.action, np.float32))
-
-    def write(self, folder: Path, info: RunInfo) -> Results:
-        """Write the result folder, each file whole or not at all, and return what it holds.
-
-        Raises:
-            ValueError: if nothing was recorded.
-        """
-        results = self.results(info, folder)
-        results.write()
-        return results
-
-    def results(self, info: RunInfo, folder: Path = Path()) -> Results:
-        """Return what has been recorded, without writing it.
-
-        Raises:
-            ValueError: as ``write``.
-        """
-        if not self._rows:
-            raise ValueError("no episode was recorded; results need at least one")
-        return Results(folder, info, tuple(self._rows), tuple(self._actions))
 
 
 def read_results(folder: Path) -> Results:

@@ -12,18 +12,6 @@ Direction = Literal["higher", "lower"]
 Aggregation = Literal["rate", "mean"]
 Compute = Callable[[Episode], "float | bool | None"]
 
-FRACTION = "fraction"
-"""Unit of shares and rates, in [0, 1]; tables print them in per cent."""
-
-UNIT = "u"
-"""The paper's world unit, 0.1 m (``conventions.UNIT_M``)."""
-
-SCORE = "score"
-"""Unit of dimensionless scores, printed as they are."""
-
-SPEED = "m/s"
-"""Unit of speeds."""
-
 
 @dataclass(frozen=True)
 class Metric:
@@ -32,7 +20,8 @@ class Metric:
     Attributes:
         name: the name in every table, the paper's where it has one.
         compute: the function of one episode; its docstring gives the formula and the source.
-        unit: ``fraction``, ``u`` (0.1 m), ``m/s`` or ``score``.
+        unit: ``fraction`` of shares and rates in [0, 1], which tables print in per cent; ``u``, the paper's 0.1 m;
+            ``m/s``; or ``score``, a number without a unit.
         direction: which way is better.
         aggregation: ``rate`` of values 0 or 1, with Wilson's interval; or ``mean`` of real values, with a bootstrap
             interval.
@@ -57,11 +46,6 @@ class Metric:
     def doc(self) -> str:
         """The definition: formula, unit and source."""
         return inspect.cleandoc(self.compute.__doc__ or "")
-
-    @property
-    def summary(self) -> str:
-        """The definition's first line."""
-        return self.doc.partition("\n")[0]
 
 
 METRICS: Registry[Metric] = Registry("metric", "dynahoi_lerobot.metrics")

@@ -4,7 +4,7 @@ import numpy as np
 
 from dynahoi_lerobot.core import conventions
 from dynahoi_lerobot.core.episode import Episode, joints_reached
-from dynahoi_lerobot.metrics.base import FRACTION, UNIT, metric
+from dynahoi_lerobot.metrics.base import metric
 
 
 def share_of_frames(episode: Episode, min_fingers: int) -> float:
@@ -26,7 +26,7 @@ def grasps_within(episode: Episode, frames: int) -> bool | None:
     return bool(reached.all(axis=1).any())
 
 
-@metric("S_gra", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
+@metric("S_gra", unit="fraction", direction="higher", aggregation="rate", condition="localised episodes")
 def s_gra(episode: Episode) -> bool | None:
     """Grasp success, given localisation: all 15 joints match the reference grasp at the first localised frame.
 
@@ -44,7 +44,7 @@ WINDOW_S = 0.5
 """How long after localisation the grasp may close [s]."""
 
 
-@metric("S_gra_window", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
+@metric("S_gra_window", unit="fraction", direction="higher", aggregation="rate", condition="localised episodes")
 def s_gra_window(episode: Episode) -> bool | None:
     """Grasp success within 0.5 s, given localisation: the test of S_gra on the first localised frame and ten more.
 
@@ -57,7 +57,7 @@ def s_gra_window(episode: Episode) -> bool | None:
     return grasps_within(episode, 1 + round(WINDOW_S * conventions.CONTROL_HZ))
 
 
-@metric("S_gra_two_sided", unit=FRACTION, direction="higher", aggregation="rate", condition="localised episodes")
+@metric("S_gra_two_sided", unit="fraction", direction="higher", aggregation="rate", condition="localised episodes")
 def s_gra_two_sided(episode: Episode) -> bool | None:
     """Grasp success, given localisation, with joints neither too open nor too closed.
 
@@ -77,7 +77,7 @@ def s_gra_two_sided(episode: Episode) -> bool | None:
     return bool(((share >= least) & (share <= most)).all())
 
 
-@metric("S_joint", unit=FRACTION, direction="higher", aggregation="rate")
+@metric("S_joint", unit="fraction", direction="higher", aggregation="rate")
 def s_joint(episode: Episode) -> bool:
     """Joint success: localised, and with joints neither too open nor too closed at the first localised frame.
 
@@ -88,7 +88,7 @@ def s_joint(episode: Episode) -> bool:
     return bool(s_gra_two_sided(episode))  # None, never localised, is a failure
 
 
-@metric("S_joint_paper", unit=FRACTION, direction="higher", aggregation="rate")
+@metric("S_joint_paper", unit="fraction", direction="higher", aggregation="rate")
 def s_joint_paper(episode: Episode) -> bool:
     """Joint success by the paper's grasp: localised, and S_gra's condition holds at the first localised frame.
 
@@ -100,7 +100,7 @@ def s_joint_paper(episode: Episode) -> bool:
     return bool(s_gra(episode))  # None, never localised, is a failure
 
 
-@metric("S_hold", unit=FRACTION, direction="higher", aggregation="rate", condition="capture rule contact")
+@metric("S_hold", unit="fraction", direction="higher", aggregation="rate", condition="capture rule contact")
 def s_hold(episode: Episode) -> bool | None:
     """Physical capture: the hand holds the free target off every other surface for 0.5 s.
 
@@ -112,7 +112,7 @@ def s_hold(episode: Episode) -> bool | None:
     return episode.success if episode.meta.capture == "contact" else None
 
 
-@metric("E_gra", unit=UNIT, direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
+@metric("E_gra", unit="u", direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
 def e_gra(episode: Episode) -> float:
     """Grasping error: the least distance between a fingertip and the target's surface.
 
@@ -124,7 +124,7 @@ def e_gra(episode: Episode) -> float:
     return float(episode.fingertip_distance[episode.control].min()) / conventions.UNIT_M
 
 
-@metric("grasp_loose", unit=FRACTION, direction="higher", aggregation="mean")
+@metric("grasp_loose", unit="fraction", direction="higher", aggregation="mean")
 def grasp_loose(episode: Episode) -> float:
     """Per-frame grasp, loose: the share of control frames in which at least three fingers match the reference.
 
@@ -135,7 +135,7 @@ def grasp_loose(episode: Episode) -> float:
     return share_of_frames(episode, min_fingers=3)
 
 
-@metric("grasp_medium", unit=FRACTION, direction="higher", aggregation="mean")
+@metric("grasp_medium", unit="fraction", direction="higher", aggregation="mean")
 def grasp_medium(episode: Episode) -> float:
     """Per-frame grasp, medium: the share of control frames in which at least four fingers match the reference.
 
@@ -146,7 +146,7 @@ def grasp_medium(episode: Episode) -> float:
     return share_of_frames(episode, min_fingers=4)
 
 
-@metric("grasp_strict", unit=FRACTION, direction="higher", aggregation="mean")
+@metric("grasp_strict", unit="fraction", direction="higher", aggregation="mean")
 def grasp_strict(episode: Episode) -> float:
     """Per-frame grasp, strict: the share of control frames in which all five fingers match the reference.
 

@@ -4,11 +4,11 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, CONTROL_HZ, LENIENT_RADIUS_M, LOCALIZATION_RADIUS_M, UNIT_M
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.metrics.base import FRACTION, SCORE, SPEED, UNIT, metric
+from dynahoi_lerobot.metrics.base import metric
 from dynahoi_lerobot.metrics.trajectory import until_localized
 
 
-@metric("S_loc", unit=FRACTION, direction="higher", aggregation="rate")
+@metric("S_loc", unit="fraction", direction="higher", aggregation="rate")
 def s_loc(episode: Episode) -> bool:
     """Localisation success: the palm centre comes within 0.3 u (0.03 m) of the target centre.
 
@@ -22,7 +22,7 @@ def s_loc(episode: Episode) -> bool:
     return episode.first_localized is not None
 
 
-@metric("S_loc_planar", unit=FRACTION, direction="higher", aggregation="rate")
+@metric("S_loc_planar", unit="fraction", direction="higher", aggregation="rate")
 def s_loc_planar(episode: Episode) -> bool:
     """Planar localisation: the horizontal distance of palm and target centre falls below 0.3 u (0.03 m).
 
@@ -45,7 +45,7 @@ INTERCEPT_TOLERANCE_FRAMES = round(0.1 * CONTROL_HZ)
 """A target localised this long after the oracle's intercept, 0.1 s, still counts as intercepted."""
 
 
-@metric("S_intercept", unit=FRACTION, direction="higher", aggregation="rate")
+@metric("S_intercept", unit="fraction", direction="higher", aggregation="rate")
 def s_intercept(episode: Episode) -> bool:
     """Localisation at the first opportunity: no later than 0.1 s after the oracle's intercept.
 
@@ -59,7 +59,7 @@ def s_intercept(episode: Episode) -> bool:
     return first is not None and first <= episode.meta.intercept_frame + INTERCEPT_TOLERANCE_FRAMES
 
 
-@metric("E_loc", unit=UNIT, direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
+@metric("E_loc", unit="u", direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
 def e_loc(episode: Episode) -> float:
     """Localisation error: the least distance between palm centre and target centre.
 
@@ -72,7 +72,7 @@ def e_loc(episode: Episode) -> float:
 
 @metric(
     "relative_speed",
-    unit=SPEED,
+    unit="m/s",
     direction="lower",
     aggregation="mean",
     bounds=(0.0, float("inf")),
@@ -94,7 +94,7 @@ def relative_speed(episode: Episode) -> float | None:
     return float(np.linalg.norm(episode.target_velocity[first - 1, :3] - palm_velocity))
 
 
-@metric("R_time", unit=SCORE, direction="higher", aggregation="mean")
+@metric("R_time", unit="score", direction="higher", aggregation="mean")
 def r_time(episode: Episode) -> float:
     """Time score, counted from control start; 0 if the target is never localised.
 
@@ -115,7 +115,7 @@ def time_score(episode: Episode, start_frame: int) -> float:
     return float(np.clip(1 - (first - start_frame) / episode.meta.length_frames, 0.0, 1.0))
 
 
-@metric("R_time_total", unit=SCORE, direction="higher", aggregation="mean")
+@metric("R_time_total", unit="score", direction="higher", aggregation="mean")
 def r_time_total(episode: Episode) -> float:
     """Time score, counted from the first frame, so that observing costs time too; 0 if the target is never localised.
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import PALM_DOF, UNIT_M
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.metrics.base import SCORE, metric
+from dynahoi_lerobot.metrics.base import metric
 
 REST_M = 1e-6
 """Palm steps up to this length [m] count as zero: a servo that holds still jitters in the last bits of a float32."""
@@ -36,7 +36,7 @@ def palm_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
     return steps, displacement if np.linalg.norm(displacement) > REST_M else np.zeros(3)
 
 
-@metric("Q_line", unit=SCORE, direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
+@metric("Q_line", unit="score", direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
 def q_line(episode: Episode) -> float:
     """Spatial linearity of the palm's path from control start to the first localised frame.
 
@@ -57,7 +57,7 @@ def linearity(steps: np.ndarray, displacement: np.ndarray) -> float:
     return float(np.clip(cosines.mean(), -1.0, 1.0))
 
 
-@metric("Q_smooth", unit=SCORE, direction="higher", aggregation="mean")
+@metric("Q_smooth", unit="score", direction="higher", aggregation="mean")
 def q_smooth(episode: Episode) -> float:
     """Temporal smoothness of the palm's path from control start to the first localised frame.
 
@@ -93,7 +93,7 @@ def command_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
     return steps[np.linalg.norm(steps, axis=1) > LEGACY_REST], points[-1] - points[0]
 
 
-@metric("Q_line_18d", unit=SCORE, direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
+@metric("Q_line_18d", unit="score", direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
 def q_line_18d(episode: Episode) -> float:
     """Legacy linearity: Q_line on the 18-D commands (palm in u, joints in rad), steps up to 1e-4 dropped.
 
@@ -104,7 +104,7 @@ def q_line_18d(episode: Episode) -> float:
     return linearity(*command_steps(episode))
 
 
-@metric("Q_smooth_18d", unit=SCORE, direction="higher", aggregation="mean")
+@metric("Q_smooth_18d", unit="score", direction="higher", aggregation="mean")
 def q_smooth_18d(episode: Episode) -> float:
     """Legacy smoothness: Q_smooth on the 18-D commands (palm in u, joints in rad), steps up to 1e-4 dropped.
 

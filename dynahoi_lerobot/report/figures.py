@@ -71,24 +71,20 @@ class ReportFigure:
     def render(self, entries: Sequence[Entry]) -> str | None:
         """Return the drawing as the ``data:`` address of an SVG in the report's style; None if there is none.
 
-        As an image it is inert: nothing written in it can run or load anything.
+        It follows the page's light or dark scheme. As an image it is inert: nothing written in it can run or load
+        anything.
         """
-        import matplotlib as mpl
+        import matplotlib.style
 
-        with mpl.rc_context():
-            mpl.rcdefaults()
-            mpl.rcParams.update(STYLE)
+        buffer = io.StringIO()
+        with matplotlib.style.context(STYLE, after_reset=True):
             drawing = self.draw(entries)
-            return None if drawing is None else _svg_address(drawing)
-
-
-def _svg_address(drawing: Figure) -> str:
-    """Return the ``data:`` address of an SVG that follows the page's light or dark scheme."""
-    buffer = io.StringIO()
-    metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # nothing that changes between runs
-    drawing.savefig(buffer, format="svg", metadata=metadata)
-    svg = re.sub("<svg[^>]*>", rf"\g<0>{INK_CSS}", buffer.getvalue().replace(INK, "var(--ink)"), count=1)
-    return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
+            if drawing is None:
+                return None
+            metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # nothing that changes between runs
+            drawing.savefig(buffer, format="svg", metadata=metadata)
+        svg = re.sub("<svg[^>]*>", rf"\g<0>{INK_CSS}", buffer.getvalue().replace(INK, "var(--ink)"), count=1)
+        return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
 
 
 FIGURES: list[ReportFigure] = []

@@ -37,9 +37,8 @@ def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(quickstart, "_conclude", lambda *_, **__: None)
     for words in ([], ["--episodes", "4", "--steps", "10", "--evaluation-episodes", "3"], ["--tiny"]):
         assert main(["quickstart", "--out", str(tmp_path / str(len(words))), *words]) == 0
-    chosen = quickstart.FULL | {"episodes": 4, "steps": 10, "per_kind": 3}
-    assert sizes == [quickstart.FULL, chosen, quickstart.TINY]
-    assert sorted(quickstart.KINDS[: quickstart.FULL["kinds"]]) == sorted(MOTIONS)
+    assert sizes == [quickstart.Size(), quickstart.Size(4, 10, 3), quickstart.TINY]
+    assert sorted(quickstart.KINDS[: quickstart.Size.kinds]) == sorted(MOTIONS)
 
 
 def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,7 @@ from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, from_grasp, to_grasp
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.dataset import open_dataset
-from dynahoi_lerobot.env.single_env import DynahoiEnv
-from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
+from dynahoi_lerobot.env.vector_env import DynahoiEnv, DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.checkpoint import trained_for
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan

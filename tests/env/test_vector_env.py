@@ -208,7 +208,7 @@ def test_a_copy_plays_what_the_original_plays(make: Callable, copied: Callable) 
 def test_a_copy_of_lerobots_task_reports_to_a_log_of_the_same_folder(tmp_path: Path) -> None:
     env = TaskEnv(1, on_episode=ResultsLog(tmp_path, Recipe(split="test", image_size=16)), **OPTIONS)
     twin = copy.deepcopy(env)
-    assert (twin._on_episode.folder, twin.kind, twin.num_envs) == (tmp_path, "lob", 1)
+    assert (twin._on_episode._results.folder, twin.kind, twin.num_envs) == (tmp_path, "lob", 1)
 
 
 @ENVS

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.evaluate.results import ResultsError, ResultsRecorder, RunInfo, command_line, read_results
+from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo, command_line, read_results
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -98,10 +98,9 @@ def test_an_interrupted_run_resumes_whichever_files_it_had_renamed(tmp_path: Pat
     save(drafts, 4)
     for name in ("episodes.parquet", "actions.npz", "metrics.json")[:renamed]:
         shutil.copy(drafts / name, part / name)
-    recorder = ResultsRecorder.resume(part)
-    assert recorder.seeds == set(range(4 if renamed >= 2 else before))
-    recorder.extend(episode for episode in episodes() if episode.meta.seed not in recorder.seeds)
-    recorder.write(part, INFO)
+    results = Results.resumed(part, INFO)
+    assert results.seeds == set(range(4 if renamed >= 2 else before))
+    results.plus([episode for episode in episodes() if episode.meta.seed not in results.seeds]).write()
     whole = write_results(tmp_path / "whole", episodes(), INFO)
     assert read_results(part).rows == whole.rows
     assert all(map(np.array_equal, read_results(part).actions, whole.actions))

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler
-from pathlib import PurePosixPath
 from typing import Any
-from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.parse import unquote, urlsplit
 
 from tests.tools import served
 
@@ -68,8 +67,6 @@ class _Handler(BaseHTTPRequestHandler):
         path = unquote(urlsplit(self.path).path)
         self.hub.requests.append(f"{self.command} {path}")
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
-        if self.headers.get("Transfer-Encoding") == "chunked":
-            body = self._chunks()
         try:
             if self.command in ("POST", "DELETE") or path == WHOAMI:
                 self._check_token()
@@ -82,14 +79,6 @@ class _Handler(BaseHTTPRequestHandler):
             return self._send(refusal.status, json.dumps(refusal.body).encode(), headers)
 
     do_GET = do_HEAD = do_POST = do_PUT = do_DELETE = _answer  # noqa: N815
-
-    def _chunks(self) -> bytes:
-        body = b""
-        while size := int(self.rfile.readline(), 16):
-            body += self.rfile.read(size)
-            self.rfile.readline()
-        self.rfile.readline()
-        return body
 
     def _send(self, status: int, body: bytes, headers: dict[str, str]) -> None:
         self.send_response(status)
@@ -132,6 +121,10 @@ def _oid(name: str, content: bytes) -> str:
     return hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
 
 
+def _lfs(name: str, content: bytes) -> dict[str, Any] | None:
+    return {"sha256": _oid(name, content), "size": len(content), "pointerSize": 134} if _is_large(name) else None
+
+
 def _is_large(name: str) -> bool:
     return not name.endswith((*REGULAR, ".gitattributes"))
 
@@ -156,7 +149,7 @@ def create(handler: _Handler, body: bytes) -> Answer:
 def info(handler: _Handler, body: bytes, kind: str, name: str, revision: str | None = None) -> Answer:
     repo = handler.repo(kind, name)
     sha = handler.sha(repo, revision or "main")
-    siblings = [{"rfilename": path} for path in repo.commits[sha]]
+    siblings = [{"rfilename": path, "lfs": _lfs(path, content)} for path, content in repo.commits[sha].items()]
     return _json({"id": name, "sha": sha, "private": repo.private, "tags": [], "downloads": 0, "siblings": siblings})
 
 
@@ -204,13 +197,6 @@ def commit(handler: _Handler, body: bytes, kind: str, name: str, revision: str) 
     return _json({"success": True, "commitOid": sha, "commitUrl": f"{handler.hub.url}/{name}/commit/{sha}"})
 
 
-def refs(handler: _Handler, body: bytes, kind: str, name: str) -> Answer:
-    repo = handler.repo(kind, name)
-    tags = [{"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha} for tag, sha in repo.tags.items()]
-    main = {"name": "main", "ref": "refs/heads/main", "targetCommit": repo.head}
-    return _json({"branches": [main], "tags": tags, "converts": []})
-
-
 def make_tag(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
     repo = handler.repo(kind, name)
     if (tag := json.loads(body)["tag"]) in repo.tags:
@@ -225,22 +211,12 @@ def delete_tag(handler: _Handler, body: bytes, kind: str, name: str, revision: s
     return _json({})
 
 
-def tree(handler: _Handler, body: bytes, kind: str, name: str, revision: str, *, folder: str = "") -> Answer:
-    """List a folder's files and, unless asked to recurse, only what is in it itself."""
+def tree(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
+    """List all files, as the client asks when it lists those of a repository."""
     repo = handler.repo(kind, name)
+    assert "recursive=true" in handler.path.lower()
     files = repo.commits[handler.sha(repo, revision)]
-    start = f"{folder}/" if folder else ""
-    inside = {path: content for path, content in files.items() if path.startswith(start)}
-    parents = {parent.as_posix() for path in inside for parent in PurePosixPath(path).parents}
-    entries = [{"type": "directory", "path": path, "size": 0, "oid": "0" * 40} for path in sorted(parents - {"."})]
-    for path, content in inside.items():
-        entry: dict[str, Any] = {"type": "file", "path": path, "size": len(content), "oid": _oid(path, content)}
-        if _is_large(path):
-            entry["lfs"] = {"oid": _oid(path, content), "size": len(content), "pointerSize": 134}
-        entries.append(entry)
-    recurses = parse_qs(urlsplit(handler.path).query).get("recursive", [""])[0].lower() in ("true", "1")
-    shown = [entry for entry in entries if entry["path"].startswith(start)]
-    return _json([entry for entry in shown if recurses or "/" not in entry["path"].removeprefix(start)])
+    return _json([{"type": "file", "path": p, "size": len(c), "oid": _oid(p, c)} for p, c in files.items()])
 
 
 def resolve(handler: _Handler, body: bytes, **parts: str) -> Answer:
@@ -268,11 +244,9 @@ ROUTES = [
     ("GET", f"{API}/revision{REVISION}", info),
     ("POST", f"{API}/preupload{REVISION}", preupload),
     ("POST", f"{API}/commit{REVISION}", commit),
-    ("GET", f"{API}/refs", refs),
     ("POST", f"{API}/tag{REVISION}", make_tag),
     ("DELETE", f"{API}/tag{REVISION}", delete_tag),
     ("GET", f"{API}/tree{REVISION}", tree),
-    ("GET", f"{API}/tree{REVISION}/(?P<folder>.+)", tree),
     ("POST", r"(/datasets)?/(?P<name>[^/]+/[^/]+)\.git/info/lfs/objects/batch", batch),
     ("PUT", r"/blobs/(?P<oid>\w+)", upload),
     ("ANY", rf"/(?P<kind>datasets)/(?P<name>[^/]+/[^/]+)/resolve{REVISION}/(?P<path>.+)", resolve),

@@ -16,14 +16,13 @@ from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
-from dynahoi_lerobot.vlm import agent as vlm_agent
-from dynahoi_lerobot.vlm.agent import VlmAgent
-from dynahoi_lerobot.vlm.client import Answer, ReplyError, VlmClient, parse_reply
+from dynahoi_lerobot.vlm.agent import Answer, ReplyError, VlmAgent, VlmClient, parse_reply
 from dynahoi_lerobot.vlm.prompt import HORIZON, SKILLS, messages
 from tests.vlm.server import Exchange, Handler, serving
 
 IMAGE = np.full((32, 32, 3), 200, np.uint8)
 STATE = np.arange(18) / 10
+SEEN = ("", STATE, IMAGE)
 KEY = "sk-secret"
 
 
@@ -101,7 +100,8 @@ def test_a_plan_and_its_account(tmp_path: Path):
     log = tmp_path / "vlm.jsonl"
     with serving(lambda exchange: exchange.say("no" if exchange.number == 0 else answer())) as (url, seen):
         client = VlmClient("tiny", url, log=log)
-        np.testing.assert_allclose(client.plan("Catch it.", STATE, IMAGE), np.tile(STATE, (HORIZON, 1)))
+        ((commands, _),) = client.plan([("Catch it.", STATE, IMAGE)])
+        np.testing.assert_allclose(commands, np.tile(STATE, (HORIZON, 1)))
     report = client.report()
     assert (report["model"], report["decisions"], report["answers"], report["failed"]) == ("tiny", 1, 2, 0)
     assert (report["prompt_tokens"], report["completion_tokens"]) == (200, 20)
@@ -113,6 +113,17 @@ def test_a_plan_and_its_account(tmp_path: Path):
     assert line == {"task": "Catch it.", "skills": [["APPROACH", 4], ["APPROACH", 6]]}
 
 
+def test_worlds_are_decided_side_by_side():
+    def handler(exchange: Exchange) -> None:
+        time.sleep(0.5)
+        exchange.say(answer())
+
+    with serving(handler) as (url, _):
+        client, start = VlmClient("tiny", url), time.monotonic()
+        assert all(commands is not None and took >= 0.5 for commands, took in client.plan([SEEN] * 4))
+        assert time.monotonic() - start < 1.5
+
+
 def test_a_server_without_structured_output_is_asked_without():
     def handler(exchange: Exchange) -> None:
         if "response_format" in exchange.body:
@@ -122,8 +133,8 @@ def test_a_server_without_structured_output_is_asked_without():
 
     with serving(handler) as (url, seen):
         client = VlmClient("tiny", url)
-        assert client.plan("", STATE, IMAGE) is not None
-        assert client.plan("", STATE, IMAGE) is not None
+        assert client.plan([SEEN])[0][0] is not None
+        assert client.plan([SEEN])[0][0] is not None
     assert ["response_format" in exchange.body for exchange in seen] == [True, False, False]
 
 
@@ -133,7 +144,7 @@ def test_a_busy_server_is_asked_again_after_the_pause_it_asks_for():
 
     with serving(handler) as (url, _):
         client, start = VlmClient("tiny", url), time.monotonic()
-        assert client.plan("", STATE, IMAGE) is not None
+        assert client.plan([SEEN])[0][0] is not None
         assert time.monotonic() - start >= 1.0
 
 
@@ -156,7 +167,7 @@ def test_whatever_a_server_does_costs_one_decision(name: str, tmp_path: Path):
     timeout_s = 0.5 if problem == "TimeoutError" else 20.0
     with serving(handler) as (url, _):
         client, start = VlmClient("tiny", url, timeout_s=timeout_s, log=tmp_path / "log.jsonl"), time.monotonic()
-        assert client.plan("", STATE, IMAGE) is None
+        assert client.plan([SEEN])[0][0] is None
         assert time.monotonic() - start < timeout_s + 1.0
     report = client.report()
     assert (report["decisions"], report["failed"], set(report["problems"])) == (1, 1, {problem})
@@ -187,9 +198,10 @@ class Remembered:
     def __init__(self, fails: bool = False) -> None:
         self.asked, self.fails = [], fails
 
-    def plan(self, task: str, state: np.ndarray, image: np.ndarray) -> np.ndarray | None:
-        self.asked.append(task)
-        return None if self.fails else state + np.arange(1, HORIZON + 1)[:, None] * np.eye(18)[2] * 0.01
+    def plan(self, worlds: list[tuple[str, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray | None, float]]:
+        self.asked += [task for task, _, _ in worlds]
+        way = np.arange(1, HORIZON + 1)[:, None] * np.eye(18)[2] * 0.01
+        return [(None if self.fails else state + way, 0.0) for _, state, _ in worlds]
 
 
 def observe(acting: list[int], idle: tuple[int, ...] = ()) -> Observation:
@@ -271,24 +283,19 @@ def test_the_model_is_told_how_far_the_palm_may_move(settings: str, told_m: floa
 
 
 class SlowClient:
-    """Needs 120 ms, of a clock that nothing else moves, to say: go where the number of the request is."""
+    """Says after 120 ms: go where the number of the request is."""
 
     def __init__(self) -> None:
-        self.requests, self.seconds = 0, 0.0
+        self.requests = 0
 
-    def monotonic(self) -> float:
-        return self.seconds
-
-    def plan(self, task: str, state: np.ndarray, image: np.ndarray) -> np.ndarray:
-        self.seconds += 0.12
-        self.requests += 1
-        return np.full((HORIZON, 18), float(self.requests))
+    def plan(self, worlds: list[tuple[str, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, float]]:
+        self.requests += len(worlds)
+        return [(np.full((HORIZON, 18), float(self.requests)), 0.12) for _ in worlds]
 
 
-def test_a_request_of_120_ms_takes_three_frames_and_ended_worlds_are_not_asked_about(monkeypatch: pytest.MonkeyPatch):
+def test_a_request_of_120_ms_takes_three_frames_and_ended_worlds_are_not_asked_about():
     seen, client = observe([1, 1], idle=(1,)), SlowClient()
     seen = replace(seen, state=np.zeros((2, 18), np.float32))
-    monkeypatch.setattr(vlm_agent, "time", client)
     agent = RealTimeAgent(VlmAgent(client), Inference("async", None))
     agent.reset(2)
     commands = np.array([agent.act(seen)[:, 0] for _ in range(7)])

@@ -11,7 +11,7 @@ from typing import Any
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import TRUTH
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
-from dynahoi_lerobot.evaluate.results import WEIGHTS, ResultsRecorder, RunInfo, command_line
+from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, RunInfo, command_line
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -24,33 +24,30 @@ class ResultsLog:
 
     def __init__(self, folder: Path, recipe: Recipe, inference: str = "") -> None:
         """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends."""
-        self.folder, self._recipe, self._inference = folder, recipe, inference
-        self._recorder = ResultsRecorder()
-        self._unwritten = False
+        extra = {
+            "recipe": recipe.stored(),
+            "inference": inference,
+            "privileged": recipe.environment_state == TRUTH,
+            "surroundings": surroundings(),
+            WEIGHTS: policy_weights(sys.argv),
+        }
+        name, command, split = policy_name(sys.argv), command_line(sys.argv), stream_label(recipe.split, recipe.salt)
+        info = RunInfo(name, split, recipe.capture, command, recipe.fingerprint(), extra)
+        self._results, self._unwritten = Results(folder, info), False
 
     def __call__(self, episode: Episode) -> None:
         """Keep an episode, once: LeRobot fills its last batch with episodes it has played before."""
-        if episode.meta.seed not in self._recorder.seeds:
-            self._recorder.extend([episode])
+        if episode.meta.seed not in self._results.seeds:
+            self._results = self._results.plus([episode])
             self._unwritten = True
 
     def write(self) -> None:
         """Write the folder if there is anything new, and print the table."""
         if not self._unwritten:
             return
-        extra = {
-            "recipe": self._recipe.stored(),
-            "inference": self._inference,
-            "privileged": self._recipe.environment_state == TRUTH,
-            "surroundings": surroundings(),
-            WEIGHTS: policy_weights(sys.argv),
-        }
-        name, command, recipe = policy_name(sys.argv), command_line(sys.argv), self._recipe
-        split = stream_label(recipe.split, recipe.salt)
-        info = RunInfo(name, split, recipe.capture, command, recipe.fingerprint(), extra)
-        results = self._recorder.write(self.folder, info)
+        self._results.write()
         self._unwritten = False
-        print(f"{results_table([results])}\nmetrics so far: {self.folder}", flush=True)
+        print(f"{results_table([self._results])}\nmetrics so far: {self._results.folder}", flush=True)
 
 
 class TaskEnv(DynahoiVectorEnv):
