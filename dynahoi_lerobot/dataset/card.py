@@ -79,7 +79,8 @@ def _frame_column(key: str, entry: dict[str, Any]) -> list[str]:
     if key in BOOKKEEPING_COLUMNS:
         unit, meaning = BOOKKEEPING_COLUMNS[key]
     else:
-        known = {feature.key: feature for feature in FEATURES.values()}
+        fitting = (f for f in FEATURES.values() if not f.on_request or list(f.shape) == list(entry["shape"]))
+        known = {feature.key: feature for feature in fitting}
         if key == "action":
             known[key] = action_feature(mode_of(entry["shape"][0]))
         is_image = key.startswith(IMAGE_PREFIX)

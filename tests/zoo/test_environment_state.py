@@ -55,6 +55,13 @@ def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
     assert main(["verify", str(data)]) == 0
 
 
+@pytest.mark.parametrize(("root", "meaning"), [("data", "true state of the target"), ("by_eye", "where the eye")])
+def test_the_card_says_which_of_the_two_it_is(root: str, meaning: str, request: pytest.FixtureRequest) -> None:
+    card = (request.getfixturevalue(root) / "README.md").read_text()
+    (row,) = [line for line in card.splitlines() if line.startswith(f"| `{KEY}` |")]
+    assert meaning in row
+
+
 def test_an_environment_shows_it_on_request() -> None:
     register_envs()
     options = {"image_size": 0}
