@@ -179,7 +179,7 @@ def before_first_hour(folder: Path) -> None:
 
     run(["dynahoi", "verify", str(out / "dataset")])
     assert json.loads((out / "training/pretrained_model/config.json").read_text())["type"] == "obact"
-    kinds, names = sorted(quickstart.KINDS[: quickstart.TINY["kinds"]]), ("obact", *quickstart.BASELINES)
+    kinds, names = sorted(quickstart.KINDS[: quickstart.TINY.kinds]), ("obact", *quickstart.BASELINES)
     for name in names:
         assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
     assert all(name in (out / "report.html").read_text() for name in names)

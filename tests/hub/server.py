@@ -197,6 +197,13 @@ def commit(handler: _Handler, body: bytes, kind: str, name: str, revision: str) 
     return _json({"success": True, "commitOid": sha, "commitUrl": f"{handler.hub.url}/{name}/commit/{sha}"})
 
 
+def refs(handler: _Handler, body: bytes, kind: str, name: str) -> Answer:
+    repo = handler.repo(kind, name)
+    tags = [{"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha} for tag, sha in repo.tags.items()]
+    main = {"name": "main", "ref": "refs/heads/main", "targetCommit": repo.head}
+    return _json({"branches": [main], "tags": tags, "converts": []})
+
+
 def make_tag(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
     repo = handler.repo(kind, name)
     if (tag := json.loads(body)["tag"]) in repo.tags:
@@ -244,6 +251,7 @@ ROUTES = [
     ("GET", f"{API}/revision{REVISION}", info),
     ("POST", f"{API}/preupload{REVISION}", preupload),
     ("POST", f"{API}/commit{REVISION}", commit),
+    ("GET", f"{API}/refs", refs),
     ("POST", f"{API}/tag{REVISION}", make_tag),
     ("DELETE", f"{API}/tag{REVISION}", delete_tag),
     ("GET", f"{API}/tree{REVISION}", tree),
