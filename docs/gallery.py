@@ -27,7 +27,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 IMAGES = Path(__file__).parent / "images"
 CAUGHT, MISSED = 926, 288  # seeds of `test`
 HELD, TOUCHED = (68, 90), 80
-PLAYED_PX, SHOWN_PX, HELD_PX, KIND_PX = 96, 288, 192, 128
+PLAYED_PX, SHOWN_PX, HELD_PX, KIND_PX = 96, 256, 192, 128
 SKIP = 2  # every second frame is shown, at half the rate
 AFTER_CATCH, AFTER_MISS = 12, 3  # frames that are shown beyond the catch or the closest approach
 BORDER_PX = 4
