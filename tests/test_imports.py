@@ -102,7 +102,7 @@ ALWAYS = ("torch", "lerobot", "mujoco_warp")
 USES = [
     ("main(['list', 'hands'])", ("warp", "pandas", "pyarrow")),
     ("main(['evaluate', '--policy', 'hold', '--episodes', '1', '--out', sys.argv[1]])", ("warp", "pandas", "av")),
-    ("main(['generate', '--episodes', '1', '--image-size', '32', '--root', sys.argv[1]])", ("matplotlib", "cv2")),
+    ("main(['generate', '--episodes', '1', '--image-size', '32', '--root', sys.argv[1]])", ("matplotlib",)),
     ("register_envs(); gym.make('dynahoi/lob-v0', image_size=0).reset(seed=0)", ("warp", "pyarrow", "cv2")),
 ]
 """What a process may do, and which packages it has no use for, besides ``ALWAYS``."""
