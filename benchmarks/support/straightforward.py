@@ -1,7 +1,7 @@
 """What a LeRobot user would write without this project: one world, a loop over ``mj_step`` and ``mujoco.Renderer``.
 
-It plays the same episodes in the same scene with the same expert, and nothing in it is slow on purpose: effects that
-cost much and that the ray caster lacks (shadows, multisampling) are off, the frame buffer has the size of the image,
+It plays the same episodes in the same scene with the same expert, and nothing in it is slow on purpose: shadows and
+multisampling, which cost MuJoCo's renderer much, are off unless asked for, the frame buffer has the size of the image,
 the model is compiled once and every episode is written into it, and the recorder leaves out the columns that take
 extra work (contacts, captures).
 """
@@ -19,6 +19,7 @@ from dynahoi_lerobot.core.episode import joints_reached
 from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, frame_features, image_feature
 from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.env.vector_env import observation_space
 from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.experts.intercept import Intercept
@@ -34,8 +35,9 @@ RECORDED = ("state", "phase", "action")
 class StraightforwardEnv(gym.Env):
     """One hand and one object in plain MuJoCo; observations, actions and endings are those of ``DynahoiEnv``."""
 
-    def __init__(self, image_size: int = 128, split: str = "test") -> None:
-        self.recipe = Recipe(split=split, image_size=image_size)
+    def __init__(self, image_size: int = 128, split: str = "test", *, shadows: bool = False) -> None:
+        """Compile the model; with ``shadows`` it is drawn as MuJoCo draws by default, multisampled and with shadows."""
+        self.recipe, self._shadows = Recipe(split=split, image_size=image_size), shadows
         self._writer = WorldBatch(Recipe(), 1, threads=1)  # writes an episode's numbers into a model
         self._scene, self._servo = self._writer.scene, self._writer.servo
         self.model = self._writer._batch.get_model(0)
@@ -92,10 +94,10 @@ class StraightforwardEnv(gym.Env):
 
     def _opened(self) -> mujoco.Renderer:
         size = self.recipe.image_size
-        self.model.vis.quality.offsamples = 0
+        self.model.vis.quality.offsamples = 4 if self._shadows else 0
         self.model.vis.global_.offwidth = self.model.vis.global_.offheight = size
         self._renderer = renderer = mujoco.Renderer(self.model, size, size)
-        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = False
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = self._shadows
         return renderer
 
     def close(self) -> None:
@@ -146,18 +148,20 @@ class StraightforwardEnv(gym.Env):
         data.qvel[dof : dof + 6] = [*data.qvel[scene.hand_dof[:PALM_DOF]], 0, 0, 0]
 
 
-def record(root: Path, recipe: Recipe, seeds: list[int]) -> int:
+def record(root: Path, recipe: Recipe, seeds: list[int], *, shadows: bool = False) -> int:
     """Record the expert's successes with LeRobot's streaming writer, coded as this project codes; return the frames."""
     from lerobot.configs.video import RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    env = StraightforwardEnv(recipe.image_size, recipe.split)
+    env, encoding = StraightforwardEnv(recipe.image_size, recipe.split, shadows=shadows), Encoding()
     dataset = LeRobotDataset.create(
         "local/straightforward",
         CONTROL_HZ,
         _features(recipe.image_size),
         root,
-        rgb_encoder=RGBEncoderConfig("h264", crf=20, preset="superfast", g=10, fast_decode=1),
+        rgb_encoder=RGBEncoderConfig(
+            encoding.codec, crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1
+        ),
         streaming_encoding=True,
         encoder_queue_maxsize=1000,  # frames come faster than real time; a full queue would drop some
         encoder_threads=1,  # one process per core already

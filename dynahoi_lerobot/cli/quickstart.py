@@ -1,7 +1,8 @@
 """``dynahoi quickstart``: dataset, training, evaluation and report, in minutes on two CPU cores.
 
-generate -> lerobot-train (ObAct) -> lerobot-eval -> privileged baselines -> report. A stage is skipped if its
-product exists, so an interrupted quickstart resumes.
+generate -> lerobot-train (ObAct) -> lerobot-eval -> report. The privileged baselines, which need no checkpoint, are
+evaluated beside the training, which leaves a core idle. A stage is skipped if its product exists, so an interrupted
+quickstart resumes.
 """
 
 import argparse
@@ -13,8 +14,9 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,7 @@ from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.evaluate.table import results_table
+from dynahoi_lerobot.evaluate.table import metrics_table
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.splits import SMALL_TEST
@@ -39,12 +41,16 @@ GIFS = 6
 BASELINES = ("intercept", "constant_velocity", "hold")
 NEEDS = ("torch", "lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
 """Packages that the core does not install."""
+SHOWN = ("S_loc", "S_joint", "E_loc", "R_time")
+"""Metrics of the table in the terminal, which has 100 columns; the report shows all."""
 TABLE = "table.txt"
 """Written last, so that its presence says that every baseline was evaluated."""
 TASK_DONE = "metrics so far:"
 """What the environment prints after each kind of motion."""
 STEPS_DONE, LOG_STEPS = " step:", 5
 """What `lerobot-train` prints, and every how many steps."""
+ONE_THREAD = {"OMP_NUM_THREADS": "1"}
+"""For torch, beside threads that decode images and a second process, on two cores."""
 POLICY = "obact"
 """Name of the trained policy's results."""
 
@@ -103,24 +109,37 @@ def _run_stages(out: Path, size: Size, start: float) -> None:
         ("generate a dataset", out / "dataset", _generate),
         ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),
         ("evaluate it with lerobot-eval", out / "results" / POLICY, _evaluate),
-        ("evaluate the privileged baselines", out / TABLE, _baselines),
     ]
-    for number, (what, product, stage) in enumerate(stages, 1):
-        done = product.exists()
-        state = "already done" if done else f"{time.monotonic() - start:.0f} s so far"
-        print(f"\n[{number}/{len(stages)}] {what} ({state})", flush=True)
-        if not done:
-            stage(out, size)
+    with ThreadPoolExecutor(1) as beside:
+        baselines: Future[None] | None = None
+        for number, (what, product, stage) in enumerate(stages, 1):
+            begin, done = time.monotonic(), product.exists()
+            if number > 1 and baselines is None and not (out / TABLE).exists():
+                baselines = beside.submit(_baselines, out, size)
+            if not done:
+                stage(out, size)
+            took = "already done" if done else f"{time.monotonic() - begin:.0f} s"
+            print(f"[{number}/{len(stages)}] {what}: {took}", flush=True)
+        if baselines is not None:
+            baselines.result()
 
 
 def _generate(out: Path, size: Size) -> None:
     words = ["--episodes", size.episodes, "--image-size", IMAGE_SIZE, "--workers", cores()]
-    _dynahoi("generate", "--root", out / "dataset", *words)
+    with (out / "generate.json").open("w", encoding="utf-8") as summary, redirect_stdout(summary):
+        code = cli.main(["generate", "--root", str(out / "dataset"), *map(str, words)])
+    if code:
+        raise CommandError("dynahoi generate failed; see the message above")
 
 
-def _dynahoi(*words: object) -> None:
-    if cli.main([str(word) for word in words]):
-        raise CommandError(f"dynahoi {words[0]} failed; see the message above")
+def _dynahoi(log: Path, *words: object) -> None:
+    """Run a command in a process of its own, which prints into ``log``."""
+    with log.open("w", encoding="utf-8") as file:
+        command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *map(str, words)]
+        if code := subprocess.run(
+            command, stdout=file, stderr=subprocess.STDOUT, env=os.environ | ONE_THREAD, check=False
+        ).returncode:
+            raise CommandError(f"dynahoi {words[0]} exited with code {code}; see {log}")
 
 
 def _checkpoint(out: Path) -> Path:
@@ -162,9 +181,13 @@ def _evaluate(out: Path, size: Size) -> None:
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     ]
-    with _run_into("eval", arguments, out, partial, TASK_DONE, total=len(kinds), desc="evaluating", unit="kind"):
-        _film(_checkpoint(out), partial / "film", partial / results.name)
-        (partial / results.name).rename(results)
+    with ThreadPoolExecutor(1) as beside:
+        filmed = beside.submit(_film, out)
+        with _run_into("eval", arguments, out, partial, TASK_DONE, total=len(kinds), desc="evaluating", unit="kind"):
+            for clip in (film := filmed.result()).glob("*.gif"):
+                clip.rename(partial / results.name / clip.name)
+            shutil.rmtree(film, ignore_errors=True)
+            (partial / results.name).rename(results)
 
 
 @contextmanager
@@ -173,8 +196,7 @@ def _run_into(command: str, arguments: list[str], out: Path, partial: Path, step
     log = out / f"lerobot_{command}.log"
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    print(f"lerobot-{command} {' '.join(arguments)}\noutput: {log}", flush=True)
-    with tqdm(disable=None, **bar) as progress:
+    with tqdm(disable=None, leave=False, **bar) as progress:
         code = run_lerobot(command, arguments, log, step, progress)
     if code:
         raise CommandError(f"lerobot-{command} exited with code {code}; see {log}")
@@ -188,23 +210,25 @@ def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: t
         [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        env=os.environ | {"OMP_NUM_THREADS": "1"},  # beside threads that decode images, on two cores
+        env=os.environ | ONE_THREAD,
         encoding="utf-8",
         errors="replace",
     )
     assert process.stdout is not None
     with process, log.open("w", encoding="utf-8") as file:
+        file.write(f"lerobot-{command} {' '.join(arguments)}\n")
         for line in process.stdout:
             file.write(line)
             bar.update(step in line)
     return process.returncode
 
 
-def _film(checkpoint: Path, scratch: Path, results: Path) -> None:
-    """Record the first episodes as GIFs beside ``results``."""
-    _dynahoi("evaluate", "--policy", checkpoint, "--out", scratch, "--episodes", GIFS, "--gifs", GIFS)
-    for clip in scratch.glob("*.gif"):
-        clip.rename(results / clip.name)
+def _film(out: Path) -> Path:
+    """Record the trained policy's first episodes as GIFs; return their folder."""
+    shutil.rmtree(film := out / "film", ignore_errors=True)
+    words = ["--policy", _checkpoint(out), "--out", film, "--episodes", GIFS, "--gifs", GIFS]
+    _dynahoi(out / "film.log", "evaluate", *words)
+    return film
 
 
 def _device() -> str:
@@ -216,20 +240,21 @@ def _device() -> str:
 
 def _baselines(out: Path, size: Size) -> None:
     """Evaluate the privileged baselines on the same episodes."""
-    count = len(read_results(out / "results" / POLICY).rows)
+    count = size.kinds * size.per_kind
     for name in BASELINES:
-        folder = out / "results" / name
-        _dynahoi("evaluate", "--policy", name, "--out", folder, "--episodes", count, "--image-size", 0)
+        words = ["--policy", name, "--out", out / "results" / name, "--episodes", count, "--image-size", 0]
+        _dynahoi(out / f"{name}.log", "evaluate", *words)
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:
     """Write the report; print its table and the command that opens it."""
     folders = [out / "results" / name for name in (POLICY, *BASELINES)]
     page = render_report(folders, out / "report.html")
-    table = results_table([read_results(folder) for folder in folders])
+    results = [read_results(folder) for folder in folders]
+    names = [result.marked(result.info.policy) for result in results]
+    table = replace(metrics_table(names, results, SHOWN), caption="").as_text()
     (out / TABLE).write_text(table + "\n")
     print(f"\n{table}\n\nThese scores follow a short training; docs/results.md lists those of the whole recipe.")
-    print(f"done in {time.monotonic() - start:.0f} s; everything is in {out}. Open the report:")
-    print(f"python -m webbrowser {page.resolve().as_uri()}")
+    print(f"done in {time.monotonic() - start:.0f} s; the report, with all metrics: {page.resolve().as_uri()}")
     if show:
         webbrowser.open(page.resolve().as_uri())
