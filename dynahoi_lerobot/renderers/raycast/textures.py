@@ -5,6 +5,7 @@ Levels shrink by the square root of two, so that the nearest one can be taken an
 
 # ruff: noqa: PLR0917 - warp functions take their arguments by position
 
+import functools
 from typing import Any
 
 import mujoco
@@ -84,6 +85,7 @@ def texel(texels: wp.array[float], start: int, side: int, wrap: int, u: float, v
     return wp.lerp(above, below, y - y0)
 
 
+@functools.cache  # every shard of a dataset has a renderer of its own
 def textures_of(model: mujoco.MjModel, *, filtered: bool) -> Any:
     """Return the ``Textures`` of a model, whose textures must be square, grey and of one size, on warp's device."""
     side = int(model.tex_width[0])
