@@ -9,7 +9,7 @@ import torch
 from lerobot_policy_obact.camera import Pinhole
 
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
-from dynahoi_lerobot.pretrain.snapshots import ImageStream, snapshots
+from dynahoi_lerobot.pretrain.snapshots import ImageStream, shown_specs, snapshots
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -83,6 +83,6 @@ def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
     def surroundings(share: float) -> int:
         """Return how many of four episodes have distractors."""
         recipe = PretrainRecipe(tmp_path, episodes=RECIPE, n_episodes=4, randomized_share=share)
-        return sum(bool(spec.appearance.distractors) for spec in ImageStream(recipe).specs)
+        return sum(bool(spec.appearance.distractors) for spec in shown_specs(recipe, RECIPE))
 
     assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
