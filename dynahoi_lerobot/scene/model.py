@@ -74,8 +74,8 @@ SHININESS = 0.5
 SIDE_CAMERA = "side"
 SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([1.0, 0.6, 0.5]), np.array([0.35, 0.05, 0.0])
 SIDE_CAMERA_FOVY_DEG = 54.0
-"""Pose of the static side camera, in front of the waiting hand and to its left, from where no hand hides the target;
-relative to the palm's centre at home."""
+"""Pose of the static side camera, relative to the palm's centre at home: in front of the hand and to its left, from
+where the hand seldom hides the target."""
 
 
 def impact_solref(restitution: float) -> tuple[float, float]:
