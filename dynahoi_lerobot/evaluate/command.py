@@ -22,7 +22,6 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, VLM, add_trust_argument, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, ResultsError, RunInfo, command_line, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
@@ -260,6 +259,8 @@ def _played(
             played = []
             for episode in evaluate(batch, actor, group, images=gifs > 0):
                 if gifs > 0:
+                    from dynahoi_lerobot.evaluate.gif import episode_gif  # which brings in OpenCV
+
                     episode_gif(args.out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
                     gifs -= 1
                 played.append(replace(episode, images={}))

@@ -3,6 +3,7 @@
 Whatever is damaged in it is one ``ResultsError``.
 """
 
+import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -283,9 +284,13 @@ def _read_head(path: Path) -> dict[str, Any]:
 
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
     import pyarrow as pa
+    import pyarrow.json
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.Table.from_pylist(list(rows), schema=pa.schema(COLUMNS)), path, compression="none")
+    # arrow takes Python's lists through pandas, whose import takes longer than an episode
+    lines = "\n".join(map(json.dumps, rows)).encode()
+    options = pa.json.ParseOptions(explicit_schema=pa.schema(COLUMNS), unexpected_field_behavior="ignore")
+    pq.write_table(pa.json.read_json(io.BytesIO(lines), parse_options=options), path, compression="none")
 
 
 def _read_rows(path: Path) -> list[Row]:

@@ -66,7 +66,7 @@ def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.n
     """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
-    columns |= {name: measure(batch) for name, measure in MEASURED.items()}
+    columns |= {name: measure(batch) for name, measure in MEASURED.items()} | {"qpos": batch.qpos}
     if observation.sighting is not None:
         columns["sighting"] = observation.sighting
     return columns | {name: getattr(batch.contacts, name).copy() for name in CONTACTS}
@@ -103,6 +103,11 @@ class WorldRecorder:
     def settled(self, rule: CaptureRule) -> bool:
         """Tell whether the episode may end because the rule has settled its outcome."""
         return self.job.stop_settled and self.localized_frames > rule.settle_frames
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """(T, nq) the world's configuration in each frame."""
+        return np.stack([frame["qpos"] for frame in self.frames])
 
     @property
     def full(self) -> bool:
