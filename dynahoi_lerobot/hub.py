@@ -18,6 +18,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from markupsafe import Markup
+
 from dynahoi_lerobot.core.arguments import CommandError, path
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.reading import GIB, read_object, reading, regular
@@ -288,8 +290,8 @@ def _replayed(results: Results, count: int | None) -> str:
 def _with_doubt(text: str, name: str, doubt: str) -> str:
     """Return the text of a card that says in its first line why results were not replayed; none if they were."""
     mark = f"> The results `{name}` were not replayed before they were pushed:"
-    lines = [line for line in text.strip().split("\n") if not line.startswith(mark)]
-    return "\n".join([*([f"{mark} {doubt}.", ""] if doubt else []), *lines]) + "\n"
+    rest = "\n".join(line for line in text.split("\n") if not line.startswith(mark)).strip()
+    return f"{mark} {doubt}.\n\n{rest}\n" if doubt else f"{rest}\n"
 
 
 def push_environment(args: argparse.Namespace, repository: Repository) -> str:
@@ -369,12 +371,12 @@ def checkpoint_card(folder: Path, repo: str) -> ModelCard:
     with reading(training):
         told = read_object(training) if training.exists() else {}
         dataset = str((told.get("dataset") or {}).get("repo_id") or "")
+    needed = Markup(f" ./policies/lerobot_policy_{kind}" if kind in PLUGINS else "")
     data = ModelCardData(
         library_name="lerobot", license=str(config.get("license") or "apache-2.0"),
         pipeline_tag="robotics", tags=["lerobot", "robotics", "dynahoi", kind],
         datasets=[dataset] if "/" in dataset else None,
     )  # fmt: skip
-    needed = f" ./policies/lerobot_policy_{kind}" if kind in PLUGINS else ""
     told = {"control_mode": JOINTS} | trained_for(folder)
     body = markdown_template(CARD).render(
         name=repo.rpartition("/")[2], type=kind, repo=repo, needed=needed, rules=dict(sorted(told.items()))

@@ -102,6 +102,23 @@ def test_steps_keys_and_states_that_are_not_listed_are_refused(step: dict[str, A
         checked_folder(str(checkpoint))
 
 
+def test_code_of_a_repository_that_a_step_names_does_not_run_and_nobody_is_asked(checkpoint, marker, monkeypatch):
+    monkeypatch.setattr("builtins.input", lambda _: pytest.fail("transformers asks"))
+    (other := checkpoint.parent / "other").mkdir()
+    (other / "config.json").write_text('{"model_type": "bert"}')
+    (other / "tokenizer_config.json").write_text('{"auto_map": {"AutoTokenizer": ["evil.Evil", null]}}')
+    (other / "evil.py").write_text(f"import os\nos.mkdir({str(marker)!r})\nclass Evil: ...\n")
+    for name, config in (
+        ("tokenizer_processor", {"tokenizer_name": str(other)}),
+        ("action_tokenizer_processor", {"action_tokenizer_name": str(other)}),
+    ):
+        edit_json(checkpoint / PREPROCESSOR, lambda content: content["steps"].clear())
+        add_step(checkpoint, {"registry_name": name, "config": config})
+        with pytest.raises(PolicyError, match=r"cannot be loaded|--trust"):
+            PolicyAgent(str(checkpoint))
+    assert not marker.exists()
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
