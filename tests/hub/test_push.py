@@ -279,7 +279,7 @@ def test_results_need_their_checkpoint_and_must_be_whole(checkpoint: Path, tmp_p
     assert names(hub) == set()
 
 
-WHOLE = "v2_ood_speed_attach_standard"
+WHOLE = f"{BENCHMARK.version}_ood_speed_attach_standard"
 CONDITIONS: list[tuple[dict, str]] = [
     ({}, WHOLE),
     ({"protocol": "occluded"}, f"{WHOLE}_protocol_occluded"),
@@ -344,7 +344,7 @@ def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(h
     assert push(results, "me/policy")[0] == 0
     files, head = hub.repos[MODEL].files, json.loads((results / METRICS_FILE).read_text())
     assert "model.safetensors" in files
-    name = "v2_test_small_attach_standard_image_size_96_2_episodes"
+    name = f"{BENCHMARK.version}_test_small_attach_standard_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
     assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, "results beside it are no obstacle"
 
