@@ -3,9 +3,10 @@
 import argparse
 import importlib
 import logging
+import signal
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -60,6 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if words[:1] == [name]:
             importlib.import_module(module).add_arguments(command)
     spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
+
+    with suppress(ValueError):  # outside the main thread
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # removes what is half made
 
     def run() -> int:
         args = parser.parse_args(words)

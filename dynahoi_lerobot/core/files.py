@@ -1,9 +1,12 @@
 """Writing: unwritable places are refused before the work starts, and what is written is whole."""
 
+import fcntl
+import glob
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -40,13 +43,31 @@ def write_atomically(writers: Mapping[Path, Callable[[Path], object]]) -> None:
 
 
 @contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """Hold a folder until its process ends; OSError if another one does."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
 def new_folder(target: Path) -> Iterator[Path]:
     """Give the path of a folder to be made, which is renamed to ``target`` at the end.
 
     Whatever happens before the end, ``target`` does not exist. If somebody has made ``target`` meanwhile, theirs stays.
+    What a killed process has left of the same folder is removed.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(".tmp", f".{target.name}.", target.parent, ignore_cleanup_errors=True) as scratch:
+    for left in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
+        with suppress(OSError), _held(left):
+            shutil.rmtree(left)
+    with (
+        tempfile.TemporaryDirectory(".tmp", f".{target.name}.", target.parent, ignore_cleanup_errors=True) as scratch,
+        _held(Path(scratch)),
+    ):
         yield (folder := Path(scratch) / target.name)
         try:
             folder.rename(target)
