@@ -3,13 +3,16 @@
 import argparse
 import importlib
 import logging
+import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
 from dynahoi_lerobot.core.arguments import CommandError
-from dynahoi_lerobot.core.files import check_output, printable
+from dynahoi_lerobot.core.escaping import Terminal
+from dynahoi_lerobot.core.files import check_output
 
 COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report on a CPU in minutes"),
@@ -59,6 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             importlib.import_module(module).add_arguments(command)
     spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
 
+    with suppress(ValueError):  # outside the main thread
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # removes what is half made
+
     def run() -> int:
         args = parser.parse_args(words)
         _check_outputs(args)
@@ -69,6 +75,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def exit_code(spoken: str, run: Callable[[], int]) -> int:
     """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what stopped it."""
+    with redirect_stdout(Terminal(sys.stdout)), redirect_stderr(Terminal(sys.stderr)):
+        return _exit_code(spoken, run)
+
+
+def _exit_code(spoken: str, run: Callable[[], int]) -> int:
     try:
         return run()
     except ModuleNotFoundError as error:
@@ -88,7 +99,7 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
 def _sentence(error: Exception) -> str:
     """Return the message in one printable line, without its middle if a value makes it very long."""
     told = (error.filename, error.strerror) if isinstance(error, OSError) and error.strerror else (error,)
-    sentence = printable(" ".join(": ".join(str(part) for part in told if part).split()))
+    sentence = " ".join(": ".join(str(part) for part in told if part).split())
     return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
 
 

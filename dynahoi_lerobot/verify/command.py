@@ -4,6 +4,7 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import path, whole
-from dynahoi_lerobot.core.files import printable
+from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.reading import ReadError, reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -127,11 +129,10 @@ def _verdicts(store: Store, recipe: Recipe | None, progress: Callable[[], object
 
 def _recipe(store: Store) -> Recipe | None:
     """Return the recipe that the manifest names; None if it names none, or none that this project can read."""
-    try:
+    with suppress(ReadError), reading(store.root):
         stored = Manifest.read(store.root).provenance.get("recipe")
         return None if stored is None else draccus.decode(Recipe, stored)
-    except (draccus.utils.DraccusException, OSError, ValueError, TypeError, AttributeError):
-        return None
+    return None
 
 
 def drawn_evenly(store: Store, count: int, rng: np.random.Generator) -> list[int]:
