@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self, get_origin, get_type_hints
@@ -39,6 +39,13 @@ class Manifest:
     yields: dict[str, int] = field(default_factory=dict)
     benchmark: str = ""
     sha256: str = field(default="", compare=False)
+
+    @classmethod
+    def of(cls, rows: Sequence[Mapping[str, Any]], provenance: dict[str, Any], yields: dict[str, int]) -> Self:
+        """Return what the rows of an episode table give, without files."""
+        benchmark = ", ".join(sorted({row["benchmark"] for row in rows}))
+        frames = sum(row["length"] for row in rows)
+        return cls(len(rows), frames, {}, [row["seed"] for row in rows], provenance, yields, benchmark)
 
     @property
     def digest(self) -> str:

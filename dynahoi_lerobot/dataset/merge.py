@@ -83,7 +83,8 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         raise ValueError("got no episodes to keep; a dataset needs at least one")
     if unknown := sorted(kept - set(range(store.episodes))):
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
-    return _assemble(output, [(store, kept)], None, manifest.provenance | {"kept": sorted(kept)}, {})
+    limits = FileLimits(**manifest.provenance.get("limits", {}))
+    return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
 
 
 def _assemble(

@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX, Feature, episode_features
 from dynahoi_lerobot.dataset.columns import Features, column_array, content_values, image_keys, numeric_keys, read_png
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, own_values
-from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, reading
+from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, check_root, reading
 from dynahoi_lerobot.dataset.video import decode
 
 if TYPE_CHECKING:
@@ -28,10 +28,21 @@ ROWS_AT_ONCE = 64
 
 
 def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
-    """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``, ``episodes``)."""
+    """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``, ``episodes``).
+
+    Raises:
+        FileNotFoundError: if ``root`` holds no dataset.
+        ValueError: if LeRobot cannot open this path, or reads another number of rows than its episodes have.
+    """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    return LeRobotDataset(f"local/{root.name}", root=root, **options)
+    check_root(root)
+    lengths = [row["length"] for row in Store(root).rows]
+    dataset = LeRobotDataset(f"local/{root.name}", root=root, **options)
+    chosen = range(len(lengths)) if dataset.episodes is None else dataset.episodes
+    if (found := dataset.hf_dataset.num_rows) != (wanted := sum(lengths[index] for index in chosen)):
+        raise ValueError(f"LeRobot reads {found} rows of {root}; its episodes have {wanted}; see `dynahoi verify`")
+    return dataset
 
 
 def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: bool = True) -> Iterator[Episode]:
@@ -153,8 +164,8 @@ class Store:
 
     @cached_property
     def tasks(self) -> list[str]:
-        """The instructions, by task index."""
-        return pq.read_table(self.root / TASKS_PATH).sort_by("task_index")["task"].to_pylist()
+        """The instructions in the table's order, by which LeRobot finds them."""
+        return pq.read_table(self.root / TASKS_PATH, columns=["task"])["task"].to_pylist()
 
     @cached_property
     def rows(self) -> list[EpisodeRow]:

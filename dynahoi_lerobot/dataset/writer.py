@@ -4,7 +4,7 @@ The same episodes give the same bytes, in whatever pieces they were made.
 """
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -22,12 +22,12 @@ from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset import columns as frame_table
 from dynahoi_lerobot.dataset import episode_table, paths
-from dynahoi_lerobot.dataset.card import write_card
+from dynahoi_lerobot.dataset.card import card_files
 from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
+from dynahoi_lerobot.dataset.statistics import Stats, column_stats, pooled
 from dynahoi_lerobot.dataset.store import Store, frame_column
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
@@ -123,8 +123,9 @@ class DatasetWriter:
 
         Raises:
             FileExistsError: if ``root`` exists.
-            ValueError: if video cannot hold images of this size.
+            ValueError: if video cannot hold images of this size, or LeRobot cannot open this path.
         """
+        paths.check_root(root)
         self._encoding = encoding or Encoding()
         self._encoding.check_size(max((column.shape[0] for column in columns if column.is_image), default=0))
         root.mkdir()
@@ -152,10 +153,7 @@ class DatasetWriter:
         """
         check_fits(episode, self._columns)
         images = {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
-        arrays = frame_table.content_arrays(episode, self._columns)
-        row = episode_table.own_columns(episode, self._columns) | {"tasks": [episode.meta.task], "length": len(episode)}
-        stats = table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys}
-        row |= episode_table.stats_columns(stats)
+        row, arrays = episode_table.content_row(episode, self._columns)
         packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
         size = max((frames.shape[1] for frames in images.values()), default=0)
         stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
@@ -182,16 +180,16 @@ class DatasetWriter:
         self._close_videos()
         self._flush_rows()
         self._rows.close()
-        _write_tasks(list(self._tasks), self.root / paths.TASKS_PATH)
-        paths.write_json(self._info(), self.root / paths.INFO_PATH)
-        stats = self._stats()
-        as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
-        paths.write_json(as_lists, self.root / paths.STATS_PATH)
+        (tasks := self.root / paths.TASKS_PATH).parent.mkdir(exist_ok=True)
+        pq.write_table(tasks_table(list(self._tasks)), tasks, compression="snappy")
+        info = dataset_info(self.features, self.limits, self.episodes, self.frames, len(self._tasks))
+        paths.write_json(info, self.root / paths.INFO_PATH)
+        paths.write_json(dataset_stats(self.root, self.features, self._image_stats), self.root / paths.STATS_PATH)
         store = Store(self.root)
-        seeds = [row["seed"] for row in store.rows]
-        benchmark = ", ".join(sorted({row["benchmark"] for row in store.rows}))
-        facts = Manifest(self.episodes, self.frames, {}, seeds, provenance or {}, yields or {}, benchmark)
-        write_card(store, facts)
+        facts = Manifest.of(store.rows, provenance or {}, yields or {})
+        for name, text in card_files(store, facts).items():
+            (path := self.root / name).parent.mkdir(exist_ok=True)
+            path.write_text(text, encoding="utf-8")
         manifest = replace(facts, files=hash_files(self.root))
         manifest.write(self.root)
         return manifest
@@ -267,31 +265,49 @@ class DatasetWriter:
         self._rows.append(table)
         self._pending.clear()
 
-    def _stats(self) -> dict[str, Stats]:
-        """Return the dataset's statistics by key: of images from those of episodes, of columns from all frames."""
-        stats = {key: pooled(found) for key, found in self._image_stats.items()}
-        for key in frame_table.numeric_keys(self.features):
-            values = frame_column(self.root, key)
-            stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
-        return stats
 
-    def _info(self) -> dict[str, Any]:
-        has_video = any(feature["dtype"] == "video" for feature in self.features.values())
-        return {
-            "codebase_version": paths.CODEBASE_VERSION,
-            "fps": CONTROL_HZ,
-            "features": self.features,
-            "total_episodes": self.episodes,
-            "total_frames": self.frames,
-            "total_tasks": len(self._tasks),
-            "chunks_size": self.limits.chunk_files,
-            "data_files_size_in_mb": self.limits.data_mb,
-            "video_files_size_in_mb": self.limits.video_mb,
-            "data_path": paths.DATA_PATH,
-            "video_path": paths.VIDEO_PATH if has_video else None,
-            "robot_type": paths.ROBOT_TYPE,
-            "splits": {"train": f"0:{self.episodes}"},
-        }
+# -- what stands in the files under meta/, as verification derives it again --------------------------------------------
+
+
+def dataset_info(features: Features, limits: FileLimits, episodes: int, frames: int, tasks: int) -> dict[str, Any]:
+    """Return the content of ``info.json`` of a dataset with so many episodes, frames and instructions."""
+    has_video = any(feature["dtype"] == "video" for feature in features.values())
+    return {
+        "codebase_version": paths.CODEBASE_VERSION,
+        "fps": CONTROL_HZ,
+        "features": features,
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": tasks,
+        "chunks_size": limits.chunk_files,
+        "data_files_size_in_mb": limits.data_mb,
+        "video_files_size_in_mb": limits.video_mb,
+        "data_path": paths.DATA_PATH,
+        "video_path": paths.VIDEO_PATH if has_video else None,
+        "robot_type": paths.ROBOT_TYPE,
+        "splits": {"train": f"0:{episodes}"},
+    }
+
+
+def dataset_stats(root: Path, features: Features, image_stats: Mapping[str, Sequence[Stats]]) -> dict[str, Any]:
+    """Return the content of ``stats.json``: of images from those of episodes, of columns from all frames."""
+    stats = {key: pooled(found) for key, found in image_stats.items()}
+    for key in frame_table.numeric_keys(features):
+        values = frame_column(root, key)
+        stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
+    return {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
+
+
+def tasks_table(tasks: Sequence[str]) -> pa.Table:
+    """Return the table of instructions: pandas must find the texts as the index named ``task``."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        for name, (kind, numpy) in kinds.items()
+    ]
+    note = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.3.3"}
+    schema = pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(note)})
+    return pa.table([list(range(len(tasks))), list(tasks)], schema=schema)
 
 
 def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
@@ -313,15 +329,3 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
 def _described(key: str, shapes: dict[str, tuple[int, ...]]) -> str:
     return f"{key} of shape {shapes[key]}" if key in shapes else f"no {key}"
 
-
-def _write_tasks(tasks: list[str], path: Path) -> None:
-    """Write LeRobot's task table: pandas must find the texts as the index named ``task``."""
-    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-    columns = [
-        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
-        for name, (kind, numpy) in kinds.items()
-    ]
-    note = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.3.3"}
-    schema = pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(note)})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(pa.table([list(range(len(tasks))), tasks], schema=schema), path, compression="snappy")
