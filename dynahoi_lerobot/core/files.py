@@ -1,14 +1,10 @@
-"""Files and text: unwritable places refused before the work starts, what is written whole, YAML, hashes."""
+"""Writing: unwritable places are refused before the work starts, and what is written is whole."""
 
-import hashlib
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 
 def check_output(path: Path) -> None:
@@ -59,42 +55,6 @@ def new_folder(target: Path) -> Iterator[Path]:
                 raise
 
 
-class _Loader(yaml.SafeLoader):
-    """Refuses a key that appears twice, of which YAML would keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if str(key.value) in seen:
-                raise yaml.YAMLError(f"key {key.value!r} appears again in line {key.start_mark.line + 1}")
-            seen.add(str(key.value))
-        return super().construct_mapping(node, deep)
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the mapping that a YAML file holds; nothing but comments is an empty one.
-
-    Raises:
-        ValueError: in one sentence that names the file, if it cannot be read, is not YAML in UTF-8, repeats a key or is
-            no mapping.
-    """
-    try:
-        values = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except OSError as error:
-        raise ValueError(f"{path} cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is not YAML: {' '.join(str(error).split())}") from error
-    if not isinstance(values, dict | None):
-        raise ValueError(f"{path} must map keys to values, got a {type(values).__name__}")
-    return values or {}
-
-
 def printable(text: str) -> str:
     """Return ``text`` with whatever a terminal would obey, such as escapes and line ends, written out."""
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
-
-
-def sha256(path: Path) -> str:
-    """Return the sha256 of a file in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self, get_origin, get_type_hints
 
-from dynahoi_lerobot.core.files import sha256
+from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
 
 FORMAT = 1

@@ -16,7 +16,8 @@ from typing import Any
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, environment_state_of
-from dynahoi_lerobot.core.files import printable, sha256
+from dynahoi_lerobot.core.files import printable
+from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.dataset.manifest import Manifest
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"

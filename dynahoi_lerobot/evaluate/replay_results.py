@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.files import sha256
+from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.rollout.inference import SYNC

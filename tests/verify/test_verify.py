@@ -13,7 +13,7 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.files import sha256
+from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
