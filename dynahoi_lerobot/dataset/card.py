@@ -39,13 +39,12 @@ DRAWN = ("action", "observation.state")
 BINS = 50
 
 
-def card_files(store: Store, manifest: Manifest) -> dict[str, str]:
-    """Return the texts of the card and its histograms by their paths below the root; ``manifest`` may list no files."""
+def write_card(store: Store, manifest: Manifest) -> None:
+    """Write the card and its histograms of a dataset that lacks only these and the manifest, which lists no files."""
     histograms = {key: HISTOGRAM_PATH.format(key=key) for key in DRAWN}
-    drawings = {
-        name: histogram_svg(frame_column(store.root, key), store.features[key]["names"])
-        for key, name in histograms.items()
-    }
+    for key, name in histograms.items():
+        (path := store.root / name).parent.mkdir(exist_ok=True)
+        path.write_text(histogram_svg(frame_column(store.root, key), store.features[key]["names"]), encoding="utf-8")
     metadata = METADATA | {"size_categories": [_size_category(manifest.frames)]}
     template = Template(Path(__file__).with_suffix(".md").read_text(), undefined=StrictUndefined)
     (action_size,) = store.features["action"]["shape"]
@@ -66,7 +65,7 @@ def card_files(store: Store, manifest: Manifest) -> dict[str, str]:
         frame_columns=[_frame_column(key, entry) for key, entry in store.features.items()],
         episode_columns=[_cells(f.key, f.dtype, _episode_shape(f), f.unit, f.meaning) for f in store.array_features],
     )
-    return {CARD_PATH: text} | drawings
+    (store.root / CARD_PATH).write_text(text, encoding="utf-8")
 
 
 def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:

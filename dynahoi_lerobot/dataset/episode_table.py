@@ -13,17 +13,9 @@ import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature, episode_features
-from dynahoi_lerobot.dataset.columns import (
-    BOOKKEEPING,
-    SCALARS,
-    Features,
-    bookkeeping_arrays,
-    content_arrays,
-    image_keys,
-    numeric_keys,
-)
-from dynahoi_lerobot.dataset.statistics import NAMES, Stats, image_stats, table_stats
+from dynahoi_lerobot.core.features import Feature, episode_features
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, SCALARS, Features, bookkeeping_arrays, image_keys, numeric_keys
+from dynahoi_lerobot.dataset.statistics import NAMES, Stats, table_stats
 
 EpisodeRow = dict[str, Any]
 
@@ -36,14 +28,6 @@ def own_columns(episode: Episode, features: Iterable[Feature]) -> EpisodeRow:
     """Return our columns of an episode's row: its facts, and those of ``features`` that are in this table."""
     arrays = {f.key: _cells(getattr(episode, f.name), f) for f in features if f.in_episode_table}
     return asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | arrays
-
-
-def content_row(episode: Episode, features: Sequence[Feature]) -> tuple[EpisodeRow, dict[str, np.ndarray]]:
-    """Return an episode's row but for its place in a dataset, and its columns of numbers in the frame table."""
-    arrays = content_arrays(episode, features)
-    stats = table_stats(arrays) | {IMAGE_PREFIX + view: image_stats(images) for view, images in episode.images.items()}
-    told = {"tasks": [episode.meta.task], "length": len(episode)}
-    return own_columns(episode, features) | told | stats_columns(stats), arrays
 
 
 def own_values(row: EpisodeRow) -> dict[str, Any]:

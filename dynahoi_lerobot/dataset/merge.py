@@ -102,11 +102,11 @@ def _assemble(
             opened: dict[str, Opened] = {}
             for index, (row, table) in enumerate(store.stored_episodes()):
                 if kept is None or index in kept:
-                    writer.copy(store, row, table, _packets(store, row, opened))
+                    writer.copy(store, row, table, episode_packets(store, row, opened))
         return writer.finish(provenance, yields)
 
 
-def _packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
+def episode_packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
     """Return the packets of each view of an episode; none without video. Episodes are asked for in their order.
 
     The file of each view that was read last stays in ``opened`` as long as episodes are in it.

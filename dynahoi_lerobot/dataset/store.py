@@ -18,7 +18,7 @@ from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAG
 from dynahoi_lerobot.dataset.columns import Features, column_array, content_values, image_keys, numeric_keys, read_png
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, own_values
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, check_root, reading
-from dynahoi_lerobot.dataset.video import decode
+from dynahoi_lerobot.dataset.video import Encoding, decode
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -161,6 +161,14 @@ class Store:
     def has_video(self) -> bool:
         """Whether images are stored as video."""
         return self.features.get(CAMERA_KEY, {}).get("dtype") == "video"
+
+    @property
+    def encoding(self) -> Encoding:
+        """How images are stored, as the feature table records it; as video where there are none."""
+        if not self.image_keys or not self.has_video:
+            return Encoding("images" if self.image_keys else "h264")
+        info = self.features[self.image_keys[0]]["info"]
+        return Encoding("h264", info["video.crf"], info["video.preset"], info["video.g"])
 
     @cached_property
     def tasks(self) -> list[str]:

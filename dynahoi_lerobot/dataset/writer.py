@@ -4,7 +4,7 @@ The same episodes give the same bytes, in whatever pieces they were made.
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -14,7 +14,9 @@ from typing import Any, Self
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from av.container import OutputContainer
 from av.packet import Packet
+from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
@@ -22,12 +24,12 @@ from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset import columns as frame_table
 from dynahoi_lerobot.dataset import episode_table, paths
-from dynahoi_lerobot.dataset.card import card_files
+from dynahoi_lerobot.dataset.card import write_card
 from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.dataset.statistics import Stats, column_stats, pooled
+from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
 from dynahoi_lerobot.dataset.store import Store, frame_column
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
@@ -62,21 +64,25 @@ def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding |
 
 
 class _Tables:
-    """Parquet files of one kind: each table is a row group, and a new file begins before one would be too large."""
+    """Parquet files of one kind: each table is a row group, and a new file begins before one would be too large.
+
+    Sizes in memory decide, so that no other version of a compressor begins a file elsewhere.
+    """
 
     def __init__(self, root: Path, template: str, schema: pa.Schema, limits: FileLimits) -> None:
         self.schema, self.number = schema, -1
         self._root, self._template, self._limits = root, template, limits
-        self._sink: pa.NativeFile | None = None
         self._writer: pq.ParquetWriter | None = None
+        self._size_bytes = 0
 
     def place_for(self, table: pa.Table) -> tuple[int, int]:
         """Make room for ``table``; return the (chunk, file) index that it goes to."""
-        if self._sink is None or self._sink.tell() + table.nbytes >= self._limits.data_mb * MIB:
+        if self._writer is None or self._size_bytes + table.nbytes >= self._limits.data_mb * MIB:
             self.close()
-            self.number += 1
-            self._sink = pa.OSFile(str(self._limits.path(self._root, self._template, self.number)), "wb")
-            self._writer = pq.ParquetWriter(self._sink, self.schema, compression="snappy", use_dictionary=True)
+            self.number, self._size_bytes = self.number + 1, 0
+            path = self._limits.path(self._root, self._template, self.number)
+            self._writer = pq.ParquetWriter(path, self.schema, compression="snappy", use_dictionary=True)
+        self._size_bytes += table.nbytes
         return self._limits.place(self.number)
 
     def append(self, table: pa.Table) -> None:
@@ -87,10 +93,9 @@ class _Tables:
 
     def close(self) -> None:
         """Finish the current file."""
-        if self._writer is not None and self._sink is not None:
+        if self._writer is not None:
             self._writer.close()
-            self._sink.close()
-        self._writer = self._sink = None
+        self._writer = None
 
 
 class DatasetWriter:
@@ -145,16 +150,20 @@ class DatasetWriter:
         self._n_videos = 0
         self._columns = tuple(columns)
 
-    def add(self, episode: Episode) -> None:
-        """Append one episode.
+    def add(self, episode: Episode, packets: dict[str, list[Packet]] | None = None) -> None:
+        """Append one episode, whose images are encoded, or of which another dataset holds the packets of each view.
 
         Raises:
             ValueError: if it has other columns than the dataset, or images of another size.
         """
         check_fits(episode, self._columns)
         images = {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
-        row, arrays = episode_table.content_row(episode, self._columns)
-        packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
+        arrays = frame_table.content_arrays(episode, self._columns)
+        row = episode_table.own_columns(episode, self._columns) | {"tasks": [episode.meta.task], "length": len(episode)}
+        stats = table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys}
+        row |= episode_table.stats_columns(stats)
+        if packets is None:
+            packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
         size = max((frames.shape[1] for frames in images.values()), default=0)
         stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
         self._append(row, frame_table.frame_columns(episode, arrays, self._schema), packets, lambda _: stream)
@@ -180,16 +189,16 @@ class DatasetWriter:
         self._close_videos()
         self._flush_rows()
         self._rows.close()
-        (tasks := self.root / paths.TASKS_PATH).parent.mkdir(exist_ok=True)
-        pq.write_table(tasks_table(list(self._tasks)), tasks, compression="snappy")
-        info = dataset_info(self.features, self.limits, self.episodes, self.frames, len(self._tasks))
-        paths.write_json(info, self.root / paths.INFO_PATH)
-        paths.write_json(dataset_stats(self.root, self.features, self._image_stats), self.root / paths.STATS_PATH)
+        _write_tasks(list(self._tasks), self.root / paths.TASKS_PATH)
+        paths.write_json(self._info(), self.root / paths.INFO_PATH)
+        stats = self._stats()
+        as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
+        paths.write_json(as_lists, self.root / paths.STATS_PATH)
         store = Store(self.root)
-        facts = Manifest.of(store.rows, provenance or {}, yields or {})
-        for name, text in card_files(store, facts).items():
-            (path := self.root / name).parent.mkdir(exist_ok=True)
-            path.write_text(text, encoding="utf-8")
+        seeds = [row["seed"] for row in store.rows]
+        benchmark = ", ".join(sorted({row["benchmark"] for row in store.rows}))
+        facts = Manifest(self.episodes, self.frames, {}, seeds, provenance or {}, yields or {}, benchmark)
+        write_card(store, facts)
         manifest = replace(facts, files=hash_files(self.root))
         manifest.write(self.root)
         return manifest
@@ -235,7 +244,7 @@ class DatasetWriter:
         if not self._videos:
             for key in packets:
                 path = self.limits.path(self.root, paths.VIDEO_PATH, self._n_videos, video_key=key)
-                self._videos[key] = VideoFile(path, stream(key))
+                self._videos[key] = self._open_video(path, stream(key))
             self._n_videos += 1
         start = self._videos[next(iter(packets))].frames
         for key, video in self._videos.items():
@@ -243,6 +252,9 @@ class DatasetWriter:
         chunk, file = self.limits.place(self._n_videos - 1)
         times = {"from_timestamp": start / CONTROL_HZ, "to_timestamp": (start + length) / CONTROL_HZ}
         return episode_table.video_columns(packets, {"chunk_index": chunk, "file_index": file} | times)
+
+    def _open_video(self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]) -> VideoFile:
+        return VideoFile(path, add_stream)
 
     def _fits(self, video: VideoFile, packets: list[Packet]) -> bool:
         size_bytes = video.size_bytes + sum(packet.size for packet in packets)
@@ -265,49 +277,31 @@ class DatasetWriter:
         self._rows.append(table)
         self._pending.clear()
 
+    def _stats(self) -> dict[str, Stats]:
+        """Return the dataset's statistics by key: of images from those of episodes, of columns from all frames."""
+        stats = {key: pooled(found) for key, found in self._image_stats.items()}
+        for key in frame_table.numeric_keys(self.features):
+            values = frame_column(self.root, key)
+            stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
+        return stats
 
-# -- what stands in the files under meta/, as verification derives it again --------------------------------------------
-
-
-def dataset_info(features: Features, limits: FileLimits, episodes: int, frames: int, tasks: int) -> dict[str, Any]:
-    """Return the content of ``info.json`` of a dataset with so many episodes, frames and instructions."""
-    has_video = any(feature["dtype"] == "video" for feature in features.values())
-    return {
-        "codebase_version": paths.CODEBASE_VERSION,
-        "fps": CONTROL_HZ,
-        "features": features,
-        "total_episodes": episodes,
-        "total_frames": frames,
-        "total_tasks": tasks,
-        "chunks_size": limits.chunk_files,
-        "data_files_size_in_mb": limits.data_mb,
-        "video_files_size_in_mb": limits.video_mb,
-        "data_path": paths.DATA_PATH,
-        "video_path": paths.VIDEO_PATH if has_video else None,
-        "robot_type": paths.ROBOT_TYPE,
-        "splits": {"train": f"0:{episodes}"},
-    }
-
-
-def dataset_stats(root: Path, features: Features, image_stats: Mapping[str, Sequence[Stats]]) -> dict[str, Any]:
-    """Return the content of ``stats.json``: of images from those of episodes, of columns from all frames."""
-    stats = {key: pooled(found) for key, found in image_stats.items()}
-    for key in frame_table.numeric_keys(features):
-        values = frame_column(root, key)
-        stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
-    return {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
-
-
-def tasks_table(tasks: Sequence[str]) -> pa.Table:
-    """Return the table of instructions: pandas must find the texts as the index named ``task``."""
-    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-    columns = [
-        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
-        for name, (kind, numpy) in kinds.items()
-    ]
-    note = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.3.3"}
-    schema = pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(note)})
-    return pa.table([list(range(len(tasks))), list(tasks)], schema=schema)
+    def _info(self) -> dict[str, Any]:
+        has_video = any(feature["dtype"] == "video" for feature in self.features.values())
+        return {
+            "codebase_version": paths.CODEBASE_VERSION,
+            "fps": CONTROL_HZ,
+            "features": self.features,
+            "total_episodes": self.episodes,
+            "total_frames": self.frames,
+            "total_tasks": len(self._tasks),
+            "chunks_size": self.limits.chunk_files,
+            "data_files_size_in_mb": self.limits.data_mb,
+            "video_files_size_in_mb": self.limits.video_mb,
+            "data_path": paths.DATA_PATH,
+            "video_path": paths.VIDEO_PATH if has_video else None,
+            "robot_type": paths.ROBOT_TYPE,
+            "splits": {"train": f"0:{self.episodes}"},
+        }
 
 
 def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
@@ -329,3 +323,15 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
 def _described(key: str, shapes: dict[str, tuple[int, ...]]) -> str:
     return f"{key} of shape {shapes[key]}" if key in shapes else f"no {key}"
 
+
+def _write_tasks(tasks: list[str], path: Path) -> None:
+    """Write LeRobot's task table: pandas must find the texts as the index named ``task``."""
+    kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        for name, (kind, numpy) in kinds.items()
+    ]
+    note = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.3.3"}
+    schema = pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(note)})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table([list(range(len(tasks))), tasks], schema=schema), path, compression="snappy")
