@@ -5,11 +5,13 @@ import importlib
 import logging
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, NoReturn
 
 from dynahoi_lerobot.core.arguments import CommandError
-from dynahoi_lerobot.core.files import check_output, printable
+from dynahoi_lerobot.core.escaping import Terminal
+from dynahoi_lerobot.core.files import check_output
 
 COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report on a CPU in minutes"),
@@ -69,6 +71,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def exit_code(spoken: str, run: Callable[[], int]) -> int:
     """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what stopped it."""
+    with redirect_stdout(Terminal(sys.stdout)), redirect_stderr(Terminal(sys.stderr)):
+        return _exit_code(spoken, run)
+
+
+def _exit_code(spoken: str, run: Callable[[], int]) -> int:
     try:
         return run()
     except ModuleNotFoundError as error:
@@ -88,7 +95,7 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
 def _sentence(error: Exception) -> str:
     """Return the message in one printable line, without its middle if a value makes it very long."""
     told = (error.filename, error.strerror) if isinstance(error, OSError) and error.strerror else (error,)
-    sentence = printable(" ".join(": ".join(str(part) for part in told if part).split()))
+    sentence = " ".join(": ".join(str(part) for part in told if part).split())
     return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
 
 

@@ -53,8 +53,3 @@ def new_folder(target: Path) -> Iterator[Path]:
         except OSError:
             if not target.is_dir():
                 raise
-
-
-def printable(text: str) -> str:
-    """Return ``text`` with whatever a terminal would obey, such as escapes and line ends, written out."""
-    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

@@ -119,12 +119,17 @@ def read_object(path: Path, types: Mapping[str, Any] = {}) -> dict[str, Any]:
     with reading(path):
         if not isinstance(content := read_json(path), dict):
             raise TypeError(f"it must be a JSON object, not a {type(content).__name__}")
-        for name, hint in types.items():
-            if name not in content:
-                raise KeyError(f"it has no {name!r}")
-            if not fits(content[name], hint):
-                raise TypeError(f"{name} must be of type {getattr(hint, '__name__', hint)}, got {content[name]!r:.80}")
+        require(content, types)
         return content
+
+
+def require(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
+    """Raise a TypeError unless the keys of ``types`` have values of these types."""
+    for name, hint in types.items():
+        if name not in content:
+            raise TypeError(f"it has no {name!r}")
+        if not fits(content[name], hint):
+            raise TypeError(f"{name} must be of type {getattr(hint, '__name__', hint)}, got {content[name]!r:.80}")
 
 
 def fits(value: Any, hint: Any) -> bool:
@@ -146,19 +151,19 @@ def _plain(content: Any) -> Any:
     """Return a tree of lists and dictionaries that is neither deep nor large when written out."""
     level, values = [content], 0
     for _ in range(DEPTH):
-        items = [item for item in level if isinstance(item, dict | list)]
-        level = [value for item in items for value in (item.values() if isinstance(item, dict) else item)]
-        texts = [key for item in items if isinstance(item, dict) for key in item]
+        for value in level:
+            if isinstance(value, str):
+                value.encode()
+            elif isinstance(value, int | float) and not -INTEGER < value < INTEGER:
+                raise ValueError(f"it holds the number {str(value)[:40]}")
+        keys = [key for item in level if isinstance(item, dict) for key in item]
+        inner = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list))
+        level = keys + [value for part in inner for value in part]
         values += len(level)
         if not level:
             return content
         if values > VALUES:
             raise ValueError(f"it holds more than {VALUES} values")
-        for value in (*level, *texts):
-            if isinstance(value, str):
-                value.encode()
-            elif isinstance(value, int | float) and not -INTEGER < value < INTEGER:
-                raise ValueError(f"it holds the number {str(value)[:40]}")
     raise ValueError(f"it is nested more than {DEPTH} deep")
 
 

@@ -5,9 +5,9 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Self, get_origin, get_type_hints
+from typing import Any, Self, get_type_hints
 
-from dynahoi_lerobot.core.reading import sha256
+from dynahoi_lerobot.core.reading import ReadError, read_object, sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
 
 FORMAT = 1
@@ -59,15 +59,12 @@ class Manifest:
         """Read it from below ``root``.
 
         Raises:
-            OSError: if there is none.
-            ValueError: if it is not JSON, or of another format.
+            ReadError: if there is none, or it is not JSON of the format.
         """
-        content = json.loads((root / MANIFEST_PATH).read_text())
-        types = {name: get_origin(hint) or hint for name, hint in get_type_hints(cls).items()}
-        if not isinstance(content, dict) or content.pop("format", None) != FORMAT or set(content) != set(types):
-            raise ValueError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
-        if wrong := [name for name, kind in types.items() if not isinstance(content[name], kind)]:
-            raise ValueError(f"{root / MANIFEST_PATH} holds a {type(content[wrong[0]]).__name__} as {wrong[0]!r}")
+        types = get_type_hints(cls)
+        content = read_object(root / MANIFEST_PATH, types)
+        if content.pop("format", None) != FORMAT or content.keys() != types.keys():
+            raise ReadError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
         return cls(**content)
 
     def _content(self) -> dict[str, Any]:

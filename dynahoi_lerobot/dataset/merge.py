@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, reading
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 from dynahoi_lerobot.dataset.writer import DatasetWriter
@@ -77,8 +77,7 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         raise FileExistsError(f"{output} exists; choose a new folder")
     if not (root / MANIFEST_PATH).is_file():
         raise FileNotFoundError(f"{root} was not written by this project: {MANIFEST_PATH} is missing")
-    with reading(root / MANIFEST_PATH):
-        manifest = Manifest.read(root)
+    manifest = Manifest.read(root)
     if not kept:
         raise ValueError("got no episodes to keep; a dataset needs at least one")
     if unknown := sorted(kept - set(range(store.episodes))):

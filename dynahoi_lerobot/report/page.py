@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.arguments import path
-from dynahoi_lerobot.core.files import printable, write_atomically
+from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, unequal_conditions
 from dynahoi_lerobot.evaluate.table import Cell, Table
@@ -87,7 +88,7 @@ def render_report(
         The path of the page.
 
     Raises:
-        ResultsError: if a folder is missing or damaged.
+        ReadError: if a folder is missing or damaged.
         ValueError: if no folder is given, or for different versions of the benchmark, unless that is allowed.
     """
     if not folders:

@@ -4,6 +4,7 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
@@ -13,7 +14,8 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import path, whole
-from dynahoi_lerobot.core.files import printable
+from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.reading import ReadError, reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
@@ -138,11 +140,10 @@ def _verdicts(store: Store, recipe: Recipe | None, progress: Callable[[], object
 
 def _recipe(manifest: Manifest) -> Recipe | None:
     """Return the recipe that the manifest names; None if it names none, or none that this project can read."""
-    try:
+    with suppress(ReadError), reading(Path(MANIFEST_PATH)):
         stored = manifest.provenance.get("recipe")
         return None if stored is None else draccus.decode(Recipe, stored)
-    except (draccus.utils.DraccusException, ValueError, TypeError, AttributeError):
-        return None
+    return None
 
 
 def drawn_evenly(store: Store, count: int, rng: np.random.Generator) -> list[int]:
