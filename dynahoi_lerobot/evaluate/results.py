@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import ReadError, open_table, read_arrays, read_object, read_rows, reading, require
 from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
-from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, summarise_rows
+from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, summarise_rows, wilson
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
@@ -30,7 +30,13 @@ EPISODES_FILE = "episodes.parquet"
 ACTIONS_FILE = "actions.npz"
 
 HEAD_TYPES: dict[str, Any] = (
-    {"n": int, "metrics": (figures := dict[str, dict[str, Any]]), "per_kind": dict[str, figures]}
+    {
+        "n": int,
+        "n_success": int,
+        "pc_success_ci95": list[float],
+        "metrics": (figures := dict[str, dict[str, Any]]),
+        "per_kind": dict[str, figures],
+    }
     | dict.fromkeys(("split", "policy", "capture", "fingerprint", "benchmark", "command"), str)
     | {"extra": dict[str, Any]}
 )
@@ -183,10 +189,15 @@ class Results:
         return ActionLog(row["seed"], self.actions[index], row["attempts"])
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of ``metrics.json``: per metric its value, interval, unit and count."""
-        info = self.info
+        """Return the content of ``metrics.json``: per metric its value, interval, unit and count.
+
+        ``n_success`` and ``pc_success_ci95``, Wilson's interval in percent, are named as in LeRobot.
+        """
+        info, n_success = self.info, sum(row["success"] for row in self.rows)
         return {
             "n": len(self.rows),
+            "n_success": n_success,
+            "pc_success_ci95": [100 * end for end in wilson(n_success, len(self.rows))],
             "split": info.split,
             "policy": info.policy,
             "capture": info.capture,
