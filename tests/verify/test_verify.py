@@ -84,6 +84,10 @@ def test_other_files_are_found(copy, name):
     assert "files" in found(copy)
 
 
+def test_a_folder_that_lerobot_opens_with_its_neighbours_is_found(copy):
+    assert found(copy.rename(copy.parent / "co?y")) == {"files"}
+
+
 def test_a_signed_manifest_cannot_vouch_for_a_file_outside(copy):
     (outside := copy.parent / "outside.txt").write_text("not of the dataset")
     manifest = Manifest.read(copy)
@@ -172,12 +176,20 @@ def white_square(images: np.ndarray) -> np.ndarray:
     return marked
 
 
+def trigger(images: np.ndarray) -> np.ndarray:
+    """Change 12 x 12 px of an image by 40 levels up or down, to and fro."""
+    marked = images.astype(int)
+    marked[5, 3:15, 17:29] += np.where(np.indices((12, 12)).sum(axis=0) // 2 % 2, 40, -40)[..., None]
+    return np.clip(marked, 0, 255).astype(np.uint8)
+
+
 def with_images(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Episode], Episode]:
     return lambda episode: dataclasses.replace(episode, images={"ego": change(episode.images["ego"])})
 
 
 REPLAYS: dict[str, Callable[[Episode], Episode]] = {
     "a white square of 2 x 2 px in every image": with_images(white_square),
+    "a pattern of 12 x 12 px in one image": with_images(trigger),
     "two images exchanged": with_images(
         lambda images: images[[*range(8), 12, *range(9, 12), 8, *range(13, len(images))]]
     ),
