@@ -138,7 +138,7 @@ META: dict[str, Forgery] = {
     "instructions of the episode table exchanged": column(ROWS, "tasks", swapped),
     "instructions of frames exchanged": column(DATA, "task_index", lambda numbers: [1 - min(n, 1) for n in numbers]),
     "another index of instructions": table(TASKS, lambda found: found.replace_schema_metadata({})),
-    "another video": column(ROWS, f"videos/{EGO}/file_index", swapped),
+    "another video": column(ROWS, f"videos/{EGO}/file_index", lambda files: files[::-1]),
     "another view's video": column(ROWS, f"videos/{SIDE}/file_index", lambda files: [0] * len(files)),
     "another chunk": column(ROWS, f"videos/{EGO}/chunk_index", lambda chunks: [1] * len(chunks)),
     "another data file": column(ROWS, "data/file_index", lambda files: [1] * len(files)),
@@ -178,9 +178,6 @@ META: dict[str, Forgery] = {
     "shape of a feature": told(INFO, "features", EGO, "shape", value=[32, 32, 3]),
     "type of a feature": told(INFO, "features", "action", "dtype", value="float64"),
     "a feature less": lambda root: edit_json(root / INFO, lambda info: info["features"].pop("next.success")),
-    "features in another order": lambda root: edit_json(
-        root / INFO, lambda info: info.update(features=dict(reversed(info["features"].items())))
-    ),
     "codec": told(INFO, "features", EGO, "info", "video.crf", value=40),
     "depth": told(INFO, "features", EGO, "info", "is_depth_map", value=True),
     "notes for readers of the frames": note_for_readers,
