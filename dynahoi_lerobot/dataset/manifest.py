@@ -72,23 +72,34 @@ class Manifest:
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    """Yield every file that is missing, has changed or is not in the manifest; every byte is read.
+    """Yield every file that is missing, has changed or is not in the manifest; every byte is read."""
+    yield from structure_problems(root, manifest)
+    yield from (f"{name} has changed: its sha256 is not the manifest's" for name in changed_files(root, manifest))
+
+
+def changed_files(root: Path, manifest: Manifest) -> list[str]:
+    """Return the names of the files that are there with other content; every byte is read.
 
     The card may differ: people edit theirs, and LeRobot's ``push_to_hub`` writes its own.
     """
+    there = [(root / name, digest) for name, digest in manifest.files.items() if _is_inside(name) and name != CARD_PATH]
+    return [path.relative_to(root).as_posix() for path, digest in there if path.is_file() and sha256(path) != digest]
+
+
+def _is_inside(name: str) -> bool:
+    return ".." not in Path(name).parts and not Path(name).is_absolute()
+
+
+def structure_problems(root: Path, manifest: Manifest) -> Iterator[str]:
+    """Yield whether the manifest has changed, and files that are missing or not in it, without reading them."""
     if manifest.sha256 != manifest.digest:
         said, found = manifest.sha256[:12], manifest.digest[:12]
         yield f"{MANIFEST_PATH} has changed: the sha256 of its content is {found}..., it says {said or 'nothing'}..."
-    for name, digest in manifest.files.items():
-        path = root / name
-        if ".." in Path(name).parts or Path(name).is_absolute():
+    for name in manifest.files:
+        if not _is_inside(name):
             yield f"the manifest names {name!r}, outside the dataset"
-        elif name == CARD_PATH:
-            continue
-        elif not path.is_file():
+        elif name != CARD_PATH and not (root / name).is_file():
             yield f"{name} is missing"
-        elif (found := sha256(path)) != digest:
-            yield f"{name} has changed: its sha256 is {found[:12]}..., the manifest says {digest[:12]}..."
     yield from _strays(root, manifest)
 
 

@@ -82,7 +82,8 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         raise ValueError("got no episodes to keep; a dataset needs at least one")
     if unknown := sorted(kept - set(range(store.episodes))):
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
-    return _assemble(output, [(store, kept)], None, manifest.provenance | {"kept": sorted(kept)}, {})
+    limits = FileLimits(**manifest.provenance.get("limits", {}))
+    return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
 
 
 def _assemble(
@@ -100,11 +101,11 @@ def _assemble(
             opened: dict[str, Opened] = {}
             for index, (row, table) in enumerate(store.stored_episodes()):
                 if kept is None or index in kept:
-                    writer.copy(store, row, table, _packets(store, row, opened))
+                    writer.copy(store, row, table, episode_packets(store, row, opened))
         return writer.finish(provenance, yields)
 
 
-def _packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
+def episode_packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
     """Return the packets of each view of an episode; none without video. Episodes are asked for in their order.
 
     The file of each view that was read last stays in ``opened`` as long as episodes are in it.

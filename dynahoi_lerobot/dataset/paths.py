@@ -21,6 +21,23 @@ HISTOGRAM_PATH = "assets/{key}.svg"
 """The dataset card, which the Hub shows, and its drawings."""
 
 
+UNOPENABLE = ("[", "*", "?", "::")
+"""What LeRobot's reader takes for a pattern or a chain of addresses in a path."""
+
+
+def check_root(root: Path) -> None:
+    """Refuse a folder that LeRobot cannot open, or opens together with its neighbours.
+
+    Raises:
+        ValueError: naming the part of the path.
+    """
+    if found := [part for part in UNOPENABLE if part in str(root.absolute())]:
+        raise ValueError(
+            f"LeRobot cannot open a dataset in {root.absolute()}: it reads {found[0]!r} as part of a pattern; choose a "
+            f"path without {', '.join(UNOPENABLE)}"
+        )
+
+
 @dataclass(frozen=True)
 class FileLimits:
     """Where a dataset's data, video and episode files end and the next one begins.

@@ -26,8 +26,8 @@ from dynahoi_lerobot.core.reading import (
 )  # fmt: skip
 from dynahoi_lerobot.dataset.columns import Features, column_array, content_values, image_keys, numeric_keys, read_png
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, own_values
-from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH
-from dynahoi_lerobot.dataset.video import decode
+from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, check_root
+from dynahoi_lerobot.dataset.video import Encoding, decode
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -42,12 +42,19 @@ def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
         ReadError: if LeRobot would read what is no file of it, or cannot read it.
+        ValueError: if LeRobot cannot open this path, or reads another number of rows than its episodes have.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    Store(root).check_files()
+    check_root(root)
+    (store := Store(root)).check_files()
     with reading(root):
-        return LeRobotDataset(f"local/{root.name}", root=root, **options)
+        dataset = LeRobotDataset(f"local/{root.name}", root=root, **options)
+    lengths = [row["length"] for row in store.rows]
+    chosen = range(len(lengths)) if dataset.episodes is None else dataset.episodes
+    if (found := dataset.hf_dataset.num_rows) != (wanted := sum(lengths[index] for index in chosen)):
+        raise ValueError(f"LeRobot reads {found} rows of {root}; its episodes have {wanted}; see `dynahoi verify`")
+    return dataset
 
 
 def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: bool = True) -> Iterator[Episode]:
@@ -186,12 +193,18 @@ class Store:
         """Whether images are stored as video."""
         return self.features.get(CAMERA_KEY, {}).get("dtype") == "video"
 
+    @property
+    def encoding(self) -> Encoding:
+        """How images are stored, as the feature table records it; as video where there are none."""
+        if not self.image_keys or not self.has_video:
+            return Encoding("images" if self.image_keys else "h264")
+        info = self.features[self.image_keys[0]]["info"]
+        return Encoding("h264", info["video.crf"], info["video.preset"], info["video.g"])
+
     @cached_property
     def tasks(self) -> list[str]:
-        """The instructions, by task index."""
-        rows = list(read_rows(self.root / TASKS_PATH))
-        with reading(self.root / TASKS_PATH):
-            return [row["task"] for row in sorted(rows, key=lambda row: row["task_index"])]
+        """The instructions in the table's order, by which LeRobot finds them."""
+        return [row["task"] for row in read_rows(self.root / TASKS_PATH, ["task"])]
 
     @cached_property
     def rows(self) -> list[EpisodeRow]:
