@@ -58,8 +58,8 @@ def figures(node: Any, note: str = "") -> Any:
     if "value" not in node:
         return {key: figures(entry, note) for key, entry in node.items() if key != "stale"}
     scale = 100 if node.get("unit") == "fraction" else 1
-    numbers = (node.get(name) for name in ("value", "low", "high"))
-    return Figure(*(None if x is None else scale * x for x in numbers), note)  # pyright: ignore[reportArgumentType]
+    numbers = {name: scale * node[name] for name in ("value", "low", "high") if node.get(name) is not None}
+    return Figure(**numbers, note=note) if numbers else None  # no episode meets a metric's condition
 
 
 def outdated(node: Any) -> Iterator[dict[str, Any]]:

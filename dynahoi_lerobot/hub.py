@@ -21,7 +21,14 @@ from dynahoi_lerobot.core.arguments import CommandError, path
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, hint_at_checkpoint, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import (
+    CONFIG,
+    PICKLES,
+    PLUGINS,
+    folder_weights,
+    hint_at_checkpoint,
+    trained_for,
+)
 from dynahoi_lerobot.evaluate.replay_results import changed_rules
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, WEIGHTS, Results, read_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -287,8 +294,6 @@ def variant(results: Results) -> str:
     return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 9]}_{digest}"
 
 
-PLUGINS = ("obact", "actiontokens")
-"""Policy types with a distribution of their own in this repository."""
 CARD = """
 # {name}
 
@@ -319,7 +324,7 @@ def checkpoint_card(folder: Path, repo: str) -> ModelCard:
         pipeline_tag="robotics", tags=["lerobot", "robotics", "dynahoi", kind],
         datasets=[dataset] if "/" in dataset else None,
     )  # fmt: skip
-    needed = f" ./policies/lerobot_policy_{kind}" if kind in PLUGINS else ""
+    needed = f" ./policies/{PLUGINS[kind]}" if kind in PLUGINS else ""
     told = {"control_mode": JOINTS} | trained_for(folder)
     rules = "It was trained for " + ", ".join(f"{name} `{value}`" for name, value in sorted(told.items())) + "."
     body = CARD.format(name=repo.rpartition("/")[2], type=kind, repo=repo, needed=needed, rules=rules)

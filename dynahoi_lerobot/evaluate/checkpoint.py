@@ -27,6 +27,8 @@ POLICY_TYPES = frozenset(
     | {"vqbet", "xvla"}
 )
 """Policies whose own code runs no Python files of the repositories that their configs name."""
+PLUGINS = {"obact": "lerobot_policy_obact"} | dict.fromkeys(("actiontokens", "upvla"), "lerobot_policy_actiontokens")
+"""Our distribution that brings a policy type."""
 
 _NORMALIZER = frozenset({"features", "norm_map", "eps", "normalize_observation_keys"})
 STEPS: dict[str, frozenset[str]] = {
@@ -249,6 +251,9 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     """Open the config, with ``settings`` through LeRobot's own parser."""
     from lerobot.configs import PreTrainedConfig
 
+    if (kind := _read_object(folder / CONFIG).get("type")) not in PreTrainedConfig.get_known_choices():
+        package = PLUGINS.get(str(kind), f"lerobot_policy_{kind}")
+        raise PolicyError(f"{folder / CONFIG} is of type {kind!r}, which is not installed: install {package}")
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:

@@ -104,6 +104,12 @@ def test_steps_keys_and_states_that_are_not_listed_are_refused(step: dict[str, A
         checked_folder(str(checkpoint))
 
 
+def test_a_policy_that_is_not_installed_is_named_with_its_package(checkpoint: Path) -> None:
+    edit_json(checkpoint / "config.json", lambda config: config.update(type="elsewhere"))
+    with pytest.raises(PolicyError, match=r"'elsewhere'.*install lerobot_policy_elsewhere"):
+        PolicyAgent(str(checkpoint), trust=True)
+
+
 def test_listed_steps_exist_and_take_the_keys_of_their_own_configs() -> None:
     for policy in ("pi0", "pi05", "smolvla", "xvla"):
         get_policy_class(policy)
