@@ -29,6 +29,7 @@ from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH
 from dynahoi_lerobot.evaluate.arguments import add_trust_argument
 from dynahoi_lerobot.evaluate.checkpoint import (
     CONFIG,
+    PLUGINS,
     TRAINING,
     checked_folder,
     folder_weights,
@@ -341,8 +342,6 @@ def variant(results: Results) -> str:
     return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 9]}_{digest}"
 
 
-PLUGINS = ("obact", "actiontokens")
-"""Policy types with a distribution of their own in this repository."""
 CARD = """
 # {{ name }}
 
@@ -371,7 +370,7 @@ def checkpoint_card(folder: Path, repo: str) -> ModelCard:
     with reading(training):
         told = read_object(training) if training.exists() else {}
         dataset = str((told.get("dataset") or {}).get("repo_id") or "")
-    needed = Markup(f" ./policies/lerobot_policy_{kind}" if kind in PLUGINS else "")
+    needed = Markup(f" ./policies/{PLUGINS[kind]}" if kind in PLUGINS else "")
     data = ModelCardData(
         library_name="lerobot", license=str(config.get("license") or "apache-2.0"),
         pipeline_tag="robotics", tags=["lerobot", "robotics", "dynahoi", kind],

@@ -10,6 +10,7 @@ from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dynahoi_lerobot import __version__
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.escaping import Terminal
 from dynahoi_lerobot.core.files import check_output
@@ -55,6 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.getLogger("lerobot.utils.import_utils").setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     for name, (module, text) in COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text)

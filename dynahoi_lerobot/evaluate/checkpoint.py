@@ -29,6 +29,8 @@ POLICY_TYPES = frozenset(
     | {"vqbet", "xvla"}
 )
 """Policies whose own code runs no Python files of the repositories that their configs name."""
+PLUGINS = {"obact": "lerobot_policy_obact"} | dict.fromkeys(("actiontokens", "upvla"), "lerobot_policy_actiontokens")
+"""Our distribution that brings a policy type."""
 STEPS = ("lerobot.policies.", "lerobot.processor.")
 LOADING_STEPS = "lerobot.processor.hil_processor"
 """Modules whose processor steps a checkpoint may name without ``--trust``, and one of which loads a second one."""
@@ -278,6 +280,9 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     told = read_object(folder / CONFIG)
     if huge := [key for key, value in _numbers(told) if abs(value) > LARGEST_NUMBER]:
         raise PolicyError(f"{folder / CONFIG} says {huge[0]} is more than {LARGEST_NUMBER}")
+    if (kind := told.get("type")) not in PreTrainedConfig.get_known_choices():
+        package = PLUGINS.get(str(kind), f"lerobot_policy_{kind}")
+        raise PolicyError(f"{folder / CONFIG} is of type {kind!r}, which is not installed: install {package}")
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:

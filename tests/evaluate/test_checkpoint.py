@@ -119,6 +119,12 @@ def test_code_of_a_repository_that_a_step_names_does_not_run_and_nobody_is_asked
     assert not marker.exists()
 
 
+def test_a_policy_that_is_not_installed_is_named_with_its_package(checkpoint: Path) -> None:
+    edit_json(checkpoint / "config.json", lambda config: config.update(type="elsewhere"))
+    with pytest.raises(PolicyError, match=r"'elsewhere'.*install lerobot_policy_elsewhere"):
+        PolicyAgent(str(checkpoint), trust=True)
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
