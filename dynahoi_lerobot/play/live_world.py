@@ -43,6 +43,7 @@ class LiveWorld:
         kind: str | None = None,
         *,
         realtime: bool = True,
+        record_images: bool = False,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         """Allocate the world; no episode begins yet.
@@ -51,12 +52,13 @@ class LiveWorld:
             recipe: rules of the episodes.
             kind: the kind of motion that is played; None for all of the recipe.
             realtime: whether the clock moves the world; else each command moves it by one frame.
+            record_images: whether the recording of an episode holds its images.
             clock: returns the time [s].
         """
         self.recipe, self.kind, self.missed = recipe, kind, 0
         self.finished: Episode | None = None
         self._realtime, self._clock = realtime, clock
-        self._session = Session(WorldBatch(recipe, 1), record_images=False)
+        self._session = Session(WorldBatch(recipe, 1), record_images=record_images)
         self._expert = EXPERTS[recipe.expert]()
         self._started_s: float | None = None
         self._command = np.zeros(HAND_DOF)
@@ -71,7 +73,7 @@ class LiveWorld:
         """
         [self._spec] = sample_specs(self.recipe, [kind_seed(self.recipe, self.kind, number)])
         self._session.begin([0], [Job.evaluation(number, self._spec)])
-        self._session.observe(images=False)
+        self._session.observe(images=self._session.record_images)
         self._command, self._fresh = self._session.batch.executed[0].copy(), False
         self._started_s, self.missed, self.finished, self._player = None, 0, None, player
 
@@ -86,6 +88,23 @@ class LiveWorld:
             raise RuntimeError("no episode has begun")
         return self._spec
 
+    @property
+    def batch(self) -> WorldBatch:
+        """The batch of this one world."""
+        return self._session.batch
+
+    @property
+    def now_s(self) -> float:
+        """The time [s]."""
+        return self._clock()
+
+    @property
+    def next_tick_s(self) -> float:
+        """When the clock will move the world next [s]; now, if it does not run."""
+        if self._started_s is None:
+            return self._clock()
+        return self._started_s + (self.batch.frame[0] + 0.5) / CONTROL_HZ
+
     def start(self) -> None:
         """Start the clock of this episode, once."""
         if self._started_s is None:
@@ -94,7 +113,9 @@ class LiveWorld:
     def observe(self, *, images: bool = True) -> Observation:
         """Return what is seen now, of one world: images (1, H, W, 3), state (1, 18) and so on."""
         self.catch_up()
-        return self._session.observe(images=images, ending=np.zeros(1, int)) if images else self._seen
+        if images and not self._seen.images:
+            return self._session.observe(ending=np.zeros(1, int))
+        return self._seen
 
     def command(self, command: np.ndarray) -> None:
         """Give the hand its next command, (18,): palm centre [m], home frame, and joint angles [rad].
@@ -134,6 +155,6 @@ class LiveWorld:
         self.missed += bool(batch.accepting[0]) and not self._fresh
         self._fresh = False
         terminated, truncated = self._session.step(self._command[None])
-        self._session.observe(images=False)
+        self._session.observe(images=self._session.record_images)
         if terminated[0] or truncated[0]:
             self.finished = self._session.finish(0, self._player)
