@@ -43,7 +43,9 @@ class Steering:
         """
         if not isinstance(message, dict):
             raise ValueError(f"an input must be an object, got {type(message).__name__}")
-        values = [value for name in ("x", "y", "depth", "closed") if isinstance(value := message.get(name), int | float)]
+        values = [
+            value for name in ("x", "y", "depth", "closed") if isinstance(value := message.get(name), int | float)
+        ]
         if len(values) < 4 or not all(abs(value) < 1e6 for value in values):
             raise ValueError("an input needs the finite numbers x, y, depth and closed")
         return cls(*np.clip(values, (-1, -1, -1, 0), 1).tolist())
