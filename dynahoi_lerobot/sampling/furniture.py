@@ -90,24 +90,31 @@ def furnish(spec: EpisodeSpec) -> EpisodeSpec:
 def _place_pieces(
     rng: np.random.Generator, colors: tuple[Color, Color, Color], free: list[np.ndarray]
 ) -> tuple[Solid, ...]:
-    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other."""
+    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other.
+
+    Half of the slots are filled before the hand, where its own camera looks, then half behind it, where the side camera
+    does.
+    """
     placed: list[Solid] = []
     taken = list(free)
-    for _ in range(ATTEMPTS):
-        piece = PIECES[rng.integers(len(PIECES))]
-        parts = _place(piece(rng, *colors), rng, on_wall=piece in ON_THE_WALL)
-        low = np.min([one.pos_w - np.asarray(one.half_size) for one in parts], axis=0)
-        high = np.max([one.pos_w + np.asarray(one.half_size) for one in parts], axis=0)
-        inside = (np.abs([low[:2], high[:2]]) <= ARENA_HALF_M + 1e-6).all()
-        clear = all((low > other[1]).any() or (high < other[0]).any() for other in taken)
-        if inside and clear and len(placed) + len(parts) <= FURNITURE_SLOTS:
-            placed += parts
-            taken.append(np.array([low, high]))
+    for ahead, slots in ((1.0, FURNITURE_SLOTS // 2), (-1.0, FURNITURE_SLOTS)):
+        for _ in range(ATTEMPTS):
+            piece = PIECES[rng.integers(len(PIECES))]
+            parts = _place(piece(rng, *colors), rng, ahead, on_wall=piece in ON_THE_WALL)
+            low = np.min([one.pos_w - np.asarray(one.half_size) for one in parts], axis=0)
+            high = np.max([one.pos_w + np.asarray(one.half_size) for one in parts], axis=0)
+            inside = (np.abs([low[:2], high[:2]]) <= ARENA_HALF_M + 1e-6).all()
+            clear = all((low > other[1]).any() or (high < other[0]).any() for other in taken)
+            if inside and clear and len(placed) + len(parts) <= slots:
+                placed += parts
+                taken.append(np.array([low, high]))
+            if len(placed) == slots:
+                break
     return tuple(placed)
 
 
-def _place(parts: list[Part], rng: np.random.Generator, *, on_wall: bool) -> list[Solid]:
-    """Turn a piece's back to the front, left or right wall, at the wall or before it."""
+def _place(parts: list[Part], rng: np.random.Generator, ahead: float, *, on_wall: bool) -> list[Solid]:
+    """Turn a piece's back to a wall, at it or before it: left, right, or the one ahead, 1, or behind, -1."""
     wall = rng.choice(3, p=(0.6, 0.2, 0.2))
     away = 0.0 if on_wall or rng.random() < 0.3 else rng.uniform(0.0, 4.0)
     along = rng.uniform(-4.5, 4.5) if wall == 0 else rng.uniform(1.0, 5.5)
@@ -120,7 +127,7 @@ def _place(parts: list[Part], rng: np.random.Generator, *, on_wall: bool) -> lis
         else:
             side = 1.0 if wall == 1 else -1.0
             pos, size = (along + y, side * (ARENA_HALF_M - away - x), z), half[[1, 0, 2]]
-        solids.append(Solid("box", as_vector(size), as_vector(np.array(pos)), rgb))
+        solids.append(Solid("box", as_vector(size), as_vector(np.multiply(pos, (ahead, 1.0, 1.0))), rgb))
     return solids
 
 
