@@ -23,6 +23,7 @@ COMMANDS = {
     "pretrain": ("dynahoi_lerobot.pretrain.command", "pretrain an image encoder on random poses"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
     "report": ("dynahoi_lerobot.report.page", "write an HTML report of result folders"),
+    "play": ("dynahoi_lerobot.play.command", "serve a page on which a person catches, is scored and records"),
     "push": ("dynahoi_lerobot.hub", "upload a dataset, a checkpoint, results or the environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or HTML"),
     "doctor": ("dynahoi_lerobot.doctor", "check this machine and installation"),
@@ -32,6 +33,7 @@ COMMANDS = {
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
 EXTRAS = {"datatrove": "scale", "ray": "scale", "openai": "vlm", "pydantic": "vlm"}
+EXTRAS["aiohttp"] = "play"
 EXTRAS |= dict.fromkeys(("lerobot", "torch", "huggingface_hub", "httpx"), "lerobot")
 """Extra that installs a package."""
 LONGEST = 800
