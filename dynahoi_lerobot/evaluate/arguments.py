@@ -6,7 +6,6 @@ from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor
-from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
 
@@ -26,7 +25,7 @@ EXPERT_ALIAS = "expert"
 def make_actor(
     name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
 ) -> Actor:
-    """Return the expert called ``name``, or else load the policy of that name, and seed the noise that it samples from.
+    """Return the expert called ``name``, or else load the policy of that name.
 
     Args:
         name: an expert; ``expert`` for the capture rule's own; or a policy, as ``PolicyAgent`` takes it.
@@ -44,11 +43,7 @@ def make_actor(
         raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
     if key in EXPERTS:
         return EXPERTS[key]()
-    policy = PolicyAgent(name, device, settings, trust=trust)
-    import torch  # which experts do without
-
-    torch.manual_seed(0)
-    return policy
+    return PolicyAgent(name, device, settings, trust=trust)
 
 
 def add_trust_argument(parser: argparse.ArgumentParser) -> None:
@@ -65,5 +60,5 @@ def playing_rules(given: dict[str, Any], actor: Actor) -> dict[str, Any]:
     trained = {name: value for name, value in actor.trained_for.items() if name not in given}
     if trained:
         told = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in trained.items())
-        print(f"{actor.name} plays as it was trained: {printable(told)}")
+        print(f"{actor.name} plays as it was trained: {told}")
     return trained | given

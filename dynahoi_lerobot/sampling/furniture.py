@@ -90,18 +90,25 @@ def furnish(spec: EpisodeSpec) -> EpisodeSpec:
 def _place_pieces(
     rng: np.random.Generator, colors: tuple[Color, Color, Color], free: list[np.ndarray]
 ) -> tuple[Solid, ...]:
-    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other."""
+    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other.
+
+    Half of the slots are filled before the hand, where its own camera looks, then half behind it, where the side camera
+    does.
+    """
     placed: list[Solid] = []
     taken: list[Sequence[Sequence[float]]] = [box.tolist() for box in free]
-    for _ in range(ATTEMPTS):
-        piece = PIECES[rng.integers(len(PIECES))]
-        parts = _place(piece(rng, *colors), rng, on_wall=piece in ON_THE_WALL)
-        low = [min(one.pos_w[axis] - one.half_size[axis] for one in parts) for axis in range(3)]
-        high = [max(one.pos_w[axis] + one.half_size[axis] for one in parts) for axis in range(3)]
-        inside = max(map(abs, (*low[:2], *high[:2]))) <= ARENA_HALF_M + 1e-6
-        if inside and len(placed) + len(parts) <= FURNITURE_SLOTS and all(_apart((low, high), box) for box in taken):
-            placed += parts
-            taken.append((low, high))
+    for ahead, slots in ((1.0, FURNITURE_SLOTS // 2), (-1.0, FURNITURE_SLOTS)):
+        for _ in range(ATTEMPTS):
+            piece = PIECES[rng.integers(len(PIECES))]
+            parts = _place(piece(rng, *colors), rng, ahead, on_wall=piece in ON_THE_WALL)
+            low = [min(one.pos_w[axis] - one.half_size[axis] for one in parts) for axis in range(3)]
+            high = [max(one.pos_w[axis] + one.half_size[axis] for one in parts) for axis in range(3)]
+            inside = max(map(abs, (*low[:2], *high[:2]))) <= ARENA_HALF_M + 1e-6
+            if inside and len(placed) + len(parts) <= slots and all(_apart((low, high), box) for box in taken):
+                placed += parts
+                taken.append((low, high))
+            if len(placed) == slots:
+                break
     return tuple(placed)
 
 
@@ -111,8 +118,8 @@ def _apart(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> 
     return any(low[axis] > other_high[axis] or high[axis] < other_low[axis] for axis in range(3))
 
 
-def _place(parts: list[Part], rng: np.random.Generator, *, on_wall: bool) -> list[Solid]:
-    """Turn a piece's back to the front, left or right wall, at the wall or before it."""
+def _place(parts: list[Part], rng: np.random.Generator, ahead: float, *, on_wall: bool) -> list[Solid]:
+    """Turn a piece's back to a wall, at it or before it: left, right, or the one ahead, 1, or behind, -1."""
     wall = rng.choice(3, p=(0.6, 0.2, 0.2))
     away = 0.0 if on_wall or rng.random() < 0.3 else rng.uniform(0.0, 4.0)
     along = rng.uniform(-4.5, 4.5) if wall == 0 else rng.uniform(1.0, 5.5)
@@ -125,7 +132,7 @@ def _place(parts: list[Part], rng: np.random.Generator, *, on_wall: bool) -> lis
         else:
             side = 1.0 if wall == 1 else -1.0
             pos, size = (along + y, side * (ARENA_HALF_M - away - x), z), (wide, deep, tall)
-        solids.append(Solid("box", size, pos, rgb))
+        solids.append(Solid("box", size, (ahead * pos[0], pos[1], pos[2]), rgb))
     return solids
 
 
