@@ -113,7 +113,7 @@ def earliest_arrival(
 @cache
 def closed_joints(hand: str) -> np.ndarray:
     """Return (15,) joint angles [rad] of a closed hand."""
-    return HANDS[hand]().closed_joints()
+    return HANDS[hand].closed_joints()
 
 
 def _path_from(spec: EpisodeSpec, frame: int) -> np.ndarray:
