@@ -159,8 +159,12 @@ _TABLE = (
         "window, where commands are ignored", gym_key="action",
     ),
     Feature(
+        "given_action", "stats/given_action", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "command given in this frame by expert or policy, after disturbance, within reach when it takes effect",
+    ),
+    Feature(
         "executed_action", "stats/executed_action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "executed command for the next frame, from expert or policy, after clipping and disturbance",
+        "command that the hand executes from this frame to the next, after limits, latency and disturbance",
     ),
     Feature(
         "target_pose", "stats/target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
+from itertools import batched
 from pathlib import Path
 
 from tqdm import tqdm
@@ -253,9 +254,11 @@ def _played(
     batch = WorldBatch(recipe, min(args.batch_size, len(specs)))
     gifs = args.gifs if args.out else 0
     with tqdm(total=len(specs), desc=f"{args.policy} on {args.split}", unit="episode") as progress:
-        for start in range(0, len(specs), args.batch_size):
+        for group in batched(specs, args.batch_size):
+            if len(group) < batch.size:  # a policy's noise depends on the number of worlds, also when it is resumed
+                batch = WorldBatch(recipe, len(group))
             played = []
-            for episode in evaluate(batch, actor, specs[start : start + args.batch_size], images=gifs > 0):
+            for episode in evaluate(batch, actor, group, images=gifs > 0):
                 if gifs > 0:
                     episode_gif(args.out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
                     gifs -= 1

@@ -80,7 +80,8 @@ class Session:
         if labels is not None:
             labels = self.batch.as_labels(labels, self.observation)
         for i, recorder in self._recorders.items():
-            recorder.add_action(self.batch.commanded[i], None if labels is None else labels[i])
+            label = None if labels is None else labels[i]
+            recorder.add_action(self.batch.given[i], self.batch.executed[i], label)
         terminated, full = np.zeros((2, self.batch.size), bool)
         for i, recorder in self._recorders.items():
             terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
@@ -255,12 +256,12 @@ class Player(Agent):
 def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
     """Return what recording the episode's seed gives now; None if the expert does not manage it.
 
-    Nothing but its seed matters, or in an on-policy recording the executed commands, in the policy's place.
+    Nothing but its seed matters, or in an on-policy recording the commands given, in the policy's place.
     """
     seed = recorded.meta.seed
     if not recipe.actor:
         return next(record(recipe, [seed]), None)
-    player = Player([ActionLog(seed, recorded.executed_action)])
+    player = Player([ActionLog(seed, recorded.given_action)])
     return next(record_on_policy(recipe, [seed], make_agent=lambda _: player, threads=1))
 
 

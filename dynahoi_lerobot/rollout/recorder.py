@@ -79,7 +79,8 @@ class WorldRecorder:
     job: Job
     frames: list[dict[str, np.ndarray]] = field(default_factory=list)
     images: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    actions: list[np.ndarray] = field(default_factory=list)
+    given: list[np.ndarray] = field(default_factory=list)
+    executed: list[np.ndarray] = field(default_factory=list)
     labels: list[np.ndarray] = field(default_factory=list)
     localized_frames: int = 0
 
@@ -90,13 +91,14 @@ class WorldRecorder:
         for view, pixels in images.items():
             self.images.setdefault(view, []).append(pixels[i])
 
-    def add_action(self, executed: np.ndarray, label: np.ndarray | None = None) -> None:
-        """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad].
+    def add_action(self, given: np.ndarray, executed: np.ndarray, label: np.ndarray | None = None) -> None:
+        """Record the commands (18,) given in this frame and executed from it on, palm [m], home frame, joints [rad].
 
-        ``label`` (18,) is what a teacher wanted instead, the episode's ``action``; without one, what was executed is.
+        ``label`` (18,) is what a teacher wanted instead, the episode's ``action``; without one, what was given is.
         """
-        self.actions.append(executed.copy())
-        self.labels.append(self.actions[-1] if label is None else label.copy())
+        self.given.append(given.copy())
+        self.executed.append(executed.copy())
+        self.labels.append(self.given[-1] if label is None else label.copy())
 
     def settled(self, rule: CaptureRule) -> bool:
         """Tell whether the episode may end because the rule has settled its outcome."""
@@ -105,7 +107,7 @@ class WorldRecorder:
     @property
     def full(self) -> bool:
         """Whether the episode has reached its longest length."""
-        return len(self.actions) >= self.job.frames
+        return len(self.labels) >= self.job.frames
 
     def success(self, rule: CaptureRule) -> bool:
         """Return the rule's verdict on the frames so far."""
@@ -118,7 +120,8 @@ class WorldRecorder:
         columns |= episode_constants(batch, spec, meeting)
         columns |= {
             "action": np.stack(self.labels),
-            "executed_action": np.stack(self.actions),
+            "given_action": np.stack(self.given),
+            "executed_action": np.stack(self.executed),
             "captured": self._padded(rule.captured(track)),
             "succeeded": next_frames(self._padded(rule.succeeded(track))),
             "intercept_time": spec.intercept_frame * CONTROL_DT,
@@ -145,8 +148,8 @@ class WorldRecorder:
         control = slice(spec.window_frames, None)
         return Track(
             joints=columns["state"][control, PALM_DOF:],
-            open_joints=spec.open_joints,
-            reference_joints=spec.reference_joints,
+            open_joints=spec.open_joints.astype(np.float32),  # as it is stored, for metrics to judge the same
+            reference_joints=spec.reference_joints.astype(np.float32),
             localized=columns["localized"][control],
             contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
             palm_distance=columns["palm_distance"][control],
