@@ -25,6 +25,8 @@ PALM_MASS_KG = 0.8
 PALM_FORCE_N = 120.0
 PALM_BANDWIDTH_RAD_S = 150.0
 FINGER_BANDWIDTH_RAD_S = 120.0
+IDLE_RANGE_RAD = -0.05
+"""Joints may open a little further than at rest: an idle limit would be a constraint in every physics step."""
 
 CAMERA_POS = (-0.15, 0.03, 0.21)
 CAMERA_PITCH_RAD = 0.45

@@ -1,7 +1,7 @@
 """The bundled hands: left hands of capsules, palm facing +x, fingers pointing +y, thumb up.
 
-Lengths follow an adult hand; the palm hangs on a three-axis gantry. The palm centre lies 3.6 cm in front of the palm's
-surface, in the middle of what the fingers enclose. Every joint is a position servo with a force limit.
+Lengths follow an adult hand. The palm centre lies 3.6 cm in front of the palm's surface, in the middle of what the
+fingers enclose. Every joint is a position servo with a force limit.
 """
 
 from collections.abc import Mapping
@@ -17,6 +17,7 @@ from dynahoi_lerobot.hands.base import (
     HAND_GEOM_PREFIX,
     HANDS,
     HIDDEN_GROUP,
+    IDLE_RANGE_RAD,
     SKIN_GEOM_PREFIX,
     SKIN_GROUP,
     SLEEVE_GEOM,
@@ -30,8 +31,7 @@ LINK_MASS_KG = 0.012
 FINGER_TORQUE_NM = 1.2
 FINGER_ARMATURE = 2.0e-4
 """Reflected rotor inertia [kg m^2]; it dominates the finger links' own."""
-FLEXION_RANGE_RAD = (-0.05, 1.6)
-"""The open hand, at zero, touches no limit: an idle limit would be a constraint in every physics step."""
+LARGEST_FLEXION_RAD = 1.6
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,6 @@ OPPOSED_THUMB = Finger((-0.042, -0.03, 0.004), (0.0, -0.9798, 0.2), (0.0, 0.2, 0
 """Points away from the fingers and a little up, and flexes towards them: a target that they push sideways slips out
 under a thumb that comes from above; this one encloses it with them, in grasps that friction must hold."""
 FULL_CLOSURE_RAD = {finger: (1.0, 1.4, 0.8) if finger == "thumb" else (1.15, 1.35, 1.0) for finger in FINGERS}
-JOINT_SUFFIXES = ("base", "middle", "tip")
 
 SKIN = (0.87, 0.68, 0.55, 1.0)
 PALM_X_M = -0.0475
@@ -114,12 +113,11 @@ class CapsuleHand(Hand):
 
     def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, finger: Finger) -> None:
         parent, pos, along = palm, np.asarray(finger.base), np.asarray(finger.along)
-        for suffix, length in zip(JOINT_SUFFIXES, finger.lengths, strict=True):
+        for suffix, length in zip(("base", "middle", "tip"), finger.lengths, strict=True):
             link = parent.add_body(name=f"{name}_{suffix}", pos=pos, gravcomp=1.0)
             joint = f"{name}_{suffix}"
-            link.add_joint(
-                name=joint, axis=finger.axis, range=FLEXION_RANGE_RAD, limited=True, armature=FINGER_ARMATURE
-            )
+            span = (IDLE_RANGE_RAD, LARGEST_FLEXION_RAD)
+            link.add_joint(name=joint, axis=finger.axis, range=span, limited=True, armature=FINGER_ARMATURE)
             add_servo(spec, joint, FINGER_ARMATURE, FINGER_BANDWIDTH_RAD_S, FINGER_TORQUE_NM)
             link.add_geom(
                 name=f"{HAND_GEOM_PREFIX}{joint}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=LINK_MASS_KG, rgba=SKIN,
@@ -132,10 +130,7 @@ class CapsuleHand(Hand):
 
 HANDS.register("capsule")(CapsuleHand("A hand of capsules, whose thumb comes from above.", HAND))
 HANDS.register("opposed")(
-    CapsuleHand(
-        "The capsule hand with an abducted thumb: thumb and fingers close around the target from opposite sides.",
-        {**HAND, "thumb": OPPOSED_THUMB},
-    )
+    CapsuleHand("The same with the thumb opposed to the fingers.", {**HAND, "thumb": OPPOSED_THUMB})
 )
 
 

@@ -1,7 +1,7 @@
 """Hands of real robots: one class, which mounts a hand of MuJoCo Menagerie on the gantry, and a table for each hand.
 
-Fifteen joints flex; the others stay where the table has them, and bodies that cannot move become part of those that
-can. What collides is also what is drawn: the model's primitives, and boxes and capsules around its meshes.
+Fifteen joints flex, the others stay where the table has them. What collides is also what is drawn: the model's
+primitives, and boxes and capsules around its meshes.
 """
 
 from collections.abc import Mapping
@@ -14,9 +14,6 @@ from dynahoi_lerobot.core.conventions import FINGERS, JOINT_NAMES
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.hands import base
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HANDS, Hand
-
-IDLE_RANGE_RAD = -0.05
-"""Joints may open a little further than straight, or the straight finger would lie at a limit in every step."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,8 @@ class RobotHand(Hand):
     """A hand of MuJoCo Menagerie; the attributes are its table. Couplings and torque limits are the model's own.
 
     Angles count from the open hand, and positive ones close it: a joint that reaches farther in the model's negative
-    direction is turned round. Joints that one tendon of the model pulls follow the mean of what they are told.
+    direction is turned round. Joints that one tendon of the model pulls follow the mean of what they are told: the
+    motor has one torque for both, and what they touch decides how they share it.
 
     Attributes:
         summary: one sentence, for ``dynahoi list hands``.
@@ -82,7 +80,7 @@ class RobotHand(Hand):
         robot = _load(self.model, self.entry)
         names = dict(zip((joint for name in FINGERS for joint in self.fingers[name].joints), JOINT_NAMES, strict=True))
         joints = {joint.name: joint for joint in robot.joints}
-        for name in (*names, *self.rest_rad):
+        for name in dict.fromkeys((*names, *self.rest_rad)):
             _turn(known(f"joint of {self.model}", name, joints), self.rest_rad.get(name, 0.0))
         motors = {joint: _motor(robot, joint) for joint in names}
         frame = _reduce(robot, self.palm, names)
@@ -101,7 +99,7 @@ class RobotHand(Hand):
             low, high = joint.range - self.rest_rad.get(source, 0.0)
             if -low > high:
                 low, high, joint.axis = -high, -low, -joint.axis
-            joint.name, joint.range = name, (min(low, IDLE_RANGE_RAD), high)
+            joint.name, joint.range = name, (min(low, base.IDLE_RANGE_RAD), high)
             inertia = max(float(model.joint(other).M0[0]) for other in shares)
             servo = base.add_servo(spec, name, inertia, base.FINGER_BANDWIDTH_RAD_S, torque_nm)
             if len(shares) > 1:
@@ -123,7 +121,7 @@ def _load(model: str, entry: str) -> mujoco.MjSpec:
         import mujoco_menagerie
     except ImportError as error:
         raise ValueError(
-            f"{model!r} is a model of MuJoCo Menagerie, which pip install 'dynahoi_lerobot[hands]' makes available"
+            f"the hand {model!r} needs pip install 'dynahoi_lerobot[hands]', for MuJoCo Menagerie"
         ) from error
     try:
         return mujoco_menagerie.get(model).spec(entry)
@@ -190,6 +188,9 @@ def _fit_meshes(robot: mujoco.MjSpec) -> mujoco.MjModel:
     return model
 
 
+SHARPA_THUMB = ("left_thumb_CMC_FE", "left_thumb_MCP_FE", "left_thumb_IP")
+
+
 def _sharpa_finger(name: str) -> RobotFinger:
     joints = (f"left_{name}_MCP_FE", f"left_{name}_PIP", f"left_{name}_DIP")
     return RobotFinger(joints, (1.15, 1.35, 1.0), f"left_{name}_fingertip")
@@ -204,13 +205,8 @@ HANDS.register("sharpa")(
         palm_pos_m=(-0.046, -0.0835, 0.0),
         palm_quat=(0.5**0.5, -(0.5**0.5), 0.0, 0.0),
         fingers={
-            "thumb": RobotFinger(
-                ("left_thumb_CMC_FE", "left_thumb_MCP_FE", "left_thumb_IP"), (1.0, 0.9, 0.8), "left_thumb_fingertip"
-            ),
-            "index": _sharpa_finger("index"),
-            "middle": _sharpa_finger("middle"),
-            "ring": _sharpa_finger("ring"),
-            "little": _sharpa_finger("pinky"),
+            "thumb": RobotFinger(SHARPA_THUMB, (1.0, 0.9, 0.8), "left_thumb_fingertip"),
+            **dict(zip(FINGERS[1:], map(_sharpa_finger, ("index", "middle", "ring", "pinky")), strict=True)),
         },
     )
 )
@@ -218,7 +214,7 @@ HANDS.register("sharpa")(
 
 def _shadow_finger(name: str) -> RobotFinger:
     """Return a finger, whose middle and last joint share a motor and close alike."""
-    return RobotFinger((f"lh_{name}J3", f"lh_{name}J2", f"lh_{name}J1"), (1.24, 0.89, 0.89), (0.0, 0.0, 0.026))
+    return RobotFinger((f"lh_{name}J3", f"lh_{name}J2", f"lh_{name}J1"), (1.3, 0.9, 0.9), (0.0, 0.0, 0.026))
 
 
 HANDS.register("shadow")(
@@ -227,15 +223,12 @@ HANDS.register("shadow")(
         model="shadow_hand",
         entry="left_hand",
         palm="lh_palm",
-        palm_pos_m=(-0.044, -0.085, -0.007),
+        palm_pos_m=(-0.046, -0.084, -0.018),
         palm_quat=(0.5, -0.5, 0.5, 0.5),
         fingers={
-            "thumb": RobotFinger(("lh_THJ5", "lh_THJ2", "lh_THJ1"), (1.38, 0.35, 0.53), (0.0, 0.0, 0.029)),
-            "index": _shadow_finger("FF"),
-            "middle": _shadow_finger("MF"),
-            "ring": _shadow_finger("RF"),
-            "little": _shadow_finger("LF"),
+            "thumb": RobotFinger(("lh_THJ5", "lh_THJ2", "lh_THJ1"), (0.8, 1.2, 1.0), (0.0, 0.0, 0.029)),
+            **dict(zip(FINGERS[1:], map(_shadow_finger, ("FF", "MF", "RF", "LF")), strict=True)),
         },
-        rest_rad={"lh_THJ5": -0.99, "lh_THJ4": 0.65, "lh_THJ2": -0.62, "lh_THJ1": 0.11},
+        rest_rad={"lh_THJ5": -1.0, "lh_THJ4": 1.0, "lh_THJ2": -0.65, "lh_THJ1": -0.2},
     )
 )
