@@ -214,7 +214,7 @@ HANDS.register("sharpa")(
 
 def _shadow_finger(name: str) -> RobotFinger:
     """Return a finger, whose middle and last joint share a motor and close alike."""
-    return RobotFinger((f"lh_{name}J3", f"lh_{name}J2", f"lh_{name}J1"), (1.3, 0.9, 0.9), (0.0, 0.0, 0.026))
+    return RobotFinger((f"lh_{name}J3", f"lh_{name}J2", f"lh_{name}J1"), (1.27, 0.92, 0.92), (0.0, 0.0, 0.026))
 
 
 HANDS.register("shadow")(
