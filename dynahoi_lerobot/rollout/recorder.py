@@ -66,7 +66,7 @@ def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.n
     """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
-    columns |= {name: measure(batch) for name, measure in MEASURED.items()}
+    columns |= {name: measure(batch) for name, measure in MEASURED.items()} | {"qpos": batch.qpos}
     if observation.sighting is not None:
         columns["sighting"] = observation.sighting
     return columns | {name: getattr(batch.contacts, name).copy() for name in CONTACTS}
@@ -105,6 +105,11 @@ class WorldRecorder:
         return self.job.stop_settled and self.localized_frames > rule.settle_frames
 
     @property
+    def qpos(self) -> np.ndarray:
+        """(T, nq) the world's configuration in each frame."""
+        return np.stack([frame["qpos"] for frame in self.frames])
+
+    @property
     def full(self) -> bool:
         """Whether the episode has reached its longest length."""
         return len(self.labels) >= self.job.frames
@@ -127,7 +132,7 @@ class WorldRecorder:
             "intercept_time": spec.intercept_frame * CONTROL_DT,
         }
         return Episode(
-            meta=_meta(self.job, rule.name, batch.control.name, actor),
+            meta=episode_meta(self.job, rule.name, batch.control.name, actor),
             images={view: np.stack(frames) for view, frames in self.images.items()},
             success=rule.success(track),
             stage=rule.stage(track),
@@ -168,7 +173,8 @@ def _typed(value: Any, feature: Feature) -> Any:
     return array if array.ndim else array.item()
 
 
-def _meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta:
+def episode_meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta:
+    """Return what the episode of a job is, played by an agent under a capture rule and a control class."""
     spec = job.spec
     return EpisodeMeta(
         seed=spec.seed,

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from dynahoi_lerobot.sampling.recipe import Recipe
 
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
+STAGE_FRAMES = 32
+"""Frames of an episode that are rendered together once it has ended."""
 TOUCH_M = 0.005
 """A fingertip this close touches the target: the sphere-overlap test of Appendix "Data collection"."""
 
@@ -90,6 +92,7 @@ class WorldBatch:
         self.cameras = Cameras(self.scene, self._batch, image_size, recipe.renderer, self._update_kinematics)
         self._history = ImageHistory(size, recipe.image_size)
         self._detector = self._make_detector() if recipe.environment_state == EYE else None
+        self._threads, self._stage = threads, None
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self.given, self.executed = np.zeros((2, size, HAND_DOF))
@@ -274,6 +277,30 @@ class WorldBatch:
             else None,
             sighting=self._sighting(self._detector, shown, state, ids) if self._detector else None,
         )
+
+    @property
+    def renders_later(self) -> bool:
+        """Whether images can be rendered once an episode has ended: no image depends on others, no column on any."""
+        return self.recipe.image_size > 0 and self._detector is None and MOTION_VIEW not in self.recipe.views
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """(N, nq) MuJoCo's configuration of each world."""
+        return self._fields.qpos.copy()
+
+    def images_of(self, i: int, qpos: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the views of world ``i`` in the first T frames of its episode, of which (T, nq) ``qpos`` was recorded.
+
+        They are (T, H, W, 3) uint8, the same that ``observe`` would have shown.
+        """
+        stage = self._stage = self._stage or WorldBatch(self.recipe, STAGE_FRAMES, self._threads)
+        parts = []
+        for first in range(0, len(qpos), stage.size):
+            rows = stage._fields.copy(self._fields, i, qpos[first : first + stage.size])
+            stage.specs, stage.frame = [self.specs[i]] * stage.size, first + np.arange(stage.size)
+            stage._update_kinematics(rows)
+            parts.append({view: images[rows] for view, images in stage._images(stage._seeing(rows)).items()})
+        return {view: np.concatenate([part[view] for part in parts]) for view in parts[0]}
 
     def world_state(self, observation: Observation) -> WorldState:
         """Return what an expert sees: the observation and everything the simulator knows."""

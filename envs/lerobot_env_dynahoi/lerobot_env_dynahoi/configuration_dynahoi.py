@@ -76,7 +76,8 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             if name != "hand":  # which is the capture rule's where nothing is said
                 setattr(self, name, getattr(recipe, name))
         kinds_of(self.task, recipe.motion_names)
-        _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
+        HANDS.check(recipe.hand)
+        RENDERERS.check(recipe.renderer)
         known("reward", self.reward, REWARDS)
         shown = {
             feature.key if feature.is_image else feature.gym_key: feature
