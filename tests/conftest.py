@@ -9,12 +9,11 @@ import pytest
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.hands.sharpa import MENAGERIE_ROOT
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.dataset.episodes import write
-from tests.menagerie import write_menagerie
+from tests.menagerie import gather_menagerie
 from tests.world.playing import SMALL
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # each worker has a core; more threads of torch fight over them
@@ -22,9 +21,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # each worker has a core; more th
 
 @pytest.fixture(scope="session", autouse=True)
 def menagerie(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Every test finds a small stand-in for MuJoCo Menagerie, also if the machine has the real one."""
+    """Every test finds the robot hands of MuJoCo Menagerie, real ones where this machine has them, else stand-ins."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(MENAGERIE_ROOT, str(write_menagerie(tmp_path_factory.mktemp("menagerie"))))
+        patch.setenv("MENAGERIE_ROOT", str(gather_menagerie(tmp_path_factory.mktemp("menagerie"))))
         yield
 
 

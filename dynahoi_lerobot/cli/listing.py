@@ -82,7 +82,7 @@ LISTS: dict[str, Callable[[], list[Row]]] = {
     "captures": _described(CAPTURES),
     "experts": _described(EXPERTS),
     "features": _features,
-    "hands": _described(HANDS),
+    "hands": lambda: [{"name": name, "description": hand.summary} for name, hand in HANDS.items()],
     "renderers": _described(RENDERERS),
 }
 

@@ -126,7 +126,7 @@ def fixed_path(control_class: str) -> np.ndarray:
 @functools.cache
 def fist(hand: str) -> np.ndarray:
     """(15,) joint angles [rad] around an object of no size."""
-    return HANDS[hand]().reference_joints(0.0)
+    return HANDS[hand].reference_joints(0.0)
 
 
 @functools.cache

@@ -115,7 +115,7 @@ def earliest_arrival(
 @cache
 def closed_joints(hand: str) -> np.ndarray:
     """Return (15,) joint angles [rad] of a closed hand."""
-    return HANDS[hand]().closed_joints()
+    return HANDS[hand].closed_joints()
 
 
 def _closed_around(spec: EpisodeSpec) -> np.ndarray:

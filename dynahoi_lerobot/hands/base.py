@@ -2,8 +2,7 @@
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -26,6 +25,8 @@ PALM_MASS_KG = 0.8
 PALM_FORCE_N = 120.0
 PALM_BANDWIDTH_RAD_S = 150.0
 FINGER_BANDWIDTH_RAD_S = 120.0
+IDLE_RANGE_RAD = -0.05
+"""Joints may open a little further than at rest: an idle limit would be a constraint in every physics step."""
 
 CAMERA_POS = (-0.15, 0.03, 0.21)
 CAMERA_PITCH_RAD = 0.45
@@ -52,13 +53,16 @@ class Hand(ABC):
     It must keep to these names and frames: body ``palm`` hangs on joints ``palm_x, palm_y, palm_z``; the fifteen joints
     are named as in ``conventions.JOINT_NAMES``; site ``palm_center`` lies in the middle of the grasp volume, at the
     origin of ``palm`` at zero slide positions; sites ``<finger>_tip`` sit on the pads with z along the finger;
-    camera ``ego`` is fixed to the palm; each actuator drives one joint, in the order of ``conventions.HAND_NAMES``.
+    camera ``ego`` is fixed to the palm; each joint has an actuator of its name, in the order of
+    ``conventions.HAND_NAMES``.
 
-    Class attributes:
+    Attributes:
+        summary: one sentence, for ``dynahoi list hands``.
         full_closure_rad: (3,) joint angles of each finger when the hand is fully closed [rad].
     """
 
-    full_closure_rad: ClassVar[dict[str, tuple[float, float, float]]]
+    summary: str
+    full_closure_rad: Mapping[str, tuple[float, float, float]]
 
     @abstractmethod
     def add_to(self, spec: mujoco.MjSpec) -> None:
@@ -74,7 +78,7 @@ class Hand(ABC):
         Each fingertip is ``grasp_radius_m`` away from the middle of the grasp volume, so larger objects give smaller
         rotations (Figure 3b of the paper). Fingers that cannot come that close stop at full closure.
         """
-        closure, distance = _closure_table(type(self))
+        closure, distance = self._closure_table
         joints = [
             np.asarray(self.full_closure_rad[finger]) * np.interp(-grasp_radius_m, -from_middle, closure)
             for finger, from_middle in zip(FINGERS, distance, strict=True)
@@ -101,23 +105,22 @@ class Hand(ABC):
         """Return (15,) joint angles [rad] of the closed hand, one pose for all objects."""
         return self.reference_joints(CLOSED_RADIUS_M)
 
+    @functools.cached_property
+    def _closure_table(self) -> tuple[np.ndarray, np.ndarray]:
+        """Closure fractions (K,) and, per finger, the tip's distance (5, K) [m] from the middle of the grasp volume.
 
-HANDS: Registry[type[Hand]] = Registry("hand", "dynahoi_lerobot.hands")
+        That is the axis through the palm centre, along z: fingers close around an upright object. The thumb's is the
+        distance to the palm centre itself.
+        """
+        closure = np.linspace(0.0, 1.0, 101)
+        distance = [
+            [norm(tip if finger == "thumb" else tip[:2]) for finger, tip in zip(FINGERS, tips, strict=True)]
+            for tips in self.fingertips(closure)
+        ]
+        return closure, np.minimum.accumulate(np.transpose(distance), axis=1)
 
 
-@functools.cache
-def _closure_table(hand: type[Hand]) -> tuple[np.ndarray, np.ndarray]:
-    """Closure fractions (K,) and, per finger, the tip's distance (5, K) [m] from the middle of the grasp volume.
-
-    That is the axis through the palm centre, along z: fingers close around an upright object. The thumb's is the
-    distance to the palm centre itself.
-    """
-    closure = np.linspace(0.0, 1.0, 101)
-    distance = [
-        [norm(tip if finger == "thumb" else tip[:2]) for finger, tip in zip(FINGERS, tips, strict=True)]
-        for tips in hand().fingertips(closure)
-    ]
-    return closure, np.minimum.accumulate(np.transpose(distance), axis=1)
+HANDS: Registry[Hand] = Registry("hand", "dynahoi_lerobot.hands")
 
 
 def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:
@@ -140,12 +143,15 @@ def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:
     return palm
 
 
-def add_servo(spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth_rad_s: float, limit: float) -> None:
-    """Add a critically damped position servo: force = kp (u - q) - kv qdot, clipped to +- ``limit``."""
+def add_servo(
+    spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth_rad_s: float, limit: float
+) -> mujoco.MjsActuator:
+    """Add and return a critically damped position servo: force = kp (u - q) - kv qdot, clipped to +- ``limit``."""
     kp, kv = inertia * bandwidth_rad_s**2, 2 * inertia * bandwidth_rad_s
     actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.set_to_position(kp, kv=kv)
     actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
+    return actuator
 
 
 def quat_z_to(direction: np.ndarray) -> np.ndarray:

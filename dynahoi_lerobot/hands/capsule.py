@@ -1,12 +1,11 @@
 """The bundled hands: left hands of capsules, palm facing +x, fingers pointing +y, thumb up.
 
-Lengths follow an adult hand; the palm hangs on a three-axis gantry. The palm centre lies 3.6 cm in front of the palm's
-surface, in the middle of what the fingers enclose. Every joint is a position servo with a force limit.
+Lengths follow an adult hand. The palm centre lies 3.6 cm in front of the palm's surface, in the middle of what the
+fingers enclose. Every joint is a position servo with a force limit.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -18,6 +17,7 @@ from dynahoi_lerobot.hands.base import (
     HAND_GEOM_PREFIX,
     HANDS,
     HIDDEN_GROUP,
+    IDLE_RANGE_RAD,
     SKIN_GEOM_PREFIX,
     SKIN_GROUP,
     SLEEVE_GEOM,
@@ -31,8 +31,7 @@ LINK_MASS_KG = 0.012
 FINGER_TORQUE_NM = 1.2
 FINGER_ARMATURE = 2.0e-4
 """Reflected rotor inertia [kg m^2]; it dominates the finger links' own."""
-FLEXION_RANGE_RAD = (-0.05, 1.6)
-"""The open hand, at zero, touches no limit: an idle limit would be a constraint in every physics step."""
+LARGEST_FLEXION_RAD = 1.6
 
 
 @dataclass(frozen=True)
@@ -67,8 +66,9 @@ HAND = {
     "little": _row_finger(-0.028, 0.82),
 }
 OPPOSED_THUMB = Finger((-0.042, -0.03, 0.004), (0.0, -0.9798, 0.2), (0.0, 0.2, 0.9798), (0.044, 0.034, 0.026), 0.0095)
-"""Points away from the fingers and a little up, and flexes towards them."""
-JOINT_SUFFIXES = ("base", "middle", "tip")
+"""Points away from the fingers and a little up, and flexes towards them: a target that they push sideways slips out
+under a thumb that comes from above; this one encloses it with them, in grasps that friction must hold."""
+FULL_CLOSURE_RAD = {finger: (1.0, 1.4, 0.8) if finger == "thumb" else (1.15, 1.35, 1.0) for finger in FINGERS}
 
 SKIN = (0.87, 0.68, 0.55, 1.0)
 PALM_X_M = -0.0475
@@ -86,14 +86,13 @@ KNUCKLE_X_M = -0.0015
 """How far a knuckle stands out on the back of the hand."""
 
 
-@HANDS.register("capsule")
+@dataclass(frozen=True)
 class CapsuleHand(Hand):
-    """Eighteen degrees of freedom: three slides of the palm and three flexion joints in each of five fingers."""
+    """Eighteen degrees of freedom: three slides of the palm and three flexion joints in each of five ``fingers``."""
 
-    fingers: ClassVar[dict[str, Finger]] = HAND
-    full_closure_rad: ClassVar = {
-        finger: (1.0, 1.4, 0.8) if finger == "thumb" else (1.15, 1.35, 1.0) for finger in FINGERS
-    }
+    summary: str
+    fingers: Mapping[str, Finger]
+    full_closure_rad: Mapping[str, tuple[float, float, float]] = field(default_factory=lambda: FULL_CLOSURE_RAD)
 
     def add_to(self, spec: mujoco.MjSpec) -> None:
         """Add palm, fingers, servos, sites and the ego camera to ``spec``."""
@@ -109,22 +108,16 @@ class CapsuleHand(Hand):
     def fingertips(self, closure: np.ndarray) -> np.ndarray:
         """Return (K, 5, 3) positions of the fingertips [m], palm frame, at fractions (K,) of full closure."""
         # in closed form: MuJoCo normalises the axes above, which turns the benchmark's reference grasps by 3e-5 rad
-        return np.array(
-            [
-                [_pad_position(self.fingers[name], share * np.array(self.full_closure_rad[name])) for name in FINGERS]
-                for share in closure
-            ]
-        )
+        full = {name: np.array(self.full_closure_rad[name]) for name in FINGERS}
+        return np.array([[_pad_position(self.fingers[name], k * full[name]) for name in FINGERS] for k in closure])
 
     def _add_finger(self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, finger: Finger) -> None:
-        parent, pos = palm, np.asarray(finger.base)
-        along = np.asarray(finger.along)
-        for suffix, length in zip(JOINT_SUFFIXES, finger.lengths, strict=True):
+        parent, pos, along = palm, np.asarray(finger.base), np.asarray(finger.along)
+        for suffix, length in zip(("base", "middle", "tip"), finger.lengths, strict=True):
             link = parent.add_body(name=f"{name}_{suffix}", pos=pos, gravcomp=1.0)
             joint = f"{name}_{suffix}"
-            link.add_joint(
-                name=joint, axis=finger.axis, range=FLEXION_RANGE_RAD, limited=True, armature=FINGER_ARMATURE
-            )
+            span = (IDLE_RANGE_RAD, LARGEST_FLEXION_RAD)
+            link.add_joint(name=joint, axis=finger.axis, range=span, limited=True, armature=FINGER_ARMATURE)
             add_servo(spec, joint, FINGER_ARMATURE, FINGER_BANDWIDTH_RAD_S, FINGER_TORQUE_NM)
             link.add_geom(
                 name=f"{HAND_GEOM_PREFIX}{joint}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=LINK_MASS_KG, rgba=SKIN,
@@ -135,41 +128,26 @@ class CapsuleHand(Hand):
         parent.add_site(name=f"{name}_tip", pos=pad, quat=quat_z_to(along))
 
 
-@HANDS.register("opposed")
-class OpposedHand(CapsuleHand):
-    """The capsule hand with an abducted thumb: fingers and thumb close around the target from opposite sides.
-
-    The thumb of the capsule hand comes from above, so that a target which the four fingers push sideways slips out
-    under it. With the thumb abducted, fingers, thumb and palm enclose the target, in grasps that friction must hold.
-    """
-
-    fingers: ClassVar[dict[str, Finger]] = {**HAND, "thumb": OPPOSED_THUMB}
+HANDS.register("capsule")(CapsuleHand("A hand of capsules, whose thumb comes from above.", HAND))
+HANDS.register("opposed")(
+    CapsuleHand("The same with the thumb opposed to the fingers.", {**HAND, "thumb": OPPOSED_THUMB})
+)
 
 
 def _pad_position(finger: Finger, joints: np.ndarray) -> np.ndarray:
     """(3,) the fingertip pad [m], palm frame, at joint angles (3,) [rad]."""
-    pos, rotation = np.asarray(finger.base, float), np.eye(3)
-    along = np.asarray(finger.along)
+    pos, rotation, along = np.asarray(finger.base, float), np.eye(3), np.asarray(finger.along)
+    quat, turn = np.zeros(4), np.zeros(9)
     for angle, link in zip(joints, finger.lengths, strict=True):
-        rotation = product(rotation, _turn(np.asarray(finger.axis), angle))
+        mujoco.mju_axisAngle2Quat(quat, np.asarray(finger.axis), angle)
+        mujoco.mju_quat2Mat(turn, quat)
+        rotation = product(rotation, turn.reshape(3, 3))
         pos = pos + product(rotation, along) * link
     return pos + product(rotation, np.cross(finger.axis, along)) * finger.radius
 
 
-def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    quat, matrix = np.zeros(4), np.zeros(9)
-    mujoco.mju_axisAngle2Quat(quat, axis, angle)
-    mujoco.mju_quat2Mat(matrix, quat)
-    return matrix.reshape(3, 3)
-
-
 def _add_skin(palm: mujoco.MjsBody, bases: Mapping[str, tuple[float, float, float]]) -> None:
-    """Add the drawn palm, wrist and sleeve to the body ``palm``.
-
-    Args:
-        palm: the palm's body.
-        bases: (3,) first joint of each finger [m], palm frame.
-    """
+    """Add the drawn palm, wrist and sleeve to ``palm``, whose fingers have their first joints at ``bases``."""
     for finger, (heel_z, radius) in METACARPALS.items():
         knuckle = np.add(bases[finger], (KNUCKLE_X_M, -0.002, 0.0))
         _add_capsule(palm, finger, (PALM_X_M, HEEL_Y_M, heel_z), knuckle, radius)

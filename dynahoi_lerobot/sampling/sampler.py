@@ -157,7 +157,7 @@ class Candidate:
             paths_w: (F, 3) path of the untouched target [m], world, of each of ``motions``.
             home_pos_w: (3,) palm centre at the start [m], world.
         """
-        hand = HANDS[self.recipe.hand]()
+        hand = HANDS[self.recipe.hand]
         spec = EpisodeSpec(
             seed=self.seed,
             split=stream_label(self.recipe.split_definition.stream, self.recipe.salt),

@@ -41,6 +41,9 @@ PAD_RATE_RAD_S = 300.0
 """Natural frequency of contacts with the hand's skin, critically damped: nothing rebounds from it, however the target
 rebounds elsewhere."""
 
+PAD_IMPEDANCE = (0.9, 0.95, 0.001, 0.5, 2.0)
+"""MuJoCo's own, whatever a robot's model says of its skin."""
+
 SURFACE_FRICTION = (1.0, TORSIONAL_FRICTION_M, ROLLING_FRICTION_M)
 SMOOTH_FRICTION = (0.0, *SURFACE_FRICTION[1:])
 """Of fixtures, whose own friction is a matter of the motion: of two frictions the greater counts."""
@@ -159,6 +162,7 @@ def _set_hand_collisions(spec: mujoco.MjSpec) -> None:
         if geom.name.startswith(HAND_GEOM_PREFIX):
             geom.contype, geom.conaffinity, geom.condim = 0, HAND_BIT, 6
             geom.priority, geom.friction, geom.solref = 2, SURFACE_FRICTION, (1 / PAD_RATE_RAD_S, 1.0)
+            geom.solimp = PAD_IMPEDANCE
 
 
 def _add_target(spec: mujoco.MjSpec, extra: Mapping[str, int]) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGERS
+from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGERS, HAND_NAMES
 from dynahoi_lerobot.hands import HANDS, Hand
 from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, PALM_SITE, SKIN_GEOM_PREFIX, SLEEVE_GEOM
 from dynahoi_lerobot.objects import TargetObject
@@ -32,7 +32,8 @@ class Scene:
         hand: the embodiment in it.
         slots: geom ids of the target's primitives, by shape; ``target_geoms``: of all of them, sorted.
         target_body, target_qpos, target_dof: ids and first addresses of the free target.
-        hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of the actuators.
+        hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of ``HAND_NAMES`` and
+            of the actuators.
         striker_body, striker_geom, striker_dof: the striker's ids and the address of its slide.
         floor_geom: geom id of the floor.
         wall_geoms: geom ids of the walls.
@@ -50,7 +51,7 @@ class Scene:
 
     def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
         geoms = {model.geom(i).name: i for i in range(model.ngeom)}
-        joints = model.actuator_trnid[:, 0]
+        joints = np.array([model.joint(name).id for name in HAND_NAMES])
         target, striker = model.joint("target"), model.joint("striker")
 
         def starting(prefix: str) -> np.ndarray:
@@ -109,7 +110,7 @@ def compile_scene(hand: str = "capsule") -> Scene:
 
 @functools.cache
 def _compile(hand: str, extra: tuple[tuple[str, int], ...]) -> Scene:
-    embodiment = HANDS[hand]()
+    embodiment = HANDS[hand]
     return Scene(build_model(embodiment, dict(extra)), embodiment)
 
 

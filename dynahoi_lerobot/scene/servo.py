@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, HAND_NAMES, PALM_DOF, SUBSTEPS
 
 ROUNDING = 1e-5
 """Relative excess that counts as rounding: replaying a stored, clipped command must not clip it again."""
@@ -20,8 +20,9 @@ class Servo:
     Attributes:
         low, high: (18,) least and greatest position of the palm along each slide [m], world, and joint angles [rad].
 
-    A position servo kp (u - q) - kv q' lags behind a moving set-point by kv / kp times its speed; adding that to u
-    makes the joint arrive at the command exactly at the end of the frame.
+    A position servo kp (u - q) - kv q' lags behind a moving set-point by kv / kp times its speed, and a joint that is
+    damped itself by its damping / kp more; adding that to u makes the joint arrive at the command exactly at the end
+    of the frame.
     """
 
     def __init__(
@@ -35,9 +36,10 @@ class Servo:
             joint_speed_rad_s: greatest speed of each joint [rad/s].
             by_axis: the palm's limit holds for each axis of the gantry by itself instead of the norm of its velocity.
         """
-        joints = model.actuator_trnid[:HAND_DOF, 0]
+        joints = [model.joint(name).id for name in HAND_NAMES]
         self.low, self.high = model.jnt_range[joints].T.copy()
-        self._lead_s = -model.actuator_biasprm[:HAND_DOF, 2] / model.actuator_gainprm[:HAND_DOF, 0]
+        damping = model.dof_damping[model.jnt_dofadr[joints]] - model.actuator_biasprm[:HAND_DOF, 2]
+        self._lead_s = damping / model.actuator_gainprm[:HAND_DOF, 0]
         self._farthest_m, self._farthest_rad = palm_speed_m_s * CONTROL_DT, joint_speed_rad_s * CONTROL_DT
         self._by_axis = by_axis
 

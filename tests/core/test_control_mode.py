@@ -28,7 +28,7 @@ RECIPE = Recipe(control_mode="grasp", image_size=0, motions=("constant", "lob"))
 
 
 def test_the_two_ways_are_inverse():
-    rng, hand = np.random.default_rng(0), HANDS["capsule"]()
+    rng, hand = np.random.default_rng(0), HANDS["capsule"]
     pose, state = (hand.open_joints(), hand.closed_joints()), rng.normal(size=(5, 18))
     action = np.column_stack([rng.normal(size=(5, 3)), rng.random(5)])
     np.testing.assert_allclose(to_grasp(from_grasp(action, state, *pose), state, *pose), action, atol=1e-12)
@@ -36,7 +36,7 @@ def test_the_two_ways_are_inverse():
 
 
 def test_labels_of_both_modes_are_the_same_goals():
-    hand = HANDS[RECIPE.hand]()
+    hand = HANDS[RECIPE.hand]
     poses = hand.open_joints(), hand.closed_joints()
     pairs = zip(record(RECIPE, range(4)), record(RECIPE.changed(control_mode="joints"), range(4)), strict=True)
     for grasp, joints in pairs:

@@ -1,0 +1,152 @@
+"""Robot hands from MuJoCo Menagerie stand where the bundled ones stand, and catch what they catch."""
+
+from pathlib import Path
+
+import mujoco
+import mujoco_menagerie
+import numpy as np
+import pytest
+
+from dynahoi_lerobot.cli import main as cli
+from dynahoi_lerobot.core.conventions import FINGERS, HAND_NAMES, JOINT_NAMES, PALM_DOF
+from dynahoi_lerobot.core.numerics import quat_to_matrix
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.hands.robot import RobotHand
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.scene import scene
+from dynahoi_lerobot.scene.scene import compile_scene
+from dynahoi_lerobot.world.batch import WorldBatch
+from tests.menagerie import gather_menagerie, shadow
+
+ROBOTS = {name: hand for name, hand in HANDS.items() if isinstance(hand, RobotHand)}
+every_robot = pytest.mark.parametrize("robot", ROBOTS)
+
+
+def own(robot: str) -> mujoco.MjModel:
+    """Menagerie's model as it is."""
+    return mujoco_menagerie.get(ROBOTS[robot].model).model(ROBOTS[robot].entry)
+
+
+def settled(robot: str, commands: dict[str, float]) -> dict[str, float]:
+    """Joint angles half a second after some of an open hand's joints were commanded."""
+    model = compile_scene(robot).model
+    data = mujoco.MjData(model)
+    for name, angle in commands.items():
+        data.actuator(name).ctrl = angle
+    mujoco.mj_step(model, data, 250)
+    return {name: float(data.joint(name).qpos[0]) for name in JOINT_NAMES}
+
+
+def own_limit_nm(model: mujoco.MjModel, joint: str) -> float:
+    """The least of what the model allows a joint and what pulls it."""
+    limits = [model.jnt_actfrcrange[model.joint(joint).id, 1]]
+    for i in range(model.nu):
+        data = mujoco.MjData(model)
+        data.ctrl[i] = 1.0
+        mujoco.mj_forward(model, data)
+        if data.qfrc_actuator[model.joint(joint).dofadr[0]]:
+            limits.append(model.actuator_forcerange[i, 1])
+    return min(limit for limit in limits if limit)
+
+
+@every_robot
+def test_eighteen_joints_with_the_torques_of_the_model(robot: str) -> None:
+    model, source = compile_scene(robot).model, own(robot)
+    assert [model.actuator(i).name for i in range(model.nu)] == list(HAND_NAMES)
+    data = mujoco.MjData(model)
+    data.ctrl[PALM_DOF:] = 100.0
+    mujoco.mj_forward(model, data)
+    joints = (joint for finger in FINGERS for joint in ROBOTS[robot].fingers[finger].joints)
+    for name, joint in zip(JOINT_NAMES, joints, strict=True):
+        assert data.qfrc_actuator[model.joint(name).dofadr[0]] == pytest.approx(own_limit_nm(source, joint))
+        low, high = model.joint(name).range
+        assert low <= -0.05 < 0.6 < high, f"positive angles of {name} close"
+
+
+@every_robot
+def test_open_it_is_the_models_own_pose(robot: str) -> None:
+    hand, source, model = ROBOTS[robot], own(robot), compile_scene(robot).model
+    theirs, ours = mujoco.MjData(source), mujoco.MjData(model)
+    for joint, angle in hand.rest_rad.items():
+        theirs.joint(joint).qpos = angle
+    mujoco.mj_kinematics(source, theirs)
+    mujoco.mj_kinematics(model, ours)
+    palm, mount = theirs.body(hand.palm), quat_to_matrix(np.array(hand.palm_quat))
+    for finger in FINGERS:
+        last = source.jnt_bodyid[source.joint(hand.fingers[finger].joints[-1]).id]
+        in_palm = palm.xmat.reshape(3, 3).T @ (theirs.xpos[last] - palm.xpos)
+        found = ours.xpos[model.jnt_bodyid[model.joint(f"{finger}_tip").id]] - ours.site("palm_center").xpos
+        np.testing.assert_allclose(found, mount @ in_palm + hand.palm_pos_m, atol=1e-6)
+
+
+@every_robot
+def test_joints_go_where_they_are_told(robot: str) -> None:
+    wanted = dict(zip(JOINT_NAMES, ROBOTS[robot].closed_joints(), strict=True))
+    angles = settled(robot, wanted)
+    assert angles == pytest.approx(wanted, abs=0.02)
+
+
+def test_joints_that_share_a_motor_follow_the_mean() -> None:
+    angles = settled("shadow", {"index_middle": 0.8, "index_tip": 0.2})
+    assert angles["index_middle"] + angles["index_tip"] == pytest.approx(1.0, abs=0.02)
+    assert angles["index_middle"] == pytest.approx(angles["index_tip"], abs=0.1), "nothing touches the finger"
+    assert angles["middle_middle"] == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("capture", "best", "least"), [("attach", "captured", 22), ("contact", "held", 19)])
+@every_robot
+def test_the_expert_catches_with_it(robot: str, capture: str, best: str, least: int) -> None:
+    recipe = Recipe(split="train", hand=robot, capture=capture)
+    specs = sample_specs(recipe, range(22))
+    episodes = evaluate(WorldBatch(recipe, 22), EXPERTS[recipe.expert](), specs)
+    assert sum(episode.stage == best for episode in episodes) >= least
+
+
+@every_robot
+def test_policies_see_the_same_columns_and_the_camera_sees_past_it(robot: str) -> None:
+    bundled, batch = (WorldBatch(Recipe(hand=hand, image_size=64), 22) for hand in ("capsule", robot))
+    seen = []
+    for one in (bundled, batch):
+        one.reset(range(22), sample_specs(one.recipe, range(22)))
+        seen.append(np.isin(one.cameras.segmentation(), one.scene.target_geoms).any(axis=(1, 2)))
+    assert (seen[1] >= seen[0]).mean() > 0.9
+    shown = batch.cameras.segmentation()
+    assert 0.03 < np.isin(shown, batch.scene.hand_geoms).mean() < 0.4
+    for name in ("state", "phase"):
+        one, other = (getattr(b.observe(images=False), name) for b in (batch, bundled))
+        assert (one.shape, one.dtype) == (other.shape, other.dtype)
+
+
+def test_without_network_or_copy_one_sentence_says_what_to_do(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("MENAGERIE_ROOT")
+    monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path))
+    monkeypatch.setenv("MENAGERIE_BASE_URL", tmp_path.as_uri())
+    scene._compile.cache_clear()
+    words = ["--policy", "hold", "--hand", "shadow", "--split", "test_small", "--episodes", "1"]
+    assert cli.main(["evaluate", *words]) == 2
+    message = capsys.readouterr().err
+    assert "'shadow_hand'" in message
+    assert "network" in message
+    assert "MENAGERIE_ROOT" in message
+    assert len(message.strip().splitlines()) == 1
+
+
+def test_a_hand_with_four_fingers_is_refused_by_name() -> None:
+    fingers = {finger: ROBOTS["shadow"].fingers[finger] for finger in FINGERS if finger != "little"}
+    with pytest.raises(ValueError, match=r"'leap_hand' has the fingers thumb, index, middle, ring and no little"):
+        RobotHand("Four fingers.", "leap_hand", "left_hand", "palm", (0, 0, 0), (1, 0, 0, 0), fingers)
+
+
+def test_tests_take_each_real_model_where_there_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder with the Shadow Hand alone still tests the Sharpa Wave on its stand-in."""
+    (tmp_path / "real" / "shadow_hand").mkdir(parents=True)
+    (tmp_path / "real" / "shadow_hand" / "left_hand.xml").write_text(shadow())
+    (tmp_path / "gathered").mkdir()
+    monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path / "real"))
+    root = gather_menagerie(tmp_path / "gathered")
+    assert (root / "shadow_hand").readlink() == tmp_path / "real" / "shadow_hand"
+    assert not (root / "sharpa_wave").is_symlink()
+    assert (root / "sharpa_wave" / "left_hand.xml").is_file()
