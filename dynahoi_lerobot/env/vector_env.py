@@ -71,23 +71,22 @@ class DynahoiVectorEnv(VectorEnv):
         towards the target as well (``dense``).
     Episode end:
         Terminated when the outcome is settled, half a second (``attach``) after localisation; truncated after L + 1
-        control steps, of which the last ignores its action and records where the one before led. Autoreset: the next
-        step begins the world's next episode and ignores its action.
+        control steps, of which the last ignores its action and records where the one before led. What happens then is
+        the autoreset mode's: the next step begins the world's next episode and ignores its action (``NEXT_STEP``); the
+        same step begins it, and info has ``final_obs`` and ``final_info`` of the episode that ended (``SAME_STEP``); or
+        the world stands still, black in images, until a reset (``DISABLED``).
     Info:
         ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
         it does not apply, with its mask ``_<name>``.
     Options:
         ``reset(options={"lerobot_new_rollout": True})`` plays one episode in every world, then waits for a reset.
+        ``reset(options={"reset_mask": mask})`` begins episodes in the worlds of ``mask`` (N,) bool alone.
 
     Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset. Attributes are
-    ``recipe``, ``kind`` and ``reward``.
+    ``recipe``, ``kind``, ``reward`` and ``autoreset_mode``.
     """
 
-    metadata = {  # noqa: RUF012 - gymnasium's own convention
-        "render_modes": list(RENDER_MODES),
-        "render_fps": CONTROL_HZ,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
 
     def __init__(
         self,
@@ -96,6 +95,7 @@ class DynahoiVectorEnv(VectorEnv):
         recipe: Recipe = DEFAULT_RECIPE,
         kind: str | None = None,
         reward: str = SPARSE,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
         render_mode: str | None = "rgb_array",
         on_episode: Callable[[Episode], None] | None = None,
@@ -109,6 +109,7 @@ class DynahoiVectorEnv(VectorEnv):
             recipe: rules of the episodes; by default the default rules on split ``test``.
             kind: play this kind of motion only; None for all of the recipe.
             reward: one of ``REWARDS``.
+            autoreset_mode: gymnasium's, or the value of one, such as ``SameStep``; see the class.
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
@@ -127,6 +128,8 @@ class DynahoiVectorEnv(VectorEnv):
         self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
         if inference is not None and self.recipe.control_mode != JOINTS:
             raise ValueError(f"inference async needs control_mode {JOINTS!r}, got {self.recipe.control_mode!r}")
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
         self._batch = WorldBatch(self.recipe, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
@@ -143,29 +146,36 @@ class DynahoiVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode in every world.
+        """Begin an episode in every world, or in those of ``reset_mask``.
 
         Args:
             seed: number of the episode within the split (and kind), 0 to 2^40 - 1: one for each world, or that of the
                 first world, from which the others count up; None draws at random. Each later episode of a world has its
-                number plus N, modulo 2^40.
+                number plus N, modulo 2^40, also after a reset of some worlds with None.
             options: see the class.
 
         Raises:
-            ValueError: for a seed that is not such an integer, a wrong number of them, or if inference takes time and
-                worlds would begin their next episodes at different frames.
+            ValueError: for a seed that is not such an integer, a wrong number of them, a mask that is not (N,) bool, or
+                if inference takes time and worlds would begin their next episodes at different frames.
+            ResetNeeded: for a mask that leaves out worlds in which no episode has begun.
             ClosedEnvironmentError: after ``close``.
         """
         self._check_open()
-        one_episode = bool((options or {}).get(ONE_EPISODE_OPTION, False))
-        if self._inference is not None and not one_episode:
+        options = options or {}
+        one_episode, mask = bool(options.get(ONE_EPISODE_OPTION, False)), self._mask(options.get("reset_mask"))
+        if self._inference is not None and not (one_episode and mask.all()):
             option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
             raise ValueError(f"with inference async all worlds begin together; reset with {option}")
-        self._numbers, self._one_episode = self._draw_numbers(seed), one_episode
+        if seed is None and not mask.all():
+            numbers = (self._numbers + self.num_envs) % SEED_LIMIT
+        else:
+            numbers = self._draw_numbers(seed)
+        self._numbers = np.where(mask, numbers, self._numbers)
+        self._one_episode = one_episode or self.autoreset_mode == AutoresetMode.DISABLED
         if self._inference is not None:
             self._inference.reset()
-        self._begin(np.arange(self.num_envs))
-        self._ended[:] = False
+        self._begin(np.flatnonzero(mask))
+        self._ended[mask] = False
         return as_gym(self._session.observe()), {"is_success": self._success.copy()}
 
     def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
@@ -190,18 +200,26 @@ class DynahoiVectorEnv(VectorEnv):
                 infos = {"is_success": self._success.copy()}
                 return as_gym(before), np.zeros(self.num_envs), terminated, truncated, infos
             actions = commands
-        restarting = np.flatnonzero(self._ended)
         terminated, truncated = self._session.step(actions)
         ending = terminated | truncated
         infos = self._infos(ending)
         rewards = self._rewards(is_acting(before.phase), ending)
-        if restarting.size and not self._one_episode:
+        if self._one_episode:
+            restarting = np.zeros(self.num_envs, bool)
+        elif self.autoreset_mode == AutoresetMode.SAME_STEP:
+            restarting = ending
+            infos = self._final(infos, ending) if ending.any() else infos
+        else:
+            restarting = self._ended.copy()
+        if restarting.any():
             self._numbers[restarting] = (self._numbers[restarting] + self.num_envs) % SEED_LIMIT
-            self._begin(restarting)
-            self._ended[restarting] = False
-        self._ended |= ending
+            self._begin(np.flatnonzero(restarting))
+        self._ended = (self._ended | ending) & ~restarting
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and restarting.any():
+            infos["is_success"] = self._success.copy()
         # episodes that end now show their last frame; worlds whose episode ended before are black
-        return as_gym(self._session.observe(ending=np.flatnonzero(ending))), rewards, terminated, truncated, infos
+        shown = np.flatnonzero(ending & ~restarting)
+        return as_gym(self._session.observe(ending=shown)), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...]:  # type: ignore[override]
         """Return the current image of every world's ``ego`` view, (H, W, 3) uint8 each.
@@ -243,7 +261,8 @@ class DynahoiVectorEnv(VectorEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy is made from: the constructor's arguments and gymnasium's ``spec``."""
-        arguments = {name: getattr(self, name) for name in ("num_envs", "recipe", "kind", "reward", "render_mode")}
+        names = ("num_envs", "recipe", "kind", "reward", "render_mode", "autoreset_mode")
+        arguments: dict[str, Any] = {name: getattr(self, name) for name in names}
         arguments |= {"threads": self._threads, "on_episode": self._on_episode}
         return {"arguments": arguments | {"inference": copy.deepcopy(self._inference)}, "spec": self.spec}
 
@@ -262,6 +281,17 @@ class DynahoiVectorEnv(VectorEnv):
         if self._session.observation is None:
             raise ResetNeeded("call reset first: no episode has begun")
         return self._session.observation
+
+    def _mask(self, mask: np.ndarray | None) -> np.ndarray:
+        """(N,) bool, the worlds to reset, see ``reset``."""
+        if mask is None:
+            return np.ones(self.num_envs, bool)
+        given = np.asarray(mask)
+        if given.dtype != bool or given.shape != (self.num_envs,) or not given.any():
+            raise ValueError(f"reset_mask must be {self.num_envs} bool, one of them True, got {mask!r}")
+        if self._session.observation is None and not given.all():
+            raise ResetNeeded("call reset without reset_mask first: no episode has begun")
+        return given
 
     def _draw_numbers(self, seed: int | Sequence[int | None] | None) -> np.ndarray:
         """(N,) int64, the number of each world's first episode, see ``reset``."""
@@ -299,6 +329,15 @@ class DynahoiVectorEnv(VectorEnv):
                 column[i] = np.nan if value is None else value
                 infos["_" + name] = ending
         return infos
+
+    def _final(self, infos: dict[str, Any], ending: np.ndarray) -> dict[str, Any]:
+        """Return the infos of a step that also begins episodes where they are ``ending`` (N,) bool, see the class."""
+        last = as_gym(self._batch.observe(ids=np.flatnonzero(ending)))
+        observations = np.full(self.num_envs, None, object)
+        for i in np.flatnonzero(ending):
+            observations[i] = _of_world(last, i)
+        final = infos | {"_is_success": ending}
+        return {"final_obs": observations, "_final_obs": ending, "final_info": final, "_final_info": ending}
 
     def _rewards(self, acted: np.ndarray, ending: np.ndarray) -> np.ndarray:
         """(N,) reward of a step, see ``REWARDS``; (N,) bool each: its action took effect, the episode ends with it."""
@@ -355,7 +394,7 @@ class DynahoiEnv(gym.Env):
         if number is None:
             number = int(self.np_random.integers(0, RANDOM_SEED_LIMIT))
         observation, infos = self._vector.reset(seed=[number], options={ONE_EPISODE_OPTION: True})
-        return _first(observation), _scalars(infos)
+        return _of_world(observation, 0), _scalars(infos)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Advance by one frame of 0.05 s.
@@ -369,7 +408,7 @@ class DynahoiEnv(gym.Env):
             ClosedEnvironmentError: after ``close``.
         """
         observation, reward, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
-        return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _scalars(infos)
+        return _of_world(observation, 0), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _scalars(infos)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """Return the image of the hand's camera, (H, W, 3) uint8, or None if the render mode is None."""
@@ -413,8 +452,14 @@ def check_seed(seed: Any) -> int:
     return int(seed)
 
 
-def _first(batched: dict[str, Any]) -> dict[str, Any]:
-    return {key: _first(value) if isinstance(value, dict) else value[0] for key, value in batched.items()}
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    modes = {one.value: one for one in AutoresetMode}
+    name = mode.value if isinstance(mode, AutoresetMode) else mode
+    return known("autoreset mode", name, modes)
+
+
+def _of_world(batched: dict[str, Any], i: int) -> dict[str, Any]:
+    return {key: _of_world(value, i) if isinstance(value, dict) else value[i] for key, value in batched.items()}
 
 
 def _scalars(infos: dict[str, np.ndarray]) -> dict[str, bool | float]:

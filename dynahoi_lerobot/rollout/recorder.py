@@ -1,6 +1,6 @@
 """Recording one world: copying its frames while it is played, freezing them into an Episode when it ends."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -60,6 +60,8 @@ MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {
 
 CONTACTS = ("finger_force_n", "palm_force_n", "others")
 """Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces as ``touch``."""
+JUDGED = ("state", "localized", "palm_distance", *CONTACTS)
+"""Columns from which the capture rule reads its verdict."""
 
 
 def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
@@ -83,6 +85,7 @@ class WorldRecorder:
     executed: list[np.ndarray] = field(default_factory=list)
     labels: list[np.ndarray] = field(default_factory=list)
     localized_frames: int = 0
+    succeeded: bool = False
 
     def add_frame(self, columns: dict[str, np.ndarray], i: int, images: dict[str, np.ndarray]) -> None:
         """Record world ``i`` at this frame: its ``frame_columns`` and (N, H, W, 3) uint8 images by view, if any."""
@@ -115,8 +118,10 @@ class WorldRecorder:
         return len(self.labels) >= self.job.frames
 
     def success(self, rule: CaptureRule) -> bool:
-        """Return the rule's verdict on the frames so far."""
-        return self.localized_frames > 0 and rule.success(self._track(self._columns()))
+        """Return the rule's verdict on the frames so far; a success is not judged again, for it lasts."""
+        if self.localized_frames and not self.succeeded:
+            self.succeeded = rule.success(self._track(self._columns(JUDGED)))
+        return self.succeeded
 
     def freeze(self, batch: WorldBatch, actor: str, meeting: Meeting | None) -> Episode:
         """Return the recording as an Episode of ``actor``, which planned ``meeting`` at control start."""
@@ -143,9 +148,9 @@ class WorldRecorder:
         """(T,) bool of the control phase's frames, False in the window."""
         return np.concatenate([np.zeros(self.job.spec.window_frames, bool), control])
 
-    def _columns(self) -> dict[str, np.ndarray]:
-        """Everything measured besides images, (T, ...) each."""
-        return {name: np.stack([frame[name] for frame in self.frames]) for name in self.frames[0]}
+    def _columns(self, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+        """What was measured besides images, (T, ...) each, by default everything."""
+        return {name: np.stack([frame[name] for frame in self.frames]) for name in names or self.frames[0]}
 
     def _track(self, columns: dict[str, np.ndarray]) -> Track:
         """What the capture rule judges: the control phase."""

@@ -13,7 +13,9 @@ import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import vector as vector_wrappers
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
+from stable_baselines3.common import env_checker as stable_baselines
 
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
@@ -107,6 +109,70 @@ def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
     assert env._batch.specs[0].seed == kind_seed(env.recipe, "constant", 2), "its number plus those of worlds"
     assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
     np.testing.assert_allclose(observation["agent_pos"][0, :3], 0.0, atol=1e-6)
+
+
+def end_and_beginning(mode: str) -> tuple[dict, dict, dict]:
+    """Let hands wait; return the last observation and metrics of world 0's first episode, and the first of its next."""
+    env = DynahoiVectorEnv(2, kind="constant", autoreset_mode=mode, environment_state="truth", **SMALL)
+    hold = env.reset(seed=[0, 1])[0]["agent_pos"]
+    ended = False
+    while not ended:
+        observation, _, terminated, truncated, info = env.step(hold)
+        ended = terminated[0] or truncated[0]
+    if mode == AutoresetMode.SAME_STEP.value:
+        assert info["_final_obs"][0]
+        info, last, after = info["final_info"], info["final_obs"][0], observation
+    elif mode == AutoresetMode.NEXT_STEP.value:
+        last, after = of_world(observation, 0), env.step(hold)[0]
+    else:
+        last = of_world(observation, 0)
+        assert not env.step(hold)[0]["pixels"]["ego"][0].any()
+        after, _ = env.reset(options={"reset_mask": np.array([True, False])})
+    return last, {name: info[name][0] for name in METRICS.names()}, of_world(after, 0)
+
+
+def of_world(batched: dict, i: int) -> dict:
+    return {key: of_world(value, i) if isinstance(value, dict) else value[i] for key, value in batched.items()}
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP.value, AutoresetMode.DISABLED.value])
+def test_an_autoreset_mode_changes_when_episodes_begin_and_nothing_else(mode: str) -> None:
+    np.testing.assert_equal(end_and_beginning(mode), end_and_beginning(AutoresetMode.NEXT_STEP.value))
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_gymnasiums_vector_wrappers_understand_every_autoreset_mode(mode: AutoresetMode) -> None:
+    register_envs()
+    env = gym.make_vec("dynahoi/constant-v0", num_envs=2, autoreset_mode=mode, reward="dense", image_size=0)
+    env = vector_wrappers.RecordEpisodeStatistics(vector_wrappers.FlattenObservation(env))
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == (2, 18 + 2)
+    rewards, ended = np.zeros(2), np.zeros(2, bool)
+    while not ended.any():
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        rewards, ended = rewards + reward, terminated | truncated
+    np.testing.assert_allclose(info["episode"]["r"][ended], rewards[ended])
+    if mode == AutoresetMode.SAME_STEP:
+        assert [one.shape for one in info["final_obs"][ended]] == [(20,)] * ended.sum()
+
+
+def test_what_is_no_autoreset_mode_or_mask_is_refused() -> None:
+    with pytest.raises(ValueError, match="unknown autoreset mode 'Never'; known: NextStep, SameStep, Disabled"):
+        DynahoiVectorEnv(1, autoreset_mode="Never", **BLIND)
+    env = DynahoiVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, **BLIND)
+    with pytest.raises(ResetNeeded, match="call reset without reset_mask first"):
+        env.reset(options={"reset_mask": np.array([True, False])})
+    for mask in (np.ones(3, bool), np.zeros(2, bool), np.ones(2)):
+        with pytest.raises(ValueError, match="reset_mask must be 2 bool, one of them True, got"):
+            env.reset(options={"reset_mask": mask})
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_stable_baselines_accepts_a_flat_observation() -> None:
+    options = {"image_size": 0, "environment_state": "truth", "control_mode": "grasp"}
+    env = gym.wrappers.FlattenObservation(made("constant", **options))
+    assert env.observation_space.shape == (18 + 2 + 13,)
+    stable_baselines.check_env(env)
 
 
 def test_the_terminal_observation_shows_the_last_frame_also_in_one_episode_mode() -> None:
