@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import torch
 from einops import rearrange, repeat
 from lerobot.policies.common.flow_matching import euler_integrate
@@ -38,6 +39,15 @@ def perceptron(*widths: int) -> nn.Sequential:
     for n_in, n_out in pairwise(widths):
         layers += [nn.Linear(n_in, n_out), nn.SiLU()]
     return nn.Sequential(*layers[:-1])
+
+
+def frame_noise(seed: int, frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
+    """Return normal noise that is a function of a seed and a frame's number alone, in the type of ``like``.
+
+    So what a policy does follows from what it sees: batch size, order, interruption and machine change nothing.
+    """
+    drawn = np.random.default_rng((seed, frame)).standard_normal(shape, dtype=np.float32)
+    return torch.from_numpy(drawn).to(like)
 
 
 @dataclass(frozen=True)
@@ -106,8 +116,9 @@ class ActionHead(nn.Module):
         groups: sizes of the groups of an action's entries that are scaled together (palm, fingers), of sum A.
         width: of the denoiser.
         n_steps: sampling steps.
-        n_draws: chunks sampled for a decision, of which `most_central` makes one.
+        n_draws: chunks sampled for a decision; the palm follows their median.
         closing_quantile: of the draws, for the fingers: above 0.5 they rather close too early than too late.
+        noise_seed: of the noise that `sample` starts from.
     """
 
     generative = False
@@ -122,10 +133,11 @@ class ActionHead(nn.Module):
         n_steps: int = 8,
         n_draws: int = 32,
         closing_quantile: float = 0.5,
+        noise_seed: int = 0,
     ) -> None:
         super().__init__()
         self.horizon, self.groups, self.n_steps, self.action_dim = horizon, groups, n_steps, sum(groups)
-        self.n_draws, self.closing_quantile = n_draws, closing_quantile
+        self.n_draws, self.closing_quantile, self.noise_seed = n_draws, closing_quantile, noise_seed
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
         self.denoiser = Denoiser(horizon * self.action_dim, context, width) if self.generative else None
 
@@ -180,41 +192,46 @@ class ActionHead(nn.Module):
         """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards the data."""
         raise NotImplementedError
 
-    def noise(self, context: Tensor) -> Tensor:
-        """Draw the noise that `sample` starts from."""
-        return torch.randn(len(context), self.horizon, self.action_dim, device=context.device)
+    @property
+    def noise_shape(self) -> tuple[int, int]:
+        """Shape of the noise that a chunk starts from, ``(H, A)``."""
+        return self.horizon, self.action_dim
 
-    def sample(self, context: Tensor, noise: Tensor | None = None, guidance: Guidance | None = None) -> Tensor:
+    def sample(self, context: Tensor, frame: int, guidance: Guidance | None = None) -> Tensor:
         """Sample a chunk for every context, ``(R, C) -> (R, H, A)``.
+
+        ``n_draws`` chunks start from the noise of the frame, and a quantile of every entry makes one of them.
 
         Args:
             context: see `loss`.
-            noise: start of the sampling, ``(R, H, A)``; if None, ``n_draws`` chunks start from fresh noise.
+            frame: number of the decision's frame in its episode.
             guidance: towards the previous chunk; a single chunk is sampled then.
         """
         if self.denoiser is None:
             return self.regress(context)[0]
-        if noise is not None or guidance is not None or self.n_draws == 1:
-            return self._denoised(self.denoiser, context, noise, guidance)
-        draws = self._denoised(self.denoiser, repeat(context, "r c -> (r n) c", n=self.n_draws))
-        draws = rearrange(draws, "(r n) h a -> r n h a", n=self.n_draws)
-        return most_central(draws, self.groups[0], self.closing_quantile)
+        n = 1 if guidance is not None else self.n_draws
+        noise = frame_noise(self.noise_seed, frame, (n, *self.noise_shape), context)
+        start = repeat(noise, "n h a -> (r n) h a", r=len(context))
+        draws = self.denoise(repeat(context, "r c -> (r n) c", n=n), start, self.n_steps, guidance)
+        draws = rearrange(draws, "(r n) h a -> n r h a", n=n).sort(dim=0).values
+        palm, rest = draws.split([self.groups[0], self.action_dim - self.groups[0]], dim=-1)
+        return torch.cat([palm[n // 2], rest[int(n * self.closing_quantile)]], dim=-1)
 
-    def _denoised(
-        self, denoiser: Denoiser, context: Tensor, noise: Tensor | None = None, guidance: Guidance | None = None
-    ) -> Tensor:
+    def denoise(self, context: Tensor, start: Tensor, n_steps: int, guidance: Guidance | None = None) -> Tensor:
+        """Return the chunks ``(R, H, A)`` that noise ``start`` ``(R, H, A)`` becomes in contexts ``(R, C)``."""
         mean, log_scale = self.regress(context)
+        if (denoiser := self.denoiser) is None:
+            return mean
         unit = self.unit(log_scale)
 
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
             return -self.velocity(denoiser, x, 1 - time, context)
 
-        start = self.noise(context) if noise is None else noise
         options = {}
         if guidance is not None:
             n = guidance.leftover.shape[1]
             options = guidance.options((guidance.leftover - mean[:, :n]) / unit[:, :n])
-        return mean + unit * euler_integrate(towards_noise, start, self.n_steps, **options)
+        return mean + unit * euler_integrate(towards_noise, start, n_steps, **options)
 
 
 class RegressionHead(ActionHead):
@@ -252,27 +269,6 @@ class FlowHead(ActionHead):
     def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
         """See `ActionHead.velocity`."""
         return _predict(denoiser, x, t, context)
-
-
-def most_central(draws: Tensor, size: int, quantile: float = 0.5) -> Tensor:
-    """Return the chunk nearest to the others in the first ``size`` entries, with a quantile of every other entry.
-
-    The palm follows one of the draws, since an average may lie between two modes. The quantile, the median by default,
-    removes noise from the fingers, which would loosen the grasp.
-
-    Args:
-        draws: chunks, ``(R, N, H, A)``.
-        size: of the group of entries that decides.
-        quantile: 0 to 1.
-
-    Returns:
-        ``(R, H, A)``.
-    """
-    first, rest = draws.split([size, draws.shape[-1] - size], dim=-1)
-    flat = first.flatten(2)
-    chosen = torch.cdist(flat, flat).sum(-1).argmin(-1)
-    middle = rest.sort(dim=1).values[:, int(draws.shape[1] * quantile)]
-    return torch.cat([first[torch.arange(len(draws), device=draws.device), chosen], middle], dim=-1)
 
 
 def _mixing(t: Tensor) -> tuple[Tensor, Tensor]:
