@@ -52,7 +52,7 @@ def played(checkpoint: str, recipe: Recipe, seeds: list[int], size: int, noise: 
     specs = sample_specs(recipe, seeds)
     torch.manual_seed(noise)
     episodes = evaluate(WorldBatch(recipe, len(specs)), make_actor(checkpoint), specs)
-    logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.executed_action) for episode in episodes}
+    logs = {episode.meta.seed: ActionLog(episode.meta.seed, episode.given_action) for episode in episodes}
     shown = list(replay(replace(recipe, image_size=size), [logs[seed] for seed in seeds]))
     for episode in shown:
         print(f"{episode.meta.motion}: {episode.stage}, nearest {100 * _nearest(episode)[1]:.1f} cm")

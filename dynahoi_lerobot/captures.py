@@ -22,7 +22,7 @@ from dynahoi_lerobot.core.conventions import (
     LENIENT_RADIUS_M,
     LOCALIZATION_RADIUS_M,
 )
-from dynahoi_lerobot.core.episode import joints_reached
+from dynahoi_lerobot.core.episode import in_reference_grasp
 from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
@@ -141,7 +141,7 @@ class CaptureRule(ABC):
 
 @CAPTURES.register("attach")
 class Attach(CaptureRule):
-    """Localised means within 3 cm; captured means localised with all 15 joints at 0.9 of the reference grasp.
+    """Localised means within 3 cm; captured means localised with all joints at 0.9 to 1.2 of the reference grasp.
 
     Hand and target do not collide. Within the 25 physics steps of a frame the weld happens at the closest approach, so
     a fast target cannot slip between two frames (Appendix "Evaluation Criteria").
@@ -177,7 +177,7 @@ class Attach(CaptureRule):
         if not track.localized.any():
             return False
         joints = track.joints[track.localized.argmax()]
-        return bool(joints_reached(joints, track.open_joints, track.reference_joints).all())
+        return bool(in_reference_grasp(joints, track.open_joints, track.reference_joints))
 
 
 @CAPTURES.register("attach_lenient")

@@ -141,7 +141,7 @@ def encoded_images() -> Iterator[Fact]:
 
 def gpu() -> Iterator[Fact]:
     """Yield the devices of Warp, on which images are rendered, and of torch, on which policies run."""
-    from dynahoi_lerobot.renderers.device import wp
+    from dynahoi_lerobot.renderers.raycast.device import wp
 
     found = [f"{device.name}, {device.total_memory / 1e9:.0f} GB" for device in wp.get_cuda_devices()]
     where = "CUDA" if found else "the CPU"

@@ -5,6 +5,7 @@ from pathlib import Path
 import torch
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
 from lerobot.policies.act.configuration_act import ACTConfig
+from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot_policy_obact import ObActConfig
 
@@ -43,6 +44,20 @@ def tiny_act(folder: Path, inputs: dict[str, PolicyFeature]) -> Path:
     small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_decoder_layers": 1}
     small |= {"chunk_size": 8, "n_action_steps": 8, "use_vae": False, "pretrained_backbone_weights": None}
     return saved(ACTConfig(**small, **FEATURES | {"input_features": inputs}), folder)
+
+
+def tiny_diffusion(folder: Path) -> Path:
+    """Write a Diffusion Policy that sees the target's true state and no image."""
+    small = {"down_dims": (16, 32), "n_groups": 4, "horizon": 8, "n_action_steps": 4, "n_obs_steps": 2}
+    small |= {"noise_scheduler_type": "DDIM", "num_inference_steps": 2}
+    inputs = {
+        name: PolicyFeature(type_, (size,))
+        for name, type_, size in (
+            ("observation.state", FeatureType.STATE, 18),
+            ("observation.environment_state", FeatureType.ENV, 13),
+        )
+    }
+    return saved(DiffusionConfig(**small, **FEATURES | {"input_features": inputs}), folder)
 
 
 def tiny_obact(folder: Path) -> Path:

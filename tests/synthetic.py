@@ -74,7 +74,8 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
     return Episode(
         meta=meta, images=images, state=state,
         fingertips=np.tile(state[:, :3], (1, 10)).astype(np.float32),
-        phase=one_hot_phase(np.arange(frames) >= window), action=command, executed_action=command,
+        phase=one_hot_phase(np.arange(frames) >= window), action=command,
+        given_action=command, executed_action=command,
         target_pose=pose.astype(np.float32),
         target_velocity=np.tile(np.r_[velocity, 0, 0, 0], (frames, 1)).astype(np.float32),
         target_path=path.astype(np.float32),

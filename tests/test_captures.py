@@ -103,8 +103,10 @@ def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec
     assert np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1).max() < LOCALIZATION_RADIUS_M
 
 
-@pytest.mark.parametrize(("share", "verdict"), [(0.91, True), (0.89, False), (-1.0, False)])
-def test_the_grasp_is_judged_at_the_first_localised_frame_by_nine_tenths_of_the_rotation(share: float, verdict: bool):
+@pytest.mark.parametrize(
+    ("share", "verdict"), [(0.91, True), (0.89, False), (-1.0, False), (1.19, True), (1.21, False)]
+)
+def test_the_grasp_is_judged_at_the_first_localised_frame_and_from_both_sides(share: float, verdict: bool):
     reference = np.linspace(0.5, 1.5, 15)
     joints = np.tile(reference, (6, 1))
     joints[3, 11] *= share  # one joint short, at the frame that counts; full everywhere else
@@ -124,21 +126,42 @@ ARRIVAL = 6
 """Control frames until the target passes."""
 
 
-class Fist(Expert):
-    """Closes at home."""
+class Closed(Expert):
+    """Closes at home, to a share of the reference grasp."""
 
-    name = "fist"
+    name = "closed"
+
+    def __init__(self, share: float) -> None:
+        self.share = share
 
     def act(self, world: WorldState) -> np.ndarray:
         spec = world.specs[0]
-        return np.concatenate([np.zeros(3), spec.reference_joints])[None]
+        return np.concatenate([np.zeros(3), self.share * spec.reference_joints])[None]
 
 
-def played(spec: EpisodeSpec, capture: str, miss_m: float) -> Episode:
-    """A fist at home, and a target that passes ``miss_m`` in front of it at 1 m/s."""
+def played(spec: EpisodeSpec, capture: str, miss_m: float, share: float = 1.0) -> Episode:
+    """A closed hand at home, and a target that passes ``miss_m`` in front of it at 1 m/s."""
     passes = passing(spec, 1.0, miss_m, (spec.window_frames + ARRIVAL) * CONTROL_DT)
     batch = WorldBatch(replace(SMALL, capture=capture), 1, threads=1)
-    return next(evaluate(batch, Fist(), [passes]))
+    return next(evaluate(batch, Closed(share), [passes]))
+
+
+def test_a_fist_passes_the_papers_grasp_and_is_no_success(specs: list[EpisodeSpec]):
+    episodes = {share: played(specs[3], "attach", 0.02, share) for share in (0.5, 1.0, 10.0)}
+    judged = {share: (measure(e)["S_gra"], measure(e)["S_joint"], e.success, e.stage) for share, e in episodes.items()}
+    assert judged == {0.5: (0, 0, False, "localized"), 1.0: (1, 1, True, "captured"), 10.0: (1, 0, False, "localized")}
+    assert not episodes[10.0].reward.any()
+
+
+@pytest.mark.parametrize("capture", ["attach", "attach_lenient"])
+def test_success_is_s_joint_whoever_plays(specs: list[EpisodeSpec], capture: str):
+    batch = WorldBatch(replace(SMALL, capture=capture), 4, threads=1)
+    episodes = [
+        e for name in ("intercept", "pursuit", "blind_path") for e in evaluate(batch, EXPERTS[name](), specs[:4])
+    ]
+    for episode in episodes:
+        assert episode.success == measure(episode)["S_joint"] == episode.captured.any() == episode.reward.any()
+    assert {episode.stage for episode in episodes} > {"captured"}
 
 
 def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):

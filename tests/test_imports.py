@@ -112,3 +112,22 @@ def test_reading_results_imports_nothing_that_draws_them():
     modules = "".join(f", dynahoi_lerobot.{name}" for name in ("metrics", "evaluate.results", "evaluate.gif", "report"))
     said = python("-c", f"import sys{modules}; print(*sys.modules)")
     assert not {"torch", "lerobot", "pandas", "pyarrow", "matplotlib", "PIL", "jinja2"} & set(said.split())
+
+
+ALWAYS = ("torch", "lerobot", "mujoco_warp")
+USES = [
+    ("main(['list', 'hands'])", ("warp", "pandas", "pyarrow")),
+    ("main(['evaluate', '--policy', 'hold', '--episodes', '1', '--out', sys.argv[1]])", ("warp", "pandas", "av")),
+    ("main(['generate', '--episodes', '1', '--image-size', '32', '--root', sys.argv[1]])", ("matplotlib",)),
+    ("register_envs(); gym.make('dynahoi/lob-v0', image_size=0).reset(seed=0)", ("warp", "pyarrow", "cv2")),
+]
+"""What a process may do, and which packages it has no use for, besides ``ALWAYS``."""
+
+
+@pytest.mark.parametrize(("use", "unused"), USES)
+def test_what_a_process_does_not_use_is_not_imported(use: str, unused: tuple[str, ...], tmp_path: Path) -> None:
+    main = "from dynahoi_lerobot.cli.main import main"
+    gym = "import gymnasium as gym; from dynahoi_lerobot.env import register_envs"
+    start = main if use.startswith("main") else gym
+    said = python("-c", f"import sys; {start}; {use}; print(*sys.modules)", str(tmp_path / "new"))
+    assert not sorted({*ALWAYS, *unused} & set(said.splitlines()[-1].split()))

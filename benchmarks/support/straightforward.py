@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium import spaces
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
-from dynahoi_lerobot.core.episode import joints_reached
+from dynahoi_lerobot.core.episode import in_reference_grasp
 from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, frame_features, image_feature
 from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -134,7 +134,7 @@ class StraightforwardEnv(gym.Env):
         scene, data, model = self._scene, self.data, self.model
         self.localized_frame = self.frame
         palm, joints = np.split(data.qpos[scene.hand_qpos] - self.origin, [PALM_DOF])
-        self.success = bool(joints_reached(joints, self.episode.open_joints, self.episode.reference_joints).all())
+        self.success = bool(in_reference_grasp(joints, self.episode.open_joints, self.episode.reference_joints))
         model.geom_contype[scene.target_geoms] = 0
         position, quat = self.target_state()[0][:3], self.target_state()[0][3:]
         inverse, offset = np.zeros(4), np.zeros(3)

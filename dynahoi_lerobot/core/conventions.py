@@ -33,7 +33,7 @@ GRASP_FRACTION = 0.9
 """Share of the reference rotation every joint must reach (Appendix "Evaluation Criteria")."""
 
 LARGEST_GRASP_FRACTION = 1.2
-"""Share of the reference rotation that no joint may exceed in the two-sided grasp metric, which a fist fails."""
+"""Share of the reference rotation that no joint may exceed in a successful grasp; a fist does."""
 
 PALM_DOF = 3
 FINGERS = ("thumb", "index", "middle", "ring", "little")

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import GRASP_FRACTION, PALM_DOF
+from dynahoi_lerobot.core.conventions import GRASP_FRACTION, LARGEST_GRASP_FRACTION, PALM_DOF
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,9 @@ class EpisodeMeta:
 class Episode:
     """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
 
-    Home frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``executed_action[t]`` is the command executed
-    from then until frame t + 1. The window is frames ``[0, window_frames)``; control starts at frame ``window_frames``.
+    Home frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``given_action[t]`` is the command given then and
+    ``executed_action[t]`` what the hand executed until frame t + 1; they differ by the control class's latency. The
+    window is frames ``[0, window_frames)``; control starts at frame ``window_frames``.
 
     `features.py` has shape, unit, element type and meaning of every array, and so does ``dynahoi list features``: one
     row per frame, (T, ...), where it says nothing else.
@@ -65,7 +66,7 @@ class Episode:
         meta: one value per episode.
         images: (T, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
         action: in recordings for learning the teacher's goal, which may lie beyond the reach of one frame, also in the
-            window, where commands are void; elsewhere ``executed_action``. (T, 4) where the control mode is ``grasp``.
+            window, where commands are void; elsewhere ``given_action``. (T, 4) where the control mode is ``grasp``.
         target_path: (F, 3), F = window + L + 1, as long as an evaluation may last, so it extends beyond the end of a
             recorded catch.
         palm_distance: the least within the control step that ends at the frame, so that a fast target cannot pass
@@ -85,6 +86,7 @@ class Episode:
     fingertips: np.ndarray = field(repr=False)
     phase: np.ndarray = field(repr=False)
     action: np.ndarray = field(repr=False)
+    given_action: np.ndarray = field(repr=False)
     executed_action: np.ndarray = field(repr=False)
     target_pose: np.ndarray = field(repr=False)
     target_velocity: np.ndarray = field(repr=False)
@@ -178,3 +180,22 @@ def joints_reached(joints: np.ndarray, open_joints: np.ndarray, reference: np.nd
     """
     rotation, wanted = joints - open_joints, reference - open_joints
     return rotation * np.sign(wanted) >= GRASP_FRACTION * np.abs(wanted) - 1e-6
+
+
+def in_reference_grasp(joints: np.ndarray, open_joints: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Tell whether all joints that the reference turns have made 0.9 to 1.2 of its rotation, which a fist has not.
+
+    The one rule of success under the capture rules that weld, and of the two-sided metrics.
+
+    Args:
+        joints: (..., 15) joint angles [rad].
+        open_joints: (15,) angles of the open hand [rad].
+        reference: (15,) angles of the reference grasp [rad].
+
+    Returns:
+        (...,) bool.
+    """
+    wanted = np.abs(reference - open_joints)
+    beyond = np.abs(joints - open_joints) > LARGEST_GRASP_FRACTION * wanted + 1e-6
+    matches = joints_reached(joints, open_joints, reference) & ~beyond
+    return (matches | (wanted <= 1e-6)).all(axis=-1)

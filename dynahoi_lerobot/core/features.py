@@ -102,6 +102,8 @@ class Feature:
 FINGERTIP_NAMES = tuple(
     f"{finger}_{part}" for finger in FINGERS for part in ("x", "y", "z", "rotvec_x", "rotvec_y", "rotvec_z")
 )
+COMMAND_NAMES = tuple(f"{name}.pos" for name in HAND_NAMES)
+"""LeRobot's robots and teleoperators tell positions by this suffix."""
 POSITION_NAMES = ("x", "y", "z")
 POSE_NAMES = (*POSITION_NAMES, "qw", "qx", "qy", "qz")
 TWIST_NAMES = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -124,7 +126,7 @@ SIGHTING_NAMES = (
 
 _TABLE = (
     Feature(
-        "state", "observation.state", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "state", "observation.state", (HAND_DOF,), COMMAND_NAMES, "m, rad",
         "palm centre position, home frame; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
     ),
     Feature(
@@ -153,14 +155,18 @@ _TABLE = (
         "of the distance", gym_key="environment_state", low=-1000.0, high=1000.0, on_request=True,
     ),
     Feature(
-        "action", "action", (HAND_DOF,), HAND_NAMES, "m, rad",
+        "action", "action", (HAND_DOF,), COMMAND_NAMES, "m, rad",
         "goal pose: palm centre position, home frame, possibly farther than the hand can move in one frame, since the "
         "environment clips it; joint angles for the next frame. In datasets the expert's goal, also in the observation "
         "window, where commands are ignored", gym_key="action",
     ),
     Feature(
-        "executed_action", "stats/executed_action", (HAND_DOF,), HAND_NAMES, "m, rad",
-        "executed command for the next frame, from expert or policy, after clipping and disturbance",
+        "given_action", "stats/given_action", (HAND_DOF,), COMMAND_NAMES, "m, rad",
+        "command given in this frame by expert or policy, after disturbance, within reach when it takes effect",
+    ),
+    Feature(
+        "executed_action", "stats/executed_action", (HAND_DOF,), COMMAND_NAMES, "m, rad",
+        "command that the hand executes from this frame to the next, after limits, latency and disturbance",
     ),
     Feature(
         "target_pose", "stats/target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"

@@ -9,10 +9,14 @@ such a distribution::
 
 import difflib
 import importlib
+import importlib.util
 import pkgutil
+import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import cast
 
 
@@ -36,9 +40,10 @@ def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
 class Registry[T]:
     """Names to things, filled by decorators in one module, or in the modules of one package.
 
-    They are imported on first look-up, so a new kind is one class or function and no other line. Code outside the
-    package may register too: importing the module that holds the decorator is enough, and the modules that other
-    distributions name as ``plugins`` are imported on first look-up as well.
+    They are found on first look-up, so a new kind is one class or function and no other line. A module whose decorators
+    spell out their names is imported when one of these is looked up, every other one at once. Code outside the package
+    may register too: importing the module that holds the decorator is enough, and the modules that other distributions
+    name as ``plugins`` are imported on first look-up as well.
     """
 
     def __init__(self, noun: str, package: str) -> None:
@@ -46,6 +51,7 @@ class Registry[T]:
         self.noun = noun
         self._package = package
         self._entries: dict[str, T] = {}
+        self._modules: dict[str, str] = {}
         self._discovered = False
 
     def register[E](self, name: str) -> Callable[[E], E]:
@@ -56,6 +62,8 @@ class Registry[T]:
         """
 
         def decorate(entry: E) -> E:
+            if self._modules.get(name) not in (None, getattr(entry, "__module__", None)):
+                importlib.import_module(self._modules[name])
             taken = self._entries.get(name)
             if taken is not None and getattr(taken, "__qualname__", taken) != getattr(entry, "__qualname__", entry):
                 raise ValueError(f"the {self.noun} name {name!r} is taken by {taken!r}; choose another for {entry!r}")
@@ -69,7 +77,7 @@ class Registry[T]:
     def names(self) -> list[str]:
         """Return all registered names, sorted."""
         self._discover()
-        return sorted(self._entries)
+        return sorted({*self._entries, *self._modules})
 
     def __getitem__(self, name: str) -> T:
         """Return the entry called ``name``.
@@ -77,17 +85,28 @@ class Registry[T]:
         Raises:
             UnknownNameError: if nothing is registered under it.
         """
-        return known(self.noun, name, dict(self.items()))
+        if name not in self._entries:
+            self.check(name)
+            if name in self._modules:
+                importlib.import_module(self._modules[name])
+        return self._entries[name]
+
+    def check(self, name: str) -> None:
+        """Refuse a name that nothing is registered under, without importing what is.
+
+        Raises:
+            UnknownNameError: naming those that there are.
+        """
+        known(self.noun, name, dict.fromkeys(self.names()))
 
     def __contains__(self, name: object) -> bool:
         """Tell whether something is registered under ``name``."""
-        self._discover()
-        return name in self._entries
+        return name in self.names()
 
     def items(self) -> Iterator[tuple[str, T]]:
         """Yield ``(name, entry)`` in the order of the names."""
         for name in self.names():
-            yield name, self._entries[name]
+            yield name, self[name]
 
     def _discover(self) -> None:
         if self._discovered:
@@ -95,9 +114,20 @@ class Registry[T]:
         self._discovered = True
         package = importlib.import_module(self._package)
         for module in pkgutil.iter_modules(getattr(package, "__path__", ())):
-            if module.name != "base":
-                importlib.import_module(f"{self._package}.{module.name}")
+            path = f"{self._package}.{module.name}"
+            if names := _spelled_out(path):
+                self._modules |= dict.fromkeys(names, path)
+            elif module.name != "base":
+                importlib.import_module(path)
         load_plugins()
+
+
+def _spelled_out(module: str) -> list[str]:
+    """Return the names that a module's decorators register, or none if one of them computes its name."""
+    spec = importlib.util.find_spec(module)
+    source = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
+    names = re.findall(r'\.register\("(\w+)"\)', source)
+    return names if len(names) == source.count(".register(") else []
 
 
 GROUP = "dynahoi_lerobot.plugins"
@@ -105,9 +135,15 @@ GROUP = "dynahoi_lerobot.plugins"
 _loaded = False
 
 
+@cache
+def _plugins() -> tuple[EntryPoint, ...]:
+    """The entry points in ``GROUP``; to find them, every installed distribution's are read."""
+    return tuple(sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)))
+
+
 def plugin_packages() -> set[str]:
     """Return the top-level packages that the entry points in ``GROUP`` name, whether they can be imported or not."""
-    return {entry.module.partition(".")[0] for entry in entry_points(group=GROUP)}
+    return {entry.module.partition(".")[0] for entry in _plugins()}
 
 
 def load_plugins() -> None:
@@ -116,7 +152,7 @@ def load_plugins() -> None:
     if _loaded:
         return
     _loaded = True
-    for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
+    for entry in _plugins():
         import_plugin(entry)
 
 

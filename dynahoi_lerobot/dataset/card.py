@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from jinja2 import StrictUndefined, Template
 
 from dynahoi_lerobot.core.control_mode import mode_of
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
@@ -41,6 +40,8 @@ BINS = 50
 
 def write_card(store: Store, manifest: Manifest) -> None:
     """Write the card and its histograms of a dataset that lacks only these and the manifest, which lists no files."""
+    from jinja2 import StrictUndefined, Template
+
     histograms = {key: HISTOGRAM_PATH.format(key=key) for key in DRAWN}
     for key, name in histograms.items():
         (path := store.root / name).parent.mkdir(exist_ok=True)

@@ -31,8 +31,8 @@ PALM_SATURATED_SHARE = 0.9
 """Share of the control phase that the palm may be commanded to an end of a slide (seen: 0.66). Fingers may be commanded
 to their end in all but the frames of the approach (seen: 0.94)."""
 FROZEN_FRAMES, FROZEN_GAP_M = 2, 0.005
-"""How long beyond the latency no degree of freedom may change to the last bit while the command is that far away from
-the palm (seen: 0 frames)."""
+"""How long no degree of freedom may change to the last bit while the command is that far away from the palm (seen: 0
+frames)."""
 
 
 def trajectory_problems(episode: Episode) -> list[str]:
@@ -55,7 +55,7 @@ def out_of_limits(episode: Episode) -> str | None:
     """Find positions and angles that the hand cannot take."""
     low, high = _palm_range(episode)
     least, most = JOINT_RANGE_RAD
-    for name in ("state", "action", "executed_action"):
+    for name in ("state", "action", "given_action", "executed_action"):
         values = getattr(episode, name)
         if values.shape[1] != HAND_DOF:  # a displacement, not a place
             continue
@@ -81,7 +81,8 @@ def jumps(episode: Episode) -> str | None:
         (slice(0, PALM_DOF), CATCH_UP * palm_speed_m_s * CONTROL_DT, "m"),
         (slice(PALM_DOF, HAND_DOF), OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT, "rad"),
     )
-    for name, values in (("state", episode.state), ("executed_action", episode.executed_action)):
+    for name in ("state", "given_action", "executed_action"):
+        values = getattr(episode, name)
         for part, allowed, unit in groups:
             steps = np.abs(np.diff(values[:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
             if steps.size and (worst := float(steps.max())) > allowed:
@@ -120,10 +121,10 @@ def frozen(episode: Episode) -> str | None:
     state, command = episode.state, episode.executed_action
     still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
     away = np.abs(command[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > FROZEN_GAP_M
-    longest, run = FROZEN_FRAMES + CONTROL_CLASSES[episode.meta.control_class].latency_frames, 0
+    run = 0
     for frame, stuck in enumerate(still & away):
         run = run + 1 if stuck else 0
-        if run > longest:
+        if run > FROZEN_FRAMES:
             return f"state is frozen from frame {frame + 1 - run} on while the hand is commanded to move"
     return None
 

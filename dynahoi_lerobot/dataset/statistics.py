@@ -6,6 +6,7 @@ of all frames: the smallest value with at least a share q of all values at or be
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 Stats = dict[str, np.ndarray]
@@ -17,6 +18,8 @@ NAMES = ("min", "max", "mean", "std", "count", *SHARES)
 LEVELS = np.arange(256) / 255
 LARGE_IMAGE, SMALL_IMAGE = 300, 150
 """LeRobot thins images of LARGE_IMAGE pixels or more to about SMALL_IMAGE before it counts."""
+EXACT_FRAMES = 100
+"""OpenCV counts in single precision, exactly up to 2 ** 24; so many thinned images have fewer pixels."""
 
 
 def column_stats(values: np.ndarray) -> Stats:
@@ -53,7 +56,7 @@ def image_stats(images: np.ndarray) -> Stats:
     n_sampled = max(min(len(images), 100), min(int(len(images) ** 0.75), 10_000))
     sampled = np.round(np.linspace(0, len(images) - 1, n_sampled)).astype(int)
     images = images[sampled, ::step, ::step]
-    counts = np.stack([np.bincount(images[..., channel].ravel(), minlength=256) for channel in range(3)])  # (3, 256)
+    counts = level_counts(images)
     share = counts / counts.sum(axis=1, keepdims=True)
     below = np.cumsum(counts, axis=1)
     mean = share @ LEVELS
@@ -66,6 +69,15 @@ def image_stats(images: np.ndarray) -> Stats:
     }
     shaped = {name: np.reshape(value, (3, 1, 1)) for name, value in found.items()}
     return {name: np.array([len(images)]) if name == "count" else shaped[name] for name in NAMES}
+
+
+def level_counts(images: np.ndarray) -> np.ndarray:
+    """Return how often each channel of images (T, H, W, 3) has each of its 256 levels, (3, 256) int64."""
+    counts = np.zeros((3, 256), np.int64)
+    for first in range(0, len(images), EXACT_FRAMES):
+        block = np.ascontiguousarray(images[first : first + EXACT_FRAMES]).reshape(-1, images.shape[2], 3)
+        counts += [cv2.calcHist([block], [c], None, [256], [0, 256])[:, 0].astype(np.int64) for c in range(3)]
+    return counts
 
 
 def pooled(episodes: Sequence[Stats]) -> Stats:

@@ -317,8 +317,9 @@ class DynahoiVectorEnv(VectorEnv):
 class DynahoiEnv(gym.Env):
     """One hand and one moving object: ``DynahoiVectorEnv`` for a single world, without batch axis and autoreset.
 
-    Description, observation, action, reward, episode end, info and options are those of ``DynahoiVectorEnv``. After
-    the end of an episode the world stands still until ``reset``. Copies (``pickle``, ``deepcopy``) have the same
+    Description, observation, action, reward, episode end and options are those of ``DynahoiVectorEnv``. Info has the
+    same names, with Python's own scalars, but for metrics that do not apply. After the end of an episode the world
+    stands still until ``reset``. Copies (``pickle``, ``deepcopy``) have the same
     constructor arguments and begin before their first reset.
     """
 
@@ -354,7 +355,7 @@ class DynahoiEnv(gym.Env):
         if number is None:
             number = int(self.np_random.integers(0, RANDOM_SEED_LIMIT))
         observation, infos = self._vector.reset(seed=[number], options={ONE_EPISODE_OPTION: True})
-        return _first(observation), _first(infos)
+        return _first(observation), _scalars(infos)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Advance by one frame of 0.05 s.
@@ -368,7 +369,7 @@ class DynahoiEnv(gym.Env):
             ClosedEnvironmentError: after ``close``.
         """
         observation, reward, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
-        return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _first(infos)
+        return _first(observation), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _scalars(infos)
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
         """Return the image of the hand's camera, (H, W, 3) uint8, or None if the render mode is None."""
@@ -414,3 +415,10 @@ def check_seed(seed: Any) -> int:
 
 def _first(batched: dict[str, Any]) -> dict[str, Any]:
     return {key: _first(value) if isinstance(value, dict) else value[0] for key, value in batched.items()}
+
+
+def _scalars(infos: dict[str, np.ndarray]) -> dict[str, bool | float]:
+    """Return the infos of one world: no masks, and no metrics that are not a number."""
+    return {
+        name: value[0].item() for name, value in infos.items() if not name.startswith("_") and not np.isnan(value[0])
+    }

@@ -26,7 +26,7 @@ EXPERT_ALIAS = "expert"
 def make_actor(
     name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
 ) -> Actor:
-    """Return the expert called ``name``, or else load the policy of that name, and seed the noise that it samples from.
+    """Return the expert called ``name``, or else load the policy of that name.
 
     Args:
         name: an expert; ``expert`` for the capture rule's own; or a policy, as ``PolicyAgent`` takes it.
@@ -44,11 +44,7 @@ def make_actor(
         raise ValueError(f"--set changes the config of a LeRobot policy, and {name!r} has none")
     if key in EXPERTS:
         return EXPERTS[key]()
-    policy = PolicyAgent(name, device, settings, trust=trust)
-    import torch  # which experts do without
-
-    torch.manual_seed(0)
-    return policy
+    return PolicyAgent(name, device, settings, trust=trust)
 
 
 def add_trust_argument(parser: argparse.ArgumentParser) -> None:

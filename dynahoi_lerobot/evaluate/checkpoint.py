@@ -17,7 +17,6 @@ from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, environment_state_of
 from dynahoi_lerobot.core.files import printable, sha256
-from dynahoi_lerobot.dataset.manifest import Manifest
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
@@ -165,6 +164,8 @@ def hint_at_checkpoint(folder: Path) -> str:
 
 def _recipe_of(root: str | None) -> dict[str, Any]:
     """Return the recipe of the dataset in ``root``, as far as there is one."""
+    from dynahoi_lerobot.dataset.manifest import Manifest  # whose package brings in PyAV, which only checkpoints need
+
     try:
         return Manifest.read(Path(root)).provenance.get("recipe") or {} if root else {}
     except (OSError, ValueError):

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
+from itertools import batched
 from pathlib import Path
 
 from tqdm import tqdm
@@ -21,7 +22,6 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, VLM, add_trust_argument, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.gif import episode_gif
 from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, ResultsError, RunInfo, command_line, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
@@ -253,10 +253,14 @@ def _played(
     batch = WorldBatch(recipe, min(args.batch_size, len(specs)))
     gifs = args.gifs if args.out else 0
     with tqdm(total=len(specs), desc=f"{args.policy} on {args.split}", unit="episode") as progress:
-        for start in range(0, len(specs), args.batch_size):
+        for group in batched(specs, args.batch_size):
+            if len(group) < batch.size:  # a policy's noise depends on the number of worlds, also when it is resumed
+                batch = WorldBatch(recipe, len(group))
             played = []
-            for episode in evaluate(batch, actor, specs[start : start + args.batch_size], images=gifs > 0):
+            for episode in evaluate(batch, actor, group, images=gifs > 0):
                 if gifs > 0:
+                    from dynahoi_lerobot.evaluate.gif import episode_gif  # which brings in OpenCV
+
                     episode_gif(args.out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
                     gifs -= 1
                 played.append(replace(episode, images={}))

@@ -60,7 +60,13 @@ class PolicyAgent(ChunkAgent):
         self.views = tuple(view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs)
 
     def reset(self, count: int) -> None:
-        """Forget queued actions and history."""
+        """Forget queued actions and history, and seed torch's generator, from which policies draw their noise.
+
+        So what a group of episodes draws depends on no group before it, and an interrupted evaluation goes on alike.
+        """
+        import torch
+
+        torch.manual_seed(0)
         self._policy.reset()
         self._chunk, self._frame = None, 0
 

@@ -36,7 +36,7 @@ SHOWN = 10
 """Findings that are printed."""
 NOT_REPLAYED = {"agent"}
 """Columns that do not follow from the commands."""
-COMPUTED = ("n", "metrics", "per_kind")
+COMPUTED = ("n", "n_success", "pc_success_ci95", "metrics", "per_kind")
 """Entries of ``metrics.json`` that follow from the rows."""
 
 

@@ -3,6 +3,7 @@
 Whatever is damaged in it is one ``ResultsError``.
 """
 
+import io
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -17,7 +18,7 @@ from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.files import printable, write_atomically
 from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
-from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows
+from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows, wilson
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -29,7 +30,7 @@ EPISODES_FILE = "episodes.parquet"
 ACTIONS_FILE = "actions.npz"
 
 HEAD_TYPES = (
-    {"n": int}
+    {"n": int, "n_success": int, "pc_success_ci95": list}
     | dict.fromkeys(("split", "policy", "capture", "fingerprint", "benchmark", "command"), str)
     | dict.fromkeys(("metrics", "per_kind", "extra"), dict)
 )
@@ -185,10 +186,15 @@ class Results:
         return ActionLog(row["seed"], self.actions[index], row["attempts"])
 
     def as_json(self) -> dict[str, Any]:
-        """Return the content of ``metrics.json``: per metric its value, interval, unit and count."""
-        info = self.info
+        """Return the content of ``metrics.json``: per metric its value, interval, unit and count.
+
+        ``n_success`` and ``pc_success_ci95``, Wilson's interval in percent, are named as in LeRobot.
+        """
+        info, n_success = self.info, sum(row["success"] for row in self.rows)
         return {
             "n": len(self.rows),
+            "n_success": n_success,
+            "pc_success_ci95": [100 * end for end in wilson(n_success, len(self.rows))],
             "split": info.split,
             "policy": info.policy,
             "capture": info.capture,
@@ -278,9 +284,13 @@ def _read_head(path: Path) -> dict[str, Any]:
 
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
     import pyarrow as pa
+    import pyarrow.json
     import pyarrow.parquet as pq
 
-    pq.write_table(pa.Table.from_pylist(list(rows), schema=pa.schema(COLUMNS)), path, compression="none")
+    # arrow takes Python's lists through pandas, whose import takes longer than an episode
+    lines = "\n".join(map(json.dumps, rows)).encode()
+    options = pa.json.ParseOptions(explicit_schema=pa.schema(COLUMNS), unexpected_field_behavior="ignore")
+    pq.write_table(pa.json.read_json(io.BytesIO(lines), parse_options=options), path, compression="none")
 
 
 def _read_rows(path: Path) -> list[Row]:

@@ -17,6 +17,8 @@ CLOSING_FRAMES = 8
 CLOSED_FRAMES = 16
 """A goal has the fingers closed this long before the meeting: a learner that comes to it a little off, or early, must
 not be caught open."""
+GRASP_SHARES = (0.95, 1.15)
+"""Least and greatest share of an object's reference rotation that a goal asks for, within what counts as a success."""
 SPARE_FRAMES = 2
 """Fingers are closed this long before the target comes within reach of them."""
 CLOSED_EARLY_M = 0.0005
@@ -82,7 +84,7 @@ def meeting_goal(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.n
     Args:
         world, path_w, speed_m_s: see `approach`.
     """
-    spec, closed = world.spec, closed_joints(world.spec.hand)
+    spec, closed = world.spec, _closed_around(world.spec)
     if world.localized:
         return np.concatenate([world.state[:PALM_DOF], closed])
     arrival = earliest_arrival(world.state, closed, path_w, speed_m_s, world.control)
@@ -114,6 +116,13 @@ def earliest_arrival(
 def closed_joints(hand: str) -> np.ndarray:
     """Return (15,) joint angles [rad] of a closed hand."""
     return HANDS[hand]().closed_joints()
+
+
+def _closed_around(spec: EpisodeSpec) -> np.ndarray:
+    """(15,) joint angles of the closed hand [rad], the same for all objects but the thinnest and the thickest."""
+    turn = spec.reference_joints - spec.open_joints
+    least, most = np.sort([spec.open_joints + share * turn for share in GRASP_SHARES], axis=0)
+    return np.clip(closed_joints(spec.hand), least, most)
 
 
 def _path_from(spec: EpisodeSpec, frame: int) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from dynahoi_lerobot.core import conventions
-from dynahoi_lerobot.core.episode import Episode, joints_reached
+from dynahoi_lerobot.core.episode import Episode, in_reference_grasp, joints_reached
 from dynahoi_lerobot.metrics.base import metric
 
 
@@ -70,18 +70,15 @@ def s_gra_two_sided(episode: Episode) -> bool | None:
     first = episode.first_localized
     if first is None:
         return None
-    wanted = episode.reference_joints - episode.open_joints
-    turns = np.abs(wanted) > 1e-6  # (15,) joints that the reference grasp turns
-    share = (episode.joints[first] - episode.open_joints)[turns] / wanted[turns]
-    least, most = conventions.GRASP_FRACTION - 1e-6, conventions.LARGEST_GRASP_FRACTION + 1e-6
-    return bool(((share >= least) & (share <= most)).all())
+    return bool(in_reference_grasp(episode.joints[first], episode.open_joints, episode.reference_joints))
 
 
 @metric("S_joint", unit="fraction", direction="higher", aggregation="rate")
 def s_joint(episode: Episode) -> bool:
     """Joint success: localised, and with joints neither too open nor too closed at the first localised frame.
 
-    ``S_joint = S_loc * S_gra_two_sided``, over all episodes.
+    ``S_joint = S_loc * S_gra_two_sided``, over all episodes: the success of the capture rules that weld, and LeRobot's
+    ``next.success`` and ``pc_success`` under them.
 
     Fraction of episodes, higher is better. Ours: like S_joint_paper, but a fist fails it.
     """

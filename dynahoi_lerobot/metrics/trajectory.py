@@ -82,12 +82,12 @@ LEGACY_REST = 1e-4
 
 
 def command_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (K, 18) steps between successive commands, tiny ones dropped, and (18,) the displacement.
+    """Return the (K, 18) steps between successive given commands, tiny ones dropped, and (18,) the displacement.
 
     Palm positions are in u and joint angles in radians, because that mixture is what the authors' code
     measured.
     """
-    points = episode.executed_action[until_localized(episode)].astype(np.float64)  # (M, 18)
+    points = episode.given_action[until_localized(episode)].astype(np.float64)  # (M, 18)
     points[:, :PALM_DOF] /= UNIT_M
     steps = np.diff(points, axis=0)
     return steps[np.linalg.norm(steps, axis=1) > LEGACY_REST], points[-1] - points[0]
@@ -97,7 +97,8 @@ def command_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
 def q_line_18d(episode: Episode) -> float:
     """Legacy linearity: Q_line on the 18-D commands (palm in u, joints in rad), steps up to 1e-4 dropped.
 
-    ``Q_line_18d = 1 / (N - 1) * sum_t s_t . v`` with the unit directions of ``a_{t+1} - a_t`` and of ``a_N - a_1``.
+    ``Q_line_18d = 1 / (N - 1) * sum_t s_t . v`` with the unit directions of ``a_{t+1} - a_t`` and of ``a_N - a_1``, of
+    the commands given (``stats/given_action``), not executed.
 
     Score in [-1, 1], higher is better. Source: the authors' evaluation code; for comparison with their logs only.
     """
@@ -108,8 +109,8 @@ def q_line_18d(episode: Episode) -> float:
 def q_smooth_18d(episode: Episode) -> float:
     """Legacy smoothness: Q_smooth on the 18-D commands (palm in u, joints in rad), steps up to 1e-4 dropped.
 
-    ``Q_smooth_18d = 1 / (1 + CV(d))`` with ``d_t = |a_{t+1} - a_t|``; 1 without any step, where the authors' value is
-    not a number.
+    ``Q_smooth_18d = 1 / (1 + CV(d))`` with ``d_t = |a_{t+1} - a_t|`` of the commands given (``stats/given_action``),
+    not executed; 1 without any step, where the authors' value is not a number.
 
     Score in [0, 1], higher is better. Source: the authors' evaluation code; for comparison with their logs only.
     """

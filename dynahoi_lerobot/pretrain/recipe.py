@@ -22,7 +22,8 @@ class PretrainRecipe:
         eye: options of ObAct's ``Eye``, such as ``weights`` to start from.
         device: of the training.
         episodes: what the images show.
-        n_episodes: how many different episodes they show.
+        hands: names of the hands that take turns from update to update; none for that of ``episodes``.
+        n_episodes: how many different episodes are shown, with each hand.
         randomized_share: share of those whose appearance is randomised in every way, see ``randomization``.
         images: images in all, each seen once.
         batch_size: images in an update.
@@ -37,6 +38,7 @@ class PretrainRecipe:
     eye: dict[str, Any] = field(default_factory=dict)
     device: str = "cpu"
     episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
+    hands: tuple[str, ...] = ()
     n_episodes: int = 1024
     randomized_share: float = 0.0
     images: int = 400_000

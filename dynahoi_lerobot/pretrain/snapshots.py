@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.batch import WorldBatch
 from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
@@ -75,25 +78,29 @@ class ImageStream:
     @property
     def camera(self) -> tuple[np.ndarray, np.ndarray]:
         """Pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as ``stats/ego_intrinsics``, of the camera."""
-        model, name = self._batch.scene.model, self._recipe.camera
+        model, name = compile_scene(self._recipe.episodes.hand).model, self._recipe.camera
         return camera_pose(model, name), intrinsics(model, name, self._recipe.episodes.image_size)
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
-        """Yield images forever, as a run that resumes from ``update`` sees them."""
+        """Yield images forever, as a run that resumes from ``update`` sees them; hands take turns."""
         rng = np.random.default_rng([self._recipe.seed, update])
-        return snapshots(self._batch, self.specs, rng, self._recipe.camera)
+        by_hand = [snapshots(batch, specs, rng, self._recipe.camera) for batch, specs in self._shown]
+        return chain.from_iterable(zip(*by_hand, strict=True))
 
     @cached_property
-    def _batch(self) -> WorldBatch:
-        return WorldBatch(self._recipe.episodes, self._recipe.batch_size, threads=1)
+    def _shown(self) -> list[tuple[WorldBatch, list[EpisodeSpec]]]:
+        """For each hand, worlds and the episodes that they show."""
+        episodes = self._recipe.episodes
+        recipes = [replace(episodes, hand=hand) for hand in self._recipe.hands] or [episodes]
+        size = self._recipe.batch_size
+        return [(WorldBatch(one, size, threads=1), shown_specs(self._recipe, one)) for one in recipes]
 
-    @cached_property
-    def specs(self) -> list[EpisodeSpec]:
-        """The episodes whose objects, paths and surroundings are shown."""
-        recipe, n = self._recipe, self._recipe.n_episodes
-        n_plain = round(n * (1 - recipe.randomized_share))
-        randomized = replace(recipe.episodes, appearance=tuple(RANDOMIZATIONS))
-        return sample_specs(recipe.episodes, range(n_plain)) + sample_specs(randomized, range(n_plain, n))
+
+def shown_specs(recipe: PretrainRecipe, episodes: Recipe) -> list[EpisodeSpec]:
+    """Return the episodes whose objects, paths and surroundings are shown; the last of them are randomised."""
+    n_plain = round(recipe.n_episodes * (1 - recipe.randomized_share))
+    randomized = replace(episodes, appearance=tuple(RANDOMIZATIONS))
+    return sample_specs(episodes, range(n_plain)) + sample_specs(randomized, range(n_plain, recipe.n_episodes))
 
 
 def snapshots(

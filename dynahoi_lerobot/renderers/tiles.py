@@ -16,7 +16,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.numerics import tan
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
-from dynahoi_lerobot.renderers.device import Mirror, default_device, world_fields
+from dynahoi_lerobot.renderers.raycast.device import Mirror, default_device, world_fields
 from dynahoi_lerobot.renderers.raycast.images import render_color, smooth_edges, trace
 from dynahoi_lerobot.renderers.raycast.rows import Look
 from dynahoi_lerobot.renderers.raycast.shapes import GEOM_TYPES

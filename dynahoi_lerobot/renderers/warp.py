@@ -6,7 +6,7 @@ import warp as wp
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
-from dynahoi_lerobot.renderers.device import Mirror, default_device, world_fields
+from dynahoi_lerobot.renderers.raycast.device import Mirror, default_device, world_fields
 from dynahoi_lerobot.scene.model import SHOWN_GROUPS
 from dynahoi_lerobot.scene.scene import Scene
 

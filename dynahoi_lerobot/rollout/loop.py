@@ -33,9 +33,15 @@ class Session:
         observation: what was seen last, of all worlds.
     """
 
-    def __init__(self, batch: WorldBatch, *, record_images: bool = True) -> None:
-        """Play in ``batch``; ``record_images`` keeps what was rendered for the episodes."""
-        self.batch, self.record_images = batch, record_images
+    def __init__(self, batch: WorldBatch, *, record_images: bool = True, render_later: bool = False) -> None:
+        """Play in ``batch``.
+
+        Args:
+            batch: the worlds.
+            record_images: whether to keep what was rendered for the episodes.
+            render_later: whether to render an episode when it has ended, for a batch that ``renders_later``.
+        """
+        self.batch, self.record_images, self._render_later = batch, record_images, render_later
         self.observation: Observation | None = None
         self._recorders: dict[int, WorldRecorder] = {}
 
@@ -80,7 +86,8 @@ class Session:
         if labels is not None:
             labels = self.batch.as_labels(labels, self.observation)
         for i, recorder in self._recorders.items():
-            recorder.add_action(self.batch.commanded[i], None if labels is None else labels[i])
+            label = None if labels is None else labels[i]
+            recorder.add_action(self.batch.given[i], self.batch.executed[i], label)
         terminated, full = np.zeros((2, self.batch.size), bool)
         for i, recorder in self._recorders.items():
             terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
@@ -94,9 +101,16 @@ class Session:
         """Return what world ``i`` plays."""
         return self._recorders[i].job
 
-    def finish(self, i: int, actor: str, meeting: Meeting | None = None) -> Episode:
-        """End the episode of world ``i`` and return the recording, which names the actor and has its plan, if any."""
-        return self._recorders.pop(i).freeze(self.batch, actor, meeting)
+    def finish(self, i: int, actor: str, meeting: Meeting | None = None, *, again: bool = False) -> Episode:
+        """End the episode of world ``i`` and return the recording, which names the actor and has its plan, if any.
+
+        If a failed episode is played ``again``, its images need not be rendered.
+        """
+        recorder = self._recorders.pop(i)
+        episode = recorder.freeze(self.batch, actor, meeting)
+        if not self._render_later or (again and not episode.success):
+            return episode
+        return replace(episode, images=self.batch.images_of(i, recorder.qpos))
 
 
 def play(
@@ -119,20 +133,22 @@ def play(
     """
     if actor.sees_images and not batch.recipe.image_size:
         raise ValueError(f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera")
-    session, fresh, again = Session(batch), iter(jobs), deque[Job]()
+    later = images and not actor.sees_images and batch.renders_later
+    session, fresh, again = Session(batch, render_later=later), iter(jobs), deque[Job]()
     while True:
         if not (actor.has_memory and session.playing.size):
             _begin(session, actor, again, fresh)
         if not session.playing.size:
             return
-        observation = session.observe(images=images or actor.sees_images)
+        observation = session.observe(images=(images or actor.sees_images) and not later)
         commands = actor.commands(observation, batch.world_state)
         terminated, truncated = session.step(commands, actor.labels)
         for i in np.flatnonzero(terminated | truncated):
             job = session.job(int(i))
             meeting = actor.first_meeting(job.spec, batch.control)
-            episode = session.finish(int(i), actor.name, meeting)
-            if retry and not episode.success and job.attempt <= actor.retries:
+            may_retry = retry and job.attempt <= actor.retries
+            episode = session.finish(int(i), actor.name, meeting, again=may_retry)
+            if may_retry and not episode.success:
                 again.append(replace(job, attempt=job.attempt + 1))
             else:
                 yield job, episode
@@ -255,12 +271,12 @@ class Player(Agent):
 def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
     """Return what recording the episode's seed gives now; None if the expert does not manage it.
 
-    Nothing but its seed matters, or in an on-policy recording the executed commands, in the policy's place.
+    Nothing but its seed matters, or in an on-policy recording the commands given, in the policy's place.
     """
     seed = recorded.meta.seed
     if not recipe.actor:
         return next(record(recipe, [seed]), None)
-    player = Player([ActionLog(seed, recorded.executed_action)])
+    player = Player([ActionLog(seed, recorded.given_action)])
     return next(record_on_policy(recipe, [seed], make_agent=lambda _: player, threads=1))
 
 

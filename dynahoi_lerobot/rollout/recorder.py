@@ -66,7 +66,7 @@ def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.n
     """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
-    columns |= {name: measure(batch) for name, measure in MEASURED.items()}
+    columns |= {name: measure(batch) for name, measure in MEASURED.items()} | {"qpos": batch.qpos}
     if observation.sighting is not None:
         columns["sighting"] = observation.sighting
     return columns | {name: getattr(batch.contacts, name).copy() for name in CONTACTS}
@@ -79,7 +79,8 @@ class WorldRecorder:
     job: Job
     frames: list[dict[str, np.ndarray]] = field(default_factory=list)
     images: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    actions: list[np.ndarray] = field(default_factory=list)
+    given: list[np.ndarray] = field(default_factory=list)
+    executed: list[np.ndarray] = field(default_factory=list)
     labels: list[np.ndarray] = field(default_factory=list)
     localized_frames: int = 0
 
@@ -90,22 +91,28 @@ class WorldRecorder:
         for view, pixels in images.items():
             self.images.setdefault(view, []).append(pixels[i])
 
-    def add_action(self, executed: np.ndarray, label: np.ndarray | None = None) -> None:
-        """Record the command (18,) that was executed from this frame on, palm [m], home frame, and joints [rad].
+    def add_action(self, given: np.ndarray, executed: np.ndarray, label: np.ndarray | None = None) -> None:
+        """Record the commands (18,) given in this frame and executed from it on, palm [m], home frame, joints [rad].
 
-        ``label`` (18,) is what a teacher wanted instead, the episode's ``action``; without one, what was executed is.
+        ``label`` (18,) is what a teacher wanted instead, the episode's ``action``; without one, what was given is.
         """
-        self.actions.append(executed.copy())
-        self.labels.append(self.actions[-1] if label is None else label.copy())
+        self.given.append(given.copy())
+        self.executed.append(executed.copy())
+        self.labels.append(self.given[-1] if label is None else label.copy())
 
     def settled(self, rule: CaptureRule) -> bool:
         """Tell whether the episode may end because the rule has settled its outcome."""
         return self.job.stop_settled and self.localized_frames > rule.settle_frames
 
     @property
+    def qpos(self) -> np.ndarray:
+        """(T, nq) the world's configuration in each frame."""
+        return np.stack([frame["qpos"] for frame in self.frames])
+
+    @property
     def full(self) -> bool:
         """Whether the episode has reached its longest length."""
-        return len(self.actions) >= self.job.frames
+        return len(self.labels) >= self.job.frames
 
     def success(self, rule: CaptureRule) -> bool:
         """Return the rule's verdict on the frames so far."""
@@ -118,7 +125,8 @@ class WorldRecorder:
         columns |= episode_constants(batch, spec, meeting)
         columns |= {
             "action": np.stack(self.labels),
-            "executed_action": np.stack(self.actions),
+            "given_action": np.stack(self.given),
+            "executed_action": np.stack(self.executed),
             "captured": self._padded(rule.captured(track)),
             "succeeded": next_frames(self._padded(rule.succeeded(track))),
             "intercept_time": spec.intercept_frame * CONTROL_DT,
@@ -145,8 +153,8 @@ class WorldRecorder:
         control = slice(spec.window_frames, None)
         return Track(
             joints=columns["state"][control, PALM_DOF:],
-            open_joints=spec.open_joints,
-            reference_joints=spec.reference_joints,
+            open_joints=spec.open_joints.astype(np.float32),  # as it is stored, for metrics to judge the same
+            reference_joints=spec.reference_joints.astype(np.float32),
             localized=columns["localized"][control],
             contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
             palm_distance=columns["palm_distance"][control],

@@ -2,7 +2,7 @@
 
 A recorded expert executes its own labels. In a share of the episodes its palm is perturbed: pulled away for several
 frames at a time, and jittering. A policy trained only on undisturbed approaches cannot recover from its own first
-mistake (DART; Laskey et al., 2017). The executed commands are recorded beside the labels.
+mistake (DART; Laskey et al., 2017). The commands given are recorded beside the labels.
 """
 
 from collections.abc import Callable

@@ -85,6 +85,7 @@ def _hash(files: Iterable[tuple[str, Path]]) -> bytes:
     return digest.digest()
 
 
+@cache
 def installed_version(name: str) -> str | None:
     """Return the version of an installed distribution; None if there is none of that name."""
     try:

@@ -4,13 +4,13 @@ A box around everything that matters - the target's path, the hand's home, the s
 It is convex, so nothing outside it comes between a camera and a target inside it.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from dynahoi_lerobot.core.numerics import product, quat_to_matrix
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.motions.launch import as_vector
 from dynahoi_lerobot.scene.appearance import Solid, hsv
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS, SIDE_CAMERA_POS_M
 
@@ -37,7 +37,7 @@ def _cabinet(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) 
 
 def _shelf(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     width, depth, height = rng.uniform(0.6, 1.3), rng.uniform(0.25, 0.4), rng.uniform(1.0, 1.9)
-    boards = [((0.0, -width / 2, z), (depth, width, 0.04), wood) for z in np.linspace(0.05, height - 0.04, 3)]
+    boards = [((0.0, -width / 2, z), (depth, width, 0.04), wood) for z in np.linspace(0.05, height - 0.04, 3).tolist()]
     books = ((0.05, -0.4 * width, boards[1][0][2] + 0.04), (0.6 * depth, 0.4 * width, 0.22), accent)
     sides = [((0.0, y, 0.0), (depth, 0.04, height), wood) for y in (-width / 2, width / 2 - 0.04)]
     return [*boards, *sides, books]
@@ -90,37 +90,49 @@ def furnish(spec: EpisodeSpec) -> EpisodeSpec:
 def _place_pieces(
     rng: np.random.Generator, colors: tuple[Color, Color, Color], free: list[np.ndarray]
 ) -> tuple[Solid, ...]:
-    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other."""
+    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other.
+
+    Half of the slots are filled before the hand, where its own camera looks, then half behind it, where the side camera
+    does.
+    """
     placed: list[Solid] = []
-    taken = list(free)
-    for _ in range(ATTEMPTS):
-        piece = PIECES[rng.integers(len(PIECES))]
-        parts = _place(piece(rng, *colors), rng, on_wall=piece in ON_THE_WALL)
-        low = np.min([one.pos_w - np.asarray(one.half_size) for one in parts], axis=0)
-        high = np.max([one.pos_w + np.asarray(one.half_size) for one in parts], axis=0)
-        inside = (np.abs([low[:2], high[:2]]) <= ARENA_HALF_M + 1e-6).all()
-        clear = all((low > other[1]).any() or (high < other[0]).any() for other in taken)
-        if inside and clear and len(placed) + len(parts) <= FURNITURE_SLOTS:
-            placed += parts
-            taken.append(np.array([low, high]))
+    taken: list[Sequence[Sequence[float]]] = [box.tolist() for box in free]
+    for ahead, slots in ((1.0, FURNITURE_SLOTS // 2), (-1.0, FURNITURE_SLOTS)):
+        for _ in range(ATTEMPTS):
+            piece = PIECES[rng.integers(len(PIECES))]
+            parts = _place(piece(rng, *colors), rng, ahead, on_wall=piece in ON_THE_WALL)
+            low = [min(one.pos_w[axis] - one.half_size[axis] for one in parts) for axis in range(3)]
+            high = [max(one.pos_w[axis] + one.half_size[axis] for one in parts) for axis in range(3)]
+            inside = max(map(abs, (*low[:2], *high[:2]))) <= ARENA_HALF_M + 1e-6
+            if inside and len(placed) + len(parts) <= slots and all(_apart((low, high), box) for box in taken):
+                placed += parts
+                taken.append((low, high))
+            if len(placed) == slots:
+                break
     return tuple(placed)
 
 
-def _place(parts: list[Part], rng: np.random.Generator, *, on_wall: bool) -> list[Solid]:
-    """Turn a piece's back to the front, left or right wall, at the wall or before it."""
+def _apart(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> bool:
+    """Whether two boxes, (2, 3) lower and upper corner, do not even touch."""
+    (low, high), (other_low, other_high) = one, other
+    return any(low[axis] > other_high[axis] or high[axis] < other_low[axis] for axis in range(3))
+
+
+def _place(parts: list[Part], rng: np.random.Generator, ahead: float, *, on_wall: bool) -> list[Solid]:
+    """Turn a piece's back to a wall, at it or before it: left, right, or the one ahead, 1, or behind, -1."""
     wall = rng.choice(3, p=(0.6, 0.2, 0.2))
     away = 0.0 if on_wall or rng.random() < 0.3 else rng.uniform(0.0, 4.0)
     along = rng.uniform(-4.5, 4.5) if wall == 0 else rng.uniform(1.0, 5.5)
     solids = []
     for corner, extent, rgb in parts:
-        half = np.asarray(extent) / 2
-        x, y, z = np.asarray(corner) + half
+        deep, wide, tall = (length / 2 for length in extent)
+        x, y, z = corner[0] + deep, corner[1] + wide, corner[2] + tall
         if wall == 0:
-            pos, size = (ARENA_HALF_M - away - x, along + y, z), half
+            pos, size = (ARENA_HALF_M - away - x, along + y, z), (deep, wide, tall)
         else:
             side = 1.0 if wall == 1 else -1.0
-            pos, size = (along + y, side * (ARENA_HALF_M - away - x), z), half[[1, 0, 2]]
-        solids.append(Solid("box", as_vector(size), as_vector(np.array(pos)), rgb))
+            pos, size = (along + y, side * (ARENA_HALF_M - away - x), z), (wide, deep, tall)
+        solids.append(Solid("box", size, (ahead * pos[0], pos[1], pos[2]), rgb))
     return solids
 
 

@@ -149,6 +149,7 @@ def visible(points: np.ndarray) -> np.ndarray:
     return in_view & (np.linalg.norm(local, axis=-1) < _hand_distance()[row, column])
 
 
+@functools.cache
 def _camera() -> tuple[np.ndarray, np.ndarray, float]:
     """Position (3,) [m] and rotation (3, 3) of the camera in the palm's frame, and tangent of half its view."""
     scene = compile_scene(REFERENCE_HAND)
@@ -203,10 +204,11 @@ def keeps_clear(homes: np.ndarray, intercept_w: np.ndarray, fixtures: Sequence[B
     clear = np.ones(len(homes), bool)
     share = np.linspace(0.0, 1.0, WAY_POINTS)[:, None]
     for box in fixtures:
-        hand_m = box_distance(homes[:, None] + hand_points(), box).min(axis=1)
-        way_m = box_distance(homes[:, None] + share * (intercept_w - homes)[:, None], box)  # (K, P)
-        allowed_m = np.minimum(WAY_CLEARANCE_M, way_m[:, -1])
-        clear &= (hand_m > POINT_CLEARANCE_M) & (way_m.min(axis=1) >= allowed_m)
+        left = homes[clear]
+        way_m = box_distance(left[:, None] + share * (intercept_w - left)[:, None], box)  # (k, P)
+        fits = way_m.min(axis=1) >= np.minimum(WAY_CLEARANCE_M, way_m[:, -1])
+        fits[fits] = box_distance(left[fits][:, None] + hand_points(), box).min(axis=1) > POINT_CLEARANCE_M
+        clear[clear] = fits
     return clear
 
 

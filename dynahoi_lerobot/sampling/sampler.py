@@ -17,7 +17,7 @@ from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.sampling.furniture import furnish
 from dynahoi_lerobot.sampling.homes import choose_home, find_homes, in_arena
-from dynahoi_lerobot.sampling.oracle_path import roll_ahead
+from dynahoi_lerobot.sampling.oracle_path import RollAhead
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.screen import with_screen
@@ -187,26 +187,22 @@ class Candidate:
 
 def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dict[int, EpisodeSpec]:
     """Draw a motion for every pending candidate, roll all targets ahead together; return the episodes that fit."""
-    drawn = {i: candidate for i, candidate in pending.items() if candidate.draw_motion()}
-    paths = _roll_ahead(recipe, drawn, {i: c.timing.intercept_frame + 1 for i, c in drawn.items()}, threads)
-    homes = {i: find_homes(paths[i], c.timing, c.fixtures, c.rng) for i, c in drawn.items()}
-    reached = {i: c for i, c in drawn.items() if len(homes[i])}
-    paths = _roll_ahead(recipe, reached, {i: c.timing.path_frames for i, c in reached.items()}, threads)
+    drawn = [(i, candidate) for i, candidate in pending.items() if candidate.draw_motion()]
+    worlds = [(candidate, motion) for _, candidate in drawn for motion in candidate.motions]
+    motions, targets = [motion for _, motion in worlds], [candidate.target for candidate, _ in worlds]
+    longest = [candidate.timing.path_frames for candidate, _ in worlds]
+    ahead = RollAhead(motions, targets, longest, hand=recipe.hand, threads=threads)
+    rows = iter(range(len(worlds)))
+    rows_of = {i: list(islice(rows, len(candidate.motions))) for i, candidate in drawn}
+    near = ahead.paths({row: c.timing.intercept_frame + 1 for i, c in drawn for row in rows_of[i]})
+    homes = {i: find_homes([near[row] for row in rows_of[i]], c.timing, c.fixtures, c.rng) for i, c in drawn}
+    reached = [(i, candidate) for i, candidate in drawn if len(homes[i])]
+    whole = ahead.paths({row: c.timing.path_frames for i, c in reached for row in rows_of[i]})
+    paths = {i: [whole[row] for row in rows_of[i]] for i, _ in reached}
     return {
         i: spec
-        for i, candidate in reached.items()
+        for i, candidate in reached
         if all(map(in_arena, paths[i]))
         and (home := choose_home(paths[i], candidate.timing, homes[i])) is not None
         and (spec := candidate.accept(paths[i], home)) is not None
     }
-
-
-def _roll_ahead(
-    recipe: Recipe, candidates: dict[int, Candidate], frames: dict[int, int], threads: int
-) -> dict[int, list[np.ndarray]]:
-    """(F, 3) path [m], world, of each of a candidate's untouched targets over its number of frames."""
-    ids = [i for i, candidate in candidates.items() for _ in candidate.motions]
-    motions = [motion for candidate in candidates.values() for motion in candidate.motions]
-    targets = [candidates[i].target for i in ids]
-    rolled = iter(roll_ahead(motions, targets, [frames[i] for i in ids], hand=recipe.hand, threads=threads))
-    return {i: list(islice(rolled, len(candidate.motions))) for i, candidate in candidates.items()}

@@ -58,14 +58,15 @@ PATTERNS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "tiles": lambda u, v: _rectangles(u, v, 3, 3, 0.0),
     "bricks": lambda u, v: _rectangles(u, v, 4, 8, 0.5),
 }
-"""Brightness, 0 to 1, over the unit square (u, v), (H, W) each; multiplied by a colour of the episode."""
+"""Brightness, 0 to 1, of u (1, W) and v (H, 1) in the unit square, to be broadcast; multiplied by a colour."""
 
 
 def texture_pixels(pattern: str, contrast: float) -> np.ndarray:
     """Return (128, 128, 3) uint8 grey pixels of a pattern; its darkest parts lack a share ``contrast``."""
-    v, u = np.meshgrid(*[(np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE] * 2, indexing="ij")
-    grey = 1.0 - contrast * (1.0 - PATTERNS[pattern](u, v))
-    return np.repeat(np.round(255 * grey)[..., None], 3, axis=2).astype(np.uint8)
+    across = (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
+    grey = 1.0 - contrast * (1.0 - PATTERNS[pattern](across[None], across[:, None]))
+    pixels = np.round(255 * grey)[..., None].astype(np.uint8)
+    return np.ascontiguousarray(np.broadcast_to(pixels, (TEXTURE_SIZE, TEXTURE_SIZE, 3)))
 
 
 SKIN_TONES = np.array(

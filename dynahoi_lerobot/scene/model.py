@@ -14,7 +14,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import PHYSICS_DT, ROLLING_FRICTION_M, TORSIONAL_FRICTION_M
 from dynahoi_lerobot.hands import Hand
-from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, HIDDEN_GROUP, PALM_BODY, SHOWN_GROUP, SKIN_GROUP, camera_quat
+from dynahoi_lerobot.hands.base import HAND_GEOM_PREFIX, PALM_BODY, SHOWN_GROUP, SKIN_GROUP, camera_quat
 from dynahoi_lerobot.objects import OBJECTS, ObjectType
 from dynahoi_lerobot.objects.primitives import GEOM_TYPES
 from dynahoi_lerobot.scene.appearance import PATTERNS, texture_pixels
@@ -47,8 +47,8 @@ SMOOTH_FRICTION = (0.0, *SURFACE_FRICTION[1:])
 FIXTURE_BOXES = ("box_a", "box_b")
 DISTRACTORS = ("box", "capsule", "cylinder", "sphere")
 """Shapes of the visual-only distractors, one of each."""
-FURNITURE_SLOTS = 16
-"""Boxes for furniture, visual only."""
+FURNITURE_SLOTS = 32
+"""Boxes for furniture, visual only; half of them stand before the hand, half behind it."""
 SCREEN = "screen"
 """Name of the panel that hides the target under the protocol ``occluded``."""
 USES = {"thing": (0.4, 1.0), "floor": (0.22, 8.0), "wall": (0.16, 12.0)}
@@ -66,17 +66,16 @@ WALLS = {
     "wall_back": ((-1, 0, 0), (0, 1, 1)),
 }
 """Direction of each wall from the centre, and the axes along it. They keep targets in."""
-SHOWN_WALLS = ("wall_front", "wall_left", "wall_right")
-"""The wall behind the hand is not drawn: no camera looks backwards."""
 WALL_HALF_THICKNESS_M = 0.1
 SHOWN_GROUPS = (SHOWN_GROUP, SKIN_GROUP)
 SHININESS = 0.5
 """Of every material; MuJoCo's own for geoms without one, which shine half as much."""
 
 SIDE_CAMERA = "side"
-SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([-0.65, -0.6, 0.4]), np.array([0.35, 0.05, 0.0])
+SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([1.0, 0.6, 0.5]), np.array([0.35, 0.05, 0.0])
 SIDE_CAMERA_FOVY_DEG = 54.0
-"""Pose of the static side camera, behind the waiting hand and to its right, relative to the palm's centre at home."""
+"""Pose of the static side camera, relative to the palm's centre at home: in front of the hand and to its left, from
+where the hand seldom hides the target."""
 
 
 def impact_solref(restitution: float) -> tuple[float, float]:
@@ -151,7 +150,6 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=np.multiply(side, half + WALL_HALF_THICKNESS_M),
             size=np.add(np.multiply(np.abs(side), WALL_HALF_THICKNESS_M), np.multiply(aside, 2 * half)),
             contype=0, conaffinity=ENVIRONMENT, material="plain_wall",
-            group=SHOWN_GROUP if name in SHOWN_WALLS else HIDDEN_GROUP,
         )  # fmt: skip
 
 

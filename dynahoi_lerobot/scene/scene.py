@@ -16,9 +16,9 @@ from dynahoi_lerobot.scene.model import (
     FIXTURE_BOXES,
     FURNITURE_SLOTS,
     SCREEN,
-    SHOWN_WALLS,
     SIDE_CAMERA,
     TARGET_SLOTS,
+    WALLS,
     build_model,
     extra_slots,
 )
@@ -35,7 +35,7 @@ class Scene:
         hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of the actuators.
         striker_body, striker_geom, striker_dof: the striker's ids and the address of its slide.
         floor_geom: geom id of the floor.
-        wall_geoms: geom ids of the walls that are drawn.
+        wall_geoms: geom ids of the walls.
         distractor_geoms: geom ids of the things that are only there to be seen, by shape.
         box_geoms, box_mocap: geom ids and mocap indices of the fixture boxes.
         side_mocap: mocap index of the body that carries the side camera, at the hand's home.
@@ -65,7 +65,7 @@ class Scene:
         self.striker_body, self.striker_geom = model.body("striker").id, geoms["striker"]
         self.striker_dof = int(striker.dofadr[0])
         self.floor_geom = geoms["floor"]
-        self.wall_geoms = tuple(geoms[name] for name in SHOWN_WALLS)
+        self.wall_geoms = tuple(geoms[name] for name in WALLS)
         self.distractor_geoms = {shape: geoms[f"distractor_{shape}"] for shape in DISTRACTORS}
         self.furniture_geoms = tuple(geoms[f"furniture_{number}"] for number in range(FURNITURE_SLOTS))
         self.screen_geom = geoms[SCREEN]

@@ -1,6 +1,7 @@
 """Writing one episode into one row of a batch: geometry, masses, fixtures, state and appearance."""
 
 from itertools import zip_longest
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -54,6 +55,18 @@ class WorldFields:
     def reset(self, ids: np.ndarray) -> None:
         """Reset worlds without computing anything; the writes that follow need ``finish``."""
         self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+
+    def copy(self, other: Self, i: int, qpos: np.ndarray) -> np.ndarray:
+        """Make the first rows look like row ``i`` of ``other`` with configurations (n, nq); return (n,) their numbers.
+
+        It needs ``forward`` then; what a simulation would need besides is not copied.
+        """
+        rows = slice(len(qpos))
+        for name, values in self.fields.items():
+            values[rows] = other.fields[name][i]
+        self._mocap_pos[rows], self._mocap_quat[rows] = other._mocap_pos[i], other._mocap_quat[i]
+        self.qpos[rows] = qpos
+        return np.arange(len(qpos))
 
     def finish(self, ids: np.ndarray) -> None:
         """Recompute what depends on the written masses and positions, then the kinematics."""

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from dynahoi_lerobot.world.detector import Detector
 
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
+STAGE_FRAMES = 32
+"""Frames of an episode that are rendered together once it has ended."""
 TOUCH_M = 0.005
 """A fingertip this close touches the target: the sphere-overlap test of Appendix "Data collection"."""
 
@@ -53,7 +55,7 @@ class WorldBatch:
         control: the control class, whose limits every command is held to.
         palm_speed_m_s: the limit of the palm: the control class's, or that of the capture rule's gantry [m/s].
         servo: what holds them to it.
-        commanded: (N, 18) the command last given, cut to what a hand can meet when it takes effect.
+        given: (N, 18) the command last given, cut to what a hand can meet when it takes effect.
         executed: (N, 18) what the servos were last told: the command that was due, cut to the speed limits.
         localized, palm_distance, contacts: what `Physics` keeps of the last control step.
     """
@@ -89,9 +91,10 @@ class WorldBatch:
         self.cameras = Cameras(self.scene, self._batch, image_size, recipe.renderer, self._update_kinematics)
         self._history = ImageHistory(size, recipe.image_size)
         self._detector = self._make_detector() if recipe.environment_state == EYE else None
+        self._threads, self._stage = threads, None
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
-        self.commanded, self.executed = np.zeros((2, size, HAND_DOF))
+        self.given, self.executed = np.zeros((2, size, HAND_DOF))
         self._origin = np.zeros((size, HAND_DOF))  # homes [m], world, and zero for the joints
 
     def reset(
@@ -147,12 +150,12 @@ class WorldBatch:
         if not len(chosen):
             return
         previous, acting, origin = self.executed[chosen], self.acting[chosen], self._origin[chosen]
-        commanded = self._accepted(wanted, chosen)
-        due = self._exchange(chosen, commanded)
+        given = self._accepted(wanted, chosen)
+        due = self._exchange(chosen, given)
         executed = self.servo.within_reach(due, previous, origin)
         set_points = self.servo.set_points(executed, previous) + origin[:, None]  # (n, 25, 18)
         self._physics.advance(chosen, set_points, self.frame[chosen], acting)
-        self.commanded[chosen], self.executed[chosen] = commanded, executed
+        self.given[chosen], self.executed[chosen] = given, executed
         self.frame[chosen] += 1
         self._update_kinematics(chosen)
 
@@ -274,6 +277,30 @@ class WorldBatch:
             sighting=self._sighting(self._detector, shown, state, ids) if self._detector else None,
         )
 
+    @property
+    def renders_later(self) -> bool:
+        """Whether images can be rendered once an episode has ended: none depends on earlier ones, nor a column on any."""
+        return self.recipe.image_size > 0 and self._detector is None and MOTION_VIEW not in self.recipe.views
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """(N, nq) MuJoCo's configuration of each world."""
+        return self._fields.qpos.copy()
+
+    def images_of(self, i: int, qpos: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the views of world ``i`` in the first T frames of its episode, of which (T, nq) ``qpos`` was recorded.
+
+        They are (T, H, W, 3) uint8, the same that ``observe`` would have shown.
+        """
+        stage = self._stage = self._stage or WorldBatch(self.recipe, STAGE_FRAMES, self._threads)
+        parts = []
+        for first in range(0, len(qpos), stage.size):
+            rows = stage._fields.copy(self._fields, i, qpos[first : first + stage.size])
+            stage.specs, stage.frame = [self.specs[i]] * stage.size, first + np.arange(stage.size)
+            stage._update_kinematics(rows)
+            parts.append({view: images[rows] for view, images in stage._images(stage._seeing(rows)).items()})
+        return {view: np.concatenate([part[view] for part in parts]) for view in parts[0]}
+
     def world_state(self, observation: Observation) -> WorldState:
         """Return what an expert sees: the observation and everything the simulator knows."""
         return WorldState(
@@ -293,16 +320,16 @@ class WorldBatch:
         """(n, 18) commands cut to what hands can meet when they take effect; void ones become holding still."""
         # taken as it is stored, in single precision, so that a replay of stored actions is the same to the bit
         reached = self.servo.within_reach(wanted, self._state_when_due()[chosen], self._origin[chosen])
-        commanded = reached.astype(np.float32).astype(np.float64)
-        return np.where(self.accepting[chosen, None], commanded, self.executed[chosen])
+        given = reached.astype(np.float32).astype(np.float64)
+        return np.where(self.accepting[chosen, None], given, self.executed[chosen])
 
-    def _exchange(self, chosen: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+    def _exchange(self, chosen: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Take the commands (n, 18) given to worlds ``chosen`` (n,) and return (n, 18) those that are due."""
         if not len(self._pending):
-            return commanded
+            return given
         due = self._pending[0, chosen].copy()
         self._pending[:-1, chosen] = self._pending[1:, chosen]
-        self._pending[-1, chosen] = commanded
+        self._pending[-1, chosen] = given
         return due
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
@@ -316,7 +343,7 @@ class WorldBatch:
         self._fields.place_side_camera(i, spec.home_pos_w)
         # rounded as commands are, or the hand would creep and, by rounding, disturb what slides or rests
         rest = np.concatenate([np.zeros(PALM_DOF), self.scene.hand.open_joints()]).astype(np.float32)
-        self.commanded[i] = self.executed[i] = rest
+        self.given[i] = self.executed[i] = rest
         self._pending[:, i] = rest
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]

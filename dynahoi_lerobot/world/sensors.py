@@ -107,7 +107,8 @@ class Cameras:
         """
         self.image_size = image_size or DEFAULT_IMAGE_SIZE_PX
         self._scene, self._batch, self._update_kinematics = scene, batch, update_kinematics
-        self._renderer_class = RENDERERS[renderer]
+        RENDERERS.check(renderer)
+        self._renderer_name = renderer
         self._renderers: dict[str, Renderer] = {}
 
     def render(self, ids: np.ndarray | None = None, view: str = EGO_VIEW) -> np.ndarray:
@@ -131,7 +132,8 @@ class Cameras:
 
     def _renderer(self, camera: str) -> Renderer:
         if camera not in self._renderers:
-            self._renderers[camera] = self._renderer_class(self._scene, self._batch, self.image_size, camera)
+            renderer = RENDERERS[self._renderer_name]
+            self._renderers[camera] = renderer(self._scene, self._batch, self.image_size, camera)
             self._update_kinematics()
         return self._renderers[camera]
 

@@ -67,9 +67,10 @@ def test_a_salt_stays_hidden(act: Path, tmp_path: Path, monkeypatch: pytest.Monk
     [
         ({"renderer": "tilez"}, r"unknown renderer 'tilez' \(did you mean 'tiles'\?\); known: "),
         ({"hand": "claw"}, "unknown hand 'claw'; known: "),
+        ({"max_parallel_tasks": 2}, "env.max_parallel_tasks must be 1, .*, got 2"),
     ],
 )
-def test_unknown_names_are_refused_by_the_config(option, sentence):
+def test_what_cannot_be_played_is_refused_by_the_config(option, sentence):
     with pytest.raises(ValueError, match=sentence):
         DynahoiEnvConfig(**SMALL, **option)
 

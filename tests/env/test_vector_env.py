@@ -1,6 +1,7 @@
 """The environments keep gymnasium's promises and the benchmark's protocol."""
 
 import copy
+import json
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +21,6 @@ from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
 from dynahoi_lerobot.sampling.splits import kind_seed
@@ -32,8 +32,7 @@ BLIND = SMALL | {"image_size": 0}
 
 def made(kind: str, **options) -> gym.Env:
     register_envs()
-    split = "ood_motion" if kind in BENCHMARK.splits["ood_motion"].motions else "test"
-    return gym.make(f"dynahoi/{kind}-v0", **{"split": split, **SMALL, **options})
+    return gym.make(f"dynahoi/{kind}-v0", **SMALL | options)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -72,6 +71,18 @@ def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None
         assert {name for name in METRICS.names() if not np.isnan(info[name][world])} >= {"S_loc", "S_gra", "R_time"}
         assert info["S_loc"][world] == info["S_gra"][world] == 1.0
         assert sum(r[1][world] for r in results) == 1.0
+
+
+def test_the_single_envs_info_is_json() -> None:
+    env = made("constant", image_size=0)
+    infos, ended = [env.reset(seed=0)[1]], False
+    while not ended:
+        _, _, terminated, truncated, info = env.step(np.zeros(18, np.float32))
+        infos, ended = [*infos, info], terminated or truncated
+    assert all(info == json.loads(json.dumps(info, allow_nan=False)) for info in infos)
+    assert infos[0] == {"is_success": False}
+    assert infos[-1].keys() - {"is_success"} < set(METRICS.names())
+    assert {"S_loc", "S_gra"} & infos[-1].keys() == {"S_loc"}, "S_gra does not apply to who never localises"
 
 
 def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_the_last() -> None:

@@ -8,7 +8,8 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.working_folder import exclusive
-from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.results import Results, read_results
+from tests.checkpoints import tiny_diffusion
 
 HOLD = ["evaluate", "--policy", "hold", "--episodes", "2"]
 
@@ -67,12 +68,28 @@ def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, 
     assert not list(tmp_path.glob(".*.part"))
 
 
-def test_a_policy_that_samples_acts_alike_in_every_evaluation(tmp_path: Path):
-    words = ["evaluate", "--policy", "checkpoints/obact_standard", "--episodes", "1"]
-    for name in ("once", "again"):
-        assert main([*words, "--out", str(tmp_path / name)]) == 0
-    once, again = (read_results(tmp_path / name).actions[0] for name in ("once", "again"))
-    np.testing.assert_array_equal(once, again)
+def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(tmp_path: Path, monkeypatch):
+    words = ["evaluate", "--policy", str(tiny_diffusion(tmp_path / "policy")), "--environment-state", "truth"]
+    words += ["--episodes", "5", "--batch-size", "2", "--out"]
+    assert main([*words, str(tmp_path / "whole")]) == 0
+    write, saves = Results.write, []
+
+    def killed(results: Results) -> None:
+        write(results)
+        saves.append(len(results.rows))
+        if len(saves) in (1, 2):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Results, "write", killed)
+    assert [main([*words, str(tmp_path / "resumed")]) for _ in range(3)] == [130, 130, 0]
+    assert saves == [2, 4, 5]
+    whole, resumed = (read_results(tmp_path / name) for name in ("whole", "resumed"))
+    assert resumed.rows == whole.rows
+    np.testing.assert_array_equal(np.concatenate(resumed.actions), np.concatenate(whole.actions))
+    assert (resumed.head["n_success"], len(resumed.head["pc_success_ci95"])) == (
+        sum(r["success"] for r in resumed.rows),
+        2,
+    )
 
 
 def test_a_finished_evaluation_is_left_as_it_is(tmp_path: Path):

@@ -49,6 +49,7 @@ def hand_made(
         meta=replace(episode.meta, window_frames=WINDOW, length_frames=length_frames),
         state=state,
         action=np.vstack([state[1:], state[-1:]]),
+        given_action=np.vstack([state[1:], state[-1:]]),
         executed_action=np.vstack([state[1:], state[-1:]]),
         fingertips=np.zeros((frames, 30), np.float32),
         phase=one_hot_phase(np.arange(frames) >= WINDOW),
@@ -251,7 +252,7 @@ def test_legacy_quality_reads_18d_commands_in_units_and_radians():
     commands = [[0.0] * 18 for _ in range(5)]
     for frame, (x_m, angle) in enumerate([(0.0, 0.0), (0.1, 0.0), (0.1, 0.5), (0.100001, 0.5), (0.3, 1.0)]):
         commands[frame][0], commands[frame][3] = x_m, angle
-    episode.executed_action[WINDOW:] = commands
+    episode.given_action[WINDOW:] = commands
     # steps: 1 u; 0.5 rad; 1e-5 u, which is dropped; 2 u and 0.5 rad
     lengths = [1.0, 0.5, math.hypot(2.0, 0.5)]
     mean = sum(lengths) / 3

@@ -1,5 +1,6 @@
 """Images of random poses show the target where they say it is."""
 
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import torch
 from lerobot_policy_obact.camera import Pinhole
 
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
-from dynahoi_lerobot.pretrain.snapshots import ImageStream, snapshots
+from dynahoi_lerobot.pretrain.snapshots import ImageStream, shown_specs, snapshots
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -83,6 +84,18 @@ def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
     def surroundings(share: float) -> int:
         """Return how many of four episodes have distractors."""
         recipe = PretrainRecipe(tmp_path, episodes=RECIPE, n_episodes=4, randomized_share=share)
-        return sum(bool(spec.appearance.distractors) for spec in ImageStream(recipe).specs)
+        return sum(bool(spec.appearance.distractors) for spec in shown_specs(recipe, RECIPE))
 
     assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
+
+
+def test_hands_take_turns(tmp_path: Path):
+    recipe = PretrainRecipe(
+        tmp_path, episodes=RECIPE, hands=("capsule", "opposed"), n_episodes=2, batch_size=2, images=2
+    )
+    stream = ImageStream(recipe)(0)
+    worlds = [WorldBatch(replace(RECIPE, hand=hand), 2, threads=1) for hand in recipe.hands]
+    rng = np.random.default_rng([recipe.seed, 0])
+    alone = [snapshots(batch, shown_specs(recipe, batch.recipe), rng) for batch in worlds]
+    for one in alone:
+        np.testing.assert_array_equal(next(stream).images, next(one).images)

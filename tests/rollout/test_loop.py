@@ -92,13 +92,13 @@ def test_recordings_end_soon_after_the_catch_and_have_images():
 
 
 @pytest.mark.parametrize("capture", ["attach", "contact"])
-def test_a_recording_plays_again_from_its_executed_commands(capture: str):
+def test_a_recording_plays_again_from_the_commands_given(capture: str):
     recipe = Recipe(capture=capture, image_size=0, perturbed_share=1.0)
     for episode in record(recipe, range(4), threads=1):
-        log = ActionLog(episode.meta.seed, episode.executed_action, episode.meta.attempts)
+        log = ActionLog(episode.meta.seed, episode.given_action, episode.meta.attempts)
         (again,) = replay(recipe, [log], images=False)
         np.testing.assert_allclose(again.state, episode.state, atol=1e-6)
-        assert capture == "contact" or np.abs(episode.action - episode.executed_action).max() > 0.01
+        assert capture == "contact" or np.abs(episode.action - episode.given_action).max() > 0.01
 
 
 def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(specs: list[EpisodeSpec]):

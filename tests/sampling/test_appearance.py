@@ -75,6 +75,8 @@ def test_every_seed_has_its_own_furniture(specs: list[EpisodeSpec]) -> None:
     assert len(rooms) >= 20
     assert np.median([len(room) for room in rooms]) >= 5
     assert max(len(room) for room in rooms) <= FURNITURE_SLOTS
+    behind = [sum(solid.pos_w[0] < spec.home_pos_w[0] for solid in spec.appearance.furniture) for spec in specs[:22]]
+    assert min(behind) >= 3, "the second camera looks backwards"
 
 
 def test_furniture_stands_in_the_room_and_clear_of_the_path(specs: list[EpisodeSpec]) -> None:

@@ -125,7 +125,7 @@ def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]
         command = np.concatenate([rng.uniform(-0.3, 0.3, PALM_DOF), rng.uniform(0, 1, HAND_DOF - PALM_DOF)])[None]
         for batch in (one, other):
             batch.step(command)
-        for name in ("state", "commanded", "target_pose", "target_velocity", "palm_distance"):
+        for name in ("state", "given", "target_pose", "target_velocity", "palm_distance"):
             np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name)
     np.testing.assert_allclose(other.home_pos_w - one.home_pos_w, SHIFT_W[None], atol=1e-12)
 
@@ -144,8 +144,8 @@ def test_the_action_space_does_not_tell_the_home_and_holds_every_reachable_comma
     for side in (-1.0, 1.0):
         for _ in range(60):
             batch.step(np.full((4, HAND_DOF), side * 50.0))
-        assert (batch.commanded >= low).all()
-        assert (batch.commanded <= high).all()
+        assert (batch.given >= low).all()
+        assert (batch.given <= high).all()
 
 
 def test_an_episode_keeps_its_home_apart(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
@@ -171,8 +171,12 @@ def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[Episod
         commands = rng.normal(0, [1.5] * PALM_DOF + [1.0] * (HAND_DOF - PALM_DOF), (40, HAND_DOF))
         (first,) = replay(recipe, [ActionLog(spec.seed, np.repeat(commands, 2, axis=0)[:60])], images=False)
         (again,) = replay(recipe, [ActionLog(spec.seed, first.action)], images=False)
-        for name in ("state", "action", "fingertips", "target_pose"):
+        for name in ("state", "action", "executed_action", "fingertips", "target_pose"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name), err_msg=name)
+        latency = {"standard": 0, "late": 3}[control_class]
+        given, executed = first.given_action[: len(first) - latency], first.executed_action[latency:]
+        np.testing.assert_allclose(executed, given, atol=1e-6)  # which the speed limits have cut already
+        assert latency == 0 or np.abs(first.executed_action - first.given_action).max() > 0.01
 
 
 SEEING = Recipe(split="test", image_size=16, views=("side",))
@@ -228,7 +232,7 @@ def test_every_joint_arrives_at_its_command_at_the_end_of_the_frame(hands: World
         step = np.hstack([rng.uniform(-0.05, 0.05, (4, PALM_DOF)), rng.uniform(-0.5, 0.5, (4, HAND_DOF - PALM_DOF))])
         wanted = np.clip(hands.executed + step, *hands.command_limits())
         hands.step(wanted)
-        np.testing.assert_array_equal(hands.commanded, wanted.astype(np.float32))
+        np.testing.assert_array_equal(hands.given, wanted.astype(np.float32))
         error = np.abs(hands.state - wanted)
         assert error[:, :PALM_DOF].max() < ARRIVAL_PALM_M
         assert error[:, PALM_DOF:].max() < ARRIVAL_JOINT_RAD

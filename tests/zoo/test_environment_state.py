@@ -134,7 +134,7 @@ def test_what_is_seen_in_a_world_depends_on_no_other() -> None:
     alone, together = WorldBatch(recipe, 1), WorldBatch(recipe, 2)
     together.reset([0, 1], specs[:2])
     together.observe()
-    together.step(together.commanded)
+    together.step(together.given)
     together.reset([1], specs[2:])
     alone.reset([0], specs[2:])
     first = together.observe(images=False).sighting

@@ -218,10 +218,12 @@ def _bounds(intrinsics: CameraIntrinsics, shape: Shape) -> wp.vec4:
     """Bounds of a shape in the image [px]; generous for ellipsoids and cylinders."""
     to_camera = wp.transpose(shape.from_camera)
     center = -(to_camera * shape.camera)
-    if shape.geom_type == BOX:
-        return _box_bounds(intrinsics, center, to_camera, shape.size)
     if shape.geom_type == PLANE:
         return wp.vec4(-FAR, FAR, -FAR, FAR)
+    if center[2] > _reach(to_camera, _half_extents(shape))[2]:
+        return wp.vec4(FAR, -FAR, FAR, -FAR)  # behind the camera
+    if shape.geom_type == BOX:
+        return _box_bounds(intrinsics, center, to_camera, shape.size)
     if shape.geom_type == SPHERE:
         return _sphere_bounds(intrinsics, center, shape.size[0])
     if shape.geom_type == ELLIPSOID:

@@ -66,14 +66,18 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         LeRobot's recording of evaluations looks for images under dataset keys, and for all else under Gymnasium's.
 
         Raises:
-            ValueError: for an unknown name, naming the ones there are.
+            ValueError: for an unknown name, naming the ones there are, or for more than one task at a time.
         """
+        if self.max_parallel_tasks != 1:
+            told = "must be 1, because LeRobot's parallel tasks share one policy and its memory"
+            raise ValueError(f"env.max_parallel_tasks {told}, got {self.max_parallel_tasks}")
         recipe = self._recipe()
         for name in RECIPE_FIELDS:
             if name != "hand":  # which is the capture rule's where nothing is said
                 setattr(self, name, getattr(recipe, name))
         kinds_of(self.task, recipe.motion_names)
-        _ = HANDS[recipe.hand], RENDERERS[recipe.renderer]
+        HANDS.check(recipe.hand)
+        RENDERERS.check(recipe.renderer)
         known("reward", self.reward, REWARDS)
         shown = {
             feature.key if feature.is_image else feature.gym_key: feature
