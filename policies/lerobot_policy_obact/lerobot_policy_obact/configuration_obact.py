@@ -10,14 +10,14 @@ from lerobot.policies.rtc import RTCConfig
 
 from .encoders import ENCODERS
 from .gr00t_head import Gr00tHead
-from .heads import DiffusionHead, FlowHead, RegressionHead
+from .heads import ActionHead, DiffusionHead, FlowHead
 
 MAX_SAMPLING = 100
 """Most steps, and most draws, of a head."""
 HEADS: dict[str, Callable[..., Any]] = {
     "diffusion": DiffusionHead,
     "flow": FlowHead,
-    "regression": RegressionHead,
+    "regression": ActionHead,
     "gr00t": Gr00tHead,
 }
 

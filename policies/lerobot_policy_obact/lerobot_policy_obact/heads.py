@@ -99,16 +99,17 @@ class Denoiser(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, chunk: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Map noisy chunks ``(R, size)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions ``(R, size)``."""
+        """Map noisy chunks ``(R, H, A)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions of that shape."""
         phase = t[:, None] * torch.pi * 2.0 ** torch.arange(-1, 7, device=t.device)
-        x = self.chunk(chunk) + self.time(torch.cat([phase.sin(), phase.cos()], dim=-1)) + self.context(context)
+        time = self.time(torch.cat([phase.sin(), phase.cos()], dim=-1))
+        x = self.chunk(chunk.flatten(1)) + time + self.context(context)
         for block in self.blocks:
             x = x + block(x)
-        return self.out(x)
+        return self.out(x).view_as(chunk)
 
 
 class ActionHead(nn.Module):
-    """Regression of a chunk with the scale of its error; subclasses denoise what is left.
+    """Regression of a chunk with the scale of its error; subclasses denoise what that leaves.
 
     Args:
         context: numbers of a context.
@@ -150,10 +151,6 @@ class ActionHead(nn.Module):
         mean, log_scale = out.split([self.action_dim, len(self.groups)], dim=-1)
         return mean, log_scale.clamp(MIN_LOG_SCALE, MAX_LOG_SCALE)
 
-    def unit(self, log_scale: Tensor) -> Tensor:
-        """Return the scale of every entry, ``(R, H, G) -> (R, H, A)``."""
-        return log_scale.exp().repeat_interleave(torch.tensor(self.groups, device=log_scale.device), dim=-1)
-
     def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
         """Return the loss of each row, ``(R,)``.
 
@@ -169,26 +166,29 @@ class ActionHead(nn.Module):
         likelihood = (likelihood * (BETA * log_scale).exp().detach()).mean(-1)  # (R, H)
         loss = (likelihood * weight).mean(-1)
         if self.denoiser is not None:
-            unit = self.unit(log_scale).detach()
+            unit = self._unit(log_scale).detach()
             deviation = ((actions - mean.detach()) / unit).clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION)
-            loss = loss + self.denoising_loss(self.denoiser, context, deviation, weight)
+            loss = loss + self._denoising_loss(self.denoiser, context, deviation, weight)
         return loss
 
-    def denoising_loss(self, denoiser: Denoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
+    def _unit(self, log_scale: Tensor) -> Tensor:
+        """Return the scale of every entry, ``(R, H, G) -> (R, H, A)``."""
+        return log_scale.exp().repeat_interleave(torch.tensor(self.groups, device=log_scale.device), dim=-1)
+
+    def _denoising_loss(self, denoiser: Denoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
         """Return the loss of each row, ``(R,)``, of denoising deviations ``(R, H, A)``."""
         target = repeat(deviation, "r h a -> (r n) h a", n=DRAWS)
         t = torch.rand(len(target), device=target.device)
         t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
-        error = self.denoising_error(
-            denoiser, target, torch.randn_like(target), t, repeat(context, "r c -> (r n) c", n=DRAWS)
-        )
+        context = repeat(context, "r c -> (r n) c", n=DRAWS)
+        error = self._error(denoiser, target, torch.randn_like(target), t, context)
         return (rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS) * weight[:, None]).mean((1, 2))
 
-    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Return what the denoiser's prediction is off by, ``(R, H, A)``."""
+    def _error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """Return by how much the prediction for a mixture of target and noise is off, ``(R, H, A)``."""
         raise NotImplementedError
 
-    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def _velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
         """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards the data."""
         raise NotImplementedError
 
@@ -222,10 +222,10 @@ class ActionHead(nn.Module):
         mean, log_scale = self.regress(context)
         if (denoiser := self.denoiser) is None:
             return mean
-        unit = self.unit(log_scale)
+        unit = self._unit(log_scale)
 
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
-            return -self.velocity(denoiser, x, 1 - time, context)
+            return -self._velocity(denoiser, x, 1 - time, context)
 
         options = {}
         if guidance is not None:
@@ -234,26 +234,19 @@ class ActionHead(nn.Module):
         return mean + unit * euler_integrate(towards_noise, start, n_steps, **options)
 
 
-class RegressionHead(ActionHead):
-    """The mean: the same actions for the same context."""
-
-
 class DiffusionHead(ActionHead):
     """Variance-preserving diffusion that predicts the signal, sampled by DDIM."""
 
     generative = True
 
-    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.denoising_error`."""
+    def _error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
         signal, spread = _mixing(t)
-        return _predict(denoiser, signal * target + spread * noise, t, context) - target
+        return denoiser(signal * target + spread * noise, t, context) - target
 
-    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.velocity`; ``t`` is the share of the signal, from which the diffusion's own time follows."""
-        own = 2 / torch.pi * torch.atan2(t, 1 - t)
+    def _velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, at which the signal's share is t
         signal, spread = _mixing(own)
-        data = _predict(denoiser, x * (signal + spread), own, context)
-        return (data - x) / (1 - t)[:, None, None]
+        return (denoiser(x * (signal + spread), own, context) - x) / (1 - t)[:, None, None]
 
 
 class FlowHead(ActionHead):
@@ -261,21 +254,14 @@ class FlowHead(ActionHead):
 
     generative = True
 
-    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.denoising_error`."""
-        x = torch.lerp(noise, target, t[:, None, None])
-        return _predict(denoiser, x, t, context) - (target - noise)
+    def _error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        return denoiser(torch.lerp(noise, target, t[:, None, None]), t, context) - (target - noise)
 
-    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.velocity`."""
-        return _predict(denoiser, x, t, context)
+    def _velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        return denoiser(x, t, context)
 
 
 def _mixing(t: Tensor) -> tuple[Tensor, Tensor]:
     """Return how much of signal and noise is mixed at times ``(R,)``, ``(R, 1, 1)`` each."""
     angle = (t * torch.pi / 2)[:, None, None]
     return angle.sin(), angle.cos()
-
-
-def _predict(denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-    return denoiser(rearrange(x, "r h a -> r (h a)"), t, context).view_as(x)

@@ -110,9 +110,9 @@ class ObActModel(nn.Module):
         """Numbers that an encoder says of an image."""
         return N_SIGHTING + cast(Encoder, self.encoders[0]).embedding
 
-    def encode_images(self, images: dict[str, Tensor], texts: list[str] | None = None) -> Tensor:
+    def encode_images(self, images: dict[str, Tensor]) -> Tensor:
         """Return what each camera saw, ``(F, C, 5 + E)``; images are ``(F, 3 or 6, H, W)`` in [0, 1]."""
-        seen = [encoder(images[key], texts) for encoder, key in zip(self.encoders, self.config.cameras, strict=True)]
+        seen = [encoder(images[key]) for encoder, key in zip(self.encoders, self.config.cameras, strict=True)]
         return torch.stack(seen, dim=1)
 
     def encode_history(self, frames: Frames, rows: Tensor, memory: Memory | None = None) -> Outlook:
@@ -421,7 +421,7 @@ class ObActPolicy(PreTrainedPolicy):
             time_s = float(batch["timestamp"].flatten()[0])
         now = {key: batch[key] for key in config.cameras}
         before = (self._images or now) if model.sees_motion else dict.fromkeys(now)
-        sightings = model.encode_images({key: _pairs(now[key], before[key]) for key in now}, batch.get("task"))
+        sightings = model.encode_images({key: _pairs(now[key], before[key]) for key in now})
         self._images = now
         self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([time_s])))
         self._frame += 1
@@ -526,8 +526,7 @@ def _losses_of_windows(model: ObActModel, batch: Batch) -> dict[str, Tensor]:
     images = {
         key: _pairs(batch[key][:, at], None if before is None else batch[key][:, before]) for key in config.cameras
     }
-    texts = [text for text in batch.get("task", []) for _ in at]
-    flat = model.encode_images({key: rearrange(x, "b t ... -> (b t) ...") for key, x in images.items()}, texts)
+    flat = model.encode_images({key: rearrange(x, "b t ... -> (b t) ...") for key, x in images.items()})
     state = torch.cat([batch[key][:, at] for key in config.state_keys], dim=-1)
     time_s = torch.tensor(config.lookback, device=state.device) / config.rig.fps
     frames = Frames(rearrange(flat, "(b t) ... -> b t ...", t=len(at)), state, time_s)

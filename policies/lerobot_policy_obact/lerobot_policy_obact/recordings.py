@@ -33,6 +33,8 @@ TARGET_PATH, TARGET_POSE, LOCALIZED = "stats/target_path", "stats/target.pose", 
 OPEN_JOINTS, CLOSED_JOINTS = "stats/open_joints", "stats/reference_joints"
 CAPTURE, WINDOW = "capture", "window_frames"
 """Columns of the episode table of a DynaHOI dataset, see its feature table."""
+RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1}
+"""Within which a palm has the target, by the rule of capture; under others it must be gripped."""
 CARRIED_VIEW = "ego"
 """The view of the camera that the palm carries."""
 CLOSED_QUANTILE = 0.6
@@ -147,13 +149,14 @@ def describe(meta: Any, cameras: list[str]) -> Rig:
     speed, _, latency_ms = table[HAND_LIMITS][0] if HAND_LIMITS in table else (0.0, 0.0, 0.0)
     # with the palm's displacement as action (control mode grasp), the teachers' answers would be of another kind
     absolute = meta.features[ACTION]["shape"] == meta.features.get("observation.state", {}).get("shape")
-    told = TARGET_PATH in _schema(meta) and absolute
+    capture = table[CAPTURE][0] if TARGET_PATH in _schema(meta) and absolute else ""
     return Rig(
         fps=float(meta.fps),
         calibration=calibration,
         delay_frames=math.ceil(latency_ms / 1000 * meta.fps - 1e-6),
         palm_speed_m_s=float(speed),
-        capture=table[CAPTURE][0] if told else "",
+        capture=capture,
+        radius_m=RADIUS_M.get(capture, Rig.radius_m),
     )
 
 

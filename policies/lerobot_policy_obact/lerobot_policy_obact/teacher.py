@@ -7,8 +7,8 @@ all of them. There is one for each rule of capture: `Meet` and `Grip`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 import torch
 from einops import repeat
@@ -40,9 +40,7 @@ class Targets(Record):
 
     def of(self, chosen: Tensor) -> Targets:
         """Return those of episodes ``(B,)``."""
-        return Targets(
-            self.path[chosen], self.length[chosen], self.free[chosen], self.carried[chosen], self.held[chosen]
-        )
+        return Targets(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def is_held(self, frame: Tensor) -> Tensor:
         """Return whether targets are in the hand in frames ``(B, Q)``."""
@@ -90,10 +88,8 @@ class Teacher:
     open_joints: Tensor
     closed_joints: Tensor
 
-    @property
-    def carries(self) -> bool:
-        """Whether a target that is caught goes where the hand goes, and there is still something to decide."""
-        return False
+    carries: ClassVar[bool] = False
+    """Whether a target that is caught goes where the hand goes, and there is still something to decide."""
 
     @property
     def squeeze_rad(self) -> float:
@@ -147,9 +143,9 @@ CLOSED_FRAMES, CLOSING_FRAMES = 24, 8
 PLANNED_SPEED = 0.85
 """Share of the palm's speed limit that it plans with where that suffices: a palm that needs all of it comes too late
 whenever the forecast was wrong."""
-SLACK_M = 0.015
-"""Within this distance the palm has met the target: half of the localisation radius. Without it, a hand that trails a
-slightly faster target heads for a distant meeting instead of closing the last centimetres."""
+SLACK = 0.5
+"""Within this share of the radius the palm has met the target. Without it, a hand that trails a slightly faster target
+heads for a distant meeting instead of closing the last centimetres."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +166,8 @@ class Meet(Teacher):
         known = (frame < targets.length[:, None, None])[:, :, None]
         distance = (future - palms[:, :, :, None]).norm(dim=-1)  # (B, Q, M, K)
         late = (distance - self.step_m * ahead).masked_fill(~known, float("inf"))  # what the palm is short of [m]
-        possible, planned = late <= SLACK_M, known & (distance - PLANNED_SPEED * self.step_m * ahead <= SLACK_M)
+        slack_m = SLACK * self.radius_m
+        possible, planned = late <= slack_m, known & (distance - PLANNED_SPEED * self.step_m * ahead <= slack_m)
         reachable = possible.any(-1)
         possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
         frames = torch.where(reachable, possible.int().argmax(-1), late.argmin(-1)) + 1
@@ -189,6 +186,8 @@ class Meet(Teacher):
 class Grip(Teacher):
     """Close the fingers around the target, and brake with it in the hand: what the expert ``match`` does."""
 
+    carries: ClassVar[bool] = True
+
     @property
     def expert(self) -> Any:
         """The expert, which is a function of where the palm is relative to the target.
@@ -204,11 +203,6 @@ class Grip(Teacher):
                 "lerobot_policy_obact[contact]"
             ) from error
         return match
-
-    @property
-    def carries(self) -> bool:
-        """See `Teacher.carries`."""
-        return True
 
     @property
     def squeeze_rad(self) -> float:

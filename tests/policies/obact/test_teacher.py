@@ -5,18 +5,21 @@ import pytest
 import torch
 from lerobot_policy_obact.frames import stepped
 from lerobot_policy_obact.recordings import NEVER
+from lerobot_policy_obact.recordings import RADIUS_M as RADIUS_BY_RULE
 from lerobot_policy_obact.teacher import (
     CLOSED_FRAMES,
     CLOSING_FRAMES,
     PLANNED_SPEED,
-    SLACK_M,
+    SLACK,
     Answers,
     Meet,
     Targets,
     passing_distance,
 )  # fmt: skip
 
-STEP_M = 0.025
+from dynahoi_lerobot.captures import CAPTURES
+
+STEP_M, RADIUS_M = 0.025, 0.03
 
 
 def targets_on(path: torch.Tensor) -> Targets:
@@ -25,7 +28,7 @@ def targets_on(path: torch.Tensor) -> Targets:
 
 
 def answers(path: torch.Tensor, due: torch.Tensor, palms: torch.Tensor, horizon: int = 1) -> Answers:
-    return Meet(20.0, STEP_M, torch.zeros(15), torch.ones(15)).answer(targets_on(path), due, palms, horizon)
+    return Meet(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).answer(targets_on(path), due, palms, horizon)
 
 
 def paths(n: int, frames: int = 60) -> torch.Tensor:
@@ -38,7 +41,7 @@ def paths(n: int, frames: int = 60) -> torch.Tensor:
 def searched(path: torch.Tensor, due: int, palm: torch.Tensor, share: float) -> int | None:
     """The first number of frames in which the palm gets near enough to the path at a share of its full speed."""
     for ahead in range(1, len(path) - due):
-        if (path[due + ahead] - palm).norm() <= share * STEP_M * ahead + SLACK_M:
+        if (path[due + ahead] - palm).norm() <= share * STEP_M * ahead + SLACK * RADIUS_M:
             return ahead
     return None
 
@@ -68,6 +71,11 @@ def test_a_hand_that_trails_a_faster_target_within_reach_closes_the_gap():
     told = answers(path[None], torch.tensor([[0]]), torch.zeros(1, 1, 1, 3))
     assert not told.reachable.any()
     assert int(told.frames) == 1
+
+
+def test_the_radius_is_that_of_the_rule_of_capture():
+    known = {name: CAPTURES[name].localization_radius_m for name in CAPTURES.names() if CAPTURES[name].welds}
+    assert pytest.approx(known) == RADIUS_BY_RULE
 
 
 def test_fingers_are_closed_before_the_meeting_and_open_long_before():
@@ -106,7 +114,7 @@ def test_without_slack_it_agrees_with_the_expert(late: int, monkeypatch: pytest.
     from dynahoi_lerobot.sampling.recipe import Recipe
     from dynahoi_lerobot.sampling.sampler import sample_specs
 
-    monkeypatch.setattr("lerobot_policy_obact.teacher.SLACK_M", 0.0)
+    monkeypatch.setattr("lerobot_policy_obact.teacher.SLACK", 0.0)
     control = CONTROL_CLASSES["late" if late else "standard"]
     for spec in sample_specs(Recipe(control_class=control.name), range(22)):
         path = torch.from_numpy(spec.oracle_path - spec.home_pos_w).float()[None]
