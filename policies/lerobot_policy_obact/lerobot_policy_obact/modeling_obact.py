@@ -19,7 +19,7 @@ import torch
 from einops import einsum, rearrange, repeat
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.policies.rtc import RTCProcessor
-from lerobot.utils.constants import ACTION
+from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -250,6 +250,9 @@ class ObActPolicy(PreTrainedPolicy):
             from .recordings import describe
 
             config.rig = describe(dataset_meta, config.cameras)
+            if config.forecasts and config.input_features:  # it reads no other vectors, which a robot may not have
+                read = {*config.cameras, OBS_STATE}
+                config.input_features = {key: x for key, x in config.input_features.items() if key in read}
         self.model = ObActModel(config)
         if load_pretrained:
             self.model.load_pretrained()

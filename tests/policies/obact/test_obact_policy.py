@@ -2,7 +2,6 @@
 
 import json
 import pickle
-import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,12 +18,19 @@ from lerobot.datasets import LeRobotDataset
 from lerobot.policies import make_pre_post_processors
 from lerobot.scripts.lerobot_train import main
 from lerobot_policy_obact import ObActConfig, ObActPolicy
+from lerobot_policy_obact.closed_loop import closed_loop_loss
+from lerobot_policy_obact.configuration_obact import Rig
+from lerobot_policy_obact.decisions import Episodes
 from lerobot_policy_obact.encoders import SHIPPED
+from lerobot_policy_obact.export import export
 from lerobot_policy_obact.launch_policy_server import allow_obact
+from lerobot_policy_obact.recordings import NEVER
+from lerobot_policy_obact.teacher import Targets
 from safetensors.torch import load_file
 
 from tests.checkpoints import FEATURES, SMALL_GR00T
-from tests.tools import generated
+from tests.checkpoints import SHIPPED as SHIPPED_POLICY
+from tests.tools import generated, python
 
 N_EPISODES, N_FRAMES, FPS, SIZE = 2, 30, 10, 48
 TINY = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "horizon": 4, "n_action_steps": 2, "n_obs_frames": 3}
@@ -121,6 +127,7 @@ def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_
     policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, hand_root, tmp_path / "out", **RECORDED))
     config = policy.config
     assert config.forecasts
+    assert set(config.input_features) == {"observation.images.ego", "observation.state"}, "a robot has no phase"
     assert (config.rig.palm_speed_m_s, config.rig.delay_frames) == (0.5, 0), "of class standard"
     pose = config.rig.calibration["observation.images.ego"]
     assert pose[:3] == pytest.approx([-0.15, 0.03, 0.21]), "where the hand's camera is"
@@ -165,10 +172,40 @@ def test_the_loss_falls(changes, falls, hand_root, tmp_path, monkeypatch):
         optimizer.step()
         policy.update()
         losses.append(told[falls])
-    assert ("forecast" in told) == (falls != "action")
+    assert ("forecast" in told) == ("closed_loop" in told) == (falls != "action"), "without a path there is neither"
     assert np.mean(losses[-10:]) < 0.85 * np.mean(losses[:10])
     one_each, _ = policy(batch, reduction="none")
     assert one_each.shape == (4,)
+
+
+def test_the_closed_loop_teaches_forecast_and_head(hand_root, tmp_path, monkeypatch):
+    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    pull = {}
+    for weight in (0.0, 4.0):
+        weights = {"action_weight": 0.0, "forecast_weight": 1e-12, "closed_loop_weight": weight}
+        policy = learner(hand_root, episodes_per_sample=8, **weights)
+        policy({"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)})[0].backward()
+        parts = policy.model.head.base, policy.model.when, policy.model.belief.bend[-1]
+        pull[weight] = [0.0 if part.weight.grad is None else float(part.weight.grad.abs().max()) for part in parts]
+    assert max(pull[0.0]) < 1e-8
+    assert min(pull[4.0]) > 1e-6
+
+
+@pytest.mark.parametrize("late", [0, 3])
+def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int):
+    """The palm is near the target in that frame alone, and stays where it is."""
+    path = torch.arange(60)[None, :, None] * torch.tensor([0.04, 0.0, 0.0])
+    state, full = torch.full((1, 60, 18), 9.0), torch.tensor([60])
+    state[:, 10 + late, :3] = path[:, 10 + late]
+    targets = Targets(path, full, full, path, torch.tensor([NEVER]))
+    episodes = Episodes(
+        torch.zeros(1, 60, 1, 5), state, torch.zeros(1, 60, 18), full, torch.tensor([10]), 20.0, targets
+    )
+    config = SimpleNamespace(rig=Rig(delay_frames=late, palm_speed_m_s=0.5))
+    still = SimpleNamespace(config=config, device="cpu", act_once=lambda outlook, palm, state: palm)
+    rows = torch.arange(10, 34)[None]
+    assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows, 0.03) < 0.05
+    assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows + 1, 0.03) > 1
 
 
 @pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
@@ -210,6 +247,32 @@ def test_a_checkpoint_acts_the_same_and_needs_nothing_else(tmp_path: Path):
     policy.save_pretrained(tmp_path)
     again = ObActPolicy.from_pretrained(tmp_path)
     torch.testing.assert_close(again.select_action(step(policy)), policy.select_action(step(policy)), rtol=0, atol=0)
+
+
+def test_what_is_exported_acts_as_the_average_did(tmp_path: Path):
+    policy = hand_policy(ema_decay=0.9)
+    for _ in range(2):
+        for parameter in policy.model.parameters():
+            torch.nn.init.normal_(parameter, std=0.1)
+        policy.update()
+    training, out = tmp_path / "training", tmp_path / "out"
+    policy.save_pretrained(training)
+    for processor in make_pre_post_processors(policy.config):
+        processor.save_pretrained(training)
+    (training / "train_config.json").write_text('{"steps": 2}')
+    export(training, out)
+    again = ObActPolicy.from_pretrained(out)
+    torch.testing.assert_close(again.select_action(step(policy)), policy.select_action(step(policy)), rtol=0, atol=0)
+    assert again.average is None
+    assert {file.name for file in training.iterdir()} == {file.name for file in out.iterdir()}
+    assert (out / "train_config.json").read_text() == '{"steps": 2}'
+
+
+@pytest.mark.parametrize("name", ["obact_standard", "obact_two", "obact_contact"])
+def test_a_checkpoint_that_ships_acts(name: str):
+    policy = ObActPolicy.from_pretrained(SHIPPED_POLICY.with_name(name))
+    assert policy.select_action(step(policy)).isfinite().all()
+    assert policy.config.forecasts
 
 
 def test_what_was_seen_before_changes_the_action():
@@ -269,6 +332,16 @@ def test_history_counts_seconds_not_calls():
     called = [policy.select_action(step(policy, seed=i)) for i in range(2)]
     torch.testing.assert_close(called[1], first[1][:, 0])
     assert not torch.equal(first[1], later[1])
+
+
+def test_frames_that_were_dropped_count_as_time_that_passed():
+    policy = varied(n_obs_frames=None)
+    seen = [step(policy, seed=i) | {"timestamp": torch.tensor([t])} for i, t in enumerate((0.0, 0.1, 0.5))]
+    with_drops = [policy.select_action(batch) for batch in seen]
+    policy.reset()
+    on_time = [policy.select_action({k: x for k, x in batch.items() if k != "timestamp"}) for batch in seen]
+    torch.testing.assert_close(with_drops[0], on_time[0])
+    assert not torch.equal(with_drops[2], on_time[2])
 
 
 def test_another_number_of_environments_needs_a_reset():
@@ -332,15 +405,35 @@ def test_a_wrong_option_is_named(change: dict, told: str):
         hand_policy(**change)
 
 
-def test_acting_never_imports_what_labels_virtual_palms():
-    code = """if True:
-        import sys
-        from tests.policies.obact.test_obact_policy import hand_policy, step
-        policy = hand_policy(encoder="eye", encoder_options={"channels": 8, "fovea": 12})
-        policy.select_action(step(policy))
-        modules = [name for name in sys.modules if name.startswith("lerobot_policy_obact")]
-        assert "lerobot_policy_obact.belief" in modules
-        training = {"teacher", "decisions", "closed_loop", "recordings", "encoded_images", "virtual_episodes"}
-        assert not training & {name.split(".")[-1] for name in modules}, modules
-    """
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[3])
+ALONE = """if True:
+    import sys
+    sys.modules["dynahoi_lerobot"] = None  # whoever imports it fails
+    import torch
+    from lerobot.datasets import LeRobotDataset
+    from lerobot_policy_obact import ObActPolicy
+    checkpoint, root, out = sys.argv[1:]
+    policy, seen = ObActPolicy.from_pretrained(checkpoint), torch.load(f"{out}/seen.pt")
+    torch.save(torch.stack([policy.select_action(batch) for batch in seen]), f"{out}/actions.pt")
+    training = {"teacher", "decisions", "closed_loop", "recordings", "encoded_images", "virtual_episodes"}
+    assert not training & {name.split(".")[-1] for name in sys.modules if name.startswith("lerobot_policy_obact")}
+    meta = LeRobotDataset("local/tiny", root=root).meta
+    policy = ObActPolicy(policy.config, dataset_stats=meta.stats, dataset_meta=meta, load_pretrained=False).train()
+    optimizer = torch.optim.Adam(policy.get_optim_params())
+    for _ in range(2):
+        loss, told = policy({"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)})
+        loss.backward()
+        optimizer.step()
+    assert {"forecast", "action", "closed_loop"} <= set(told)
+    assert policy.select_action(seen[0]).isfinite().all()
+"""
+
+
+def test_another_process_without_the_core_acts_the_same_and_trains(hand_root: Path, tmp_path: Path):
+    """What labels episodes is imported for training alone, and nothing of the core at all."""
+    policy = varied(**RECORDED | {"cache_images": False, "virtual_share": 1.0})
+    policy.save_pretrained(tmp_path / "checkpoint")
+    seen = [step(policy, n=2, seed=i) for i in range(3)]
+    torch.save(seen, tmp_path / "seen.pt")
+    python("-c", ALONE, tmp_path / "checkpoint", hand_root, tmp_path)
+    actions = torch.stack([policy.select_action(batch) for batch in seen])
+    torch.testing.assert_close(torch.load(tmp_path / "actions.pt"), actions, atol=1e-4, rtol=0)
