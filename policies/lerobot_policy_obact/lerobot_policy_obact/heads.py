@@ -181,14 +181,14 @@ class ActionHead(nn.Module):
         t = torch.rand(len(target), device=target.device)
         t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
         context = repeat(context, "r c -> (r n) c", n=DRAWS)
-        error = self._error(denoiser, target, torch.randn_like(target), t, context)
+        error = self.denoising_error(denoiser, target, torch.randn_like(target), t, context)
         return (rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS) * weight[:, None]).mean((1, 2))
 
-    def _error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
         """Return by how much the prediction for a mixture of target and noise is off, ``(R, H, A)``."""
         raise NotImplementedError
 
-    def _velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
         """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards the data."""
         raise NotImplementedError
 
@@ -225,7 +225,7 @@ class ActionHead(nn.Module):
         unit = self._unit(log_scale)
 
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
-            return -self._velocity(denoiser, x, 1 - time, context)
+            return -self.velocity(denoiser, x, 1 - time, context)
 
         options = {}
         if guidance is not None:
@@ -239,11 +239,13 @@ class DiffusionHead(ActionHead):
 
     generative = True
 
-    def _error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `ActionHead.denoising_error`."""
         signal, spread = _mixing(t)
         return denoiser(signal * target + spread * noise, t, context) - target
 
-    def _velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `ActionHead.velocity`."""
         own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, at which the signal's share is t
         signal, spread = _mixing(own)
         return (denoiser(x * (signal + spread), own, context) - x) / (1 - t)[:, None, None]
@@ -254,10 +256,12 @@ class FlowHead(ActionHead):
 
     generative = True
 
-    def _error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `ActionHead.denoising_error`."""
         return denoiser(torch.lerp(noise, target, t[:, None, None]), t, context) - (target - noise)
 
-    def _velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `ActionHead.velocity`."""
         return denoiser(x, t, context)
 
 
