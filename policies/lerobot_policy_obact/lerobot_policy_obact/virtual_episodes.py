@@ -94,13 +94,13 @@ class VirtualEpisodes:
         length = targets.length.clamp_max(LONGEST_FRAMES)
         for t in range(int(length.max())):
             place = targets.carried[batch, (targets.length - 1).clamp_max(t)]
-            looks = []
+            states.append(self._state(hands))
+            closed, looks = self._closed(states[-1])[:, None], []
             for i, (errors, cam) in enumerate(zip(self.errors, self.cameras, strict=True)):
-                true = torch.cat([cam.seen(place - cam.origin(hands.palm)), hands.closed[:, None]], dim=-1)
+                true = torch.cat([cam.seen(place - cam.origin(hands.palm)), closed], dim=-1)
                 frames[i] = errors.next(frames[i], true, self.recordings)
                 looks.append(errors.applied(frames[i], true))
             sightings.append(torch.stack(looks, dim=1))
-            states.append(self._state(hands))
             before = hands.palm
             time_s = torch.tensor([t / self.recordings.fps])
             hands.move(Frames(sightings[-1][:, None], states[-1][:, None], time_s), targets, t, window)
