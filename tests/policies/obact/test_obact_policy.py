@@ -26,6 +26,7 @@ from lerobot_policy_obact.export import export
 from lerobot_policy_obact.launch_policy_server import allow_obact
 from lerobot_policy_obact.recordings import NEVER
 from lerobot_policy_obact.teacher import Targets
+from lerobot_policy_obact.virtual_episodes import SightingErrors
 from safetensors.torch import load_file
 
 from tests.checkpoints import FEATURES, SMALL_GR00T
@@ -227,6 +228,17 @@ def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_ro
     policy.eval()
     assert policy(named(0, 1))[0].isfinite()
     assert policy(named(0, 2))[0].isnan()
+
+
+def test_fingers_that_need_not_grip_hide_nothing_in_recorded_and_virtual_frames(hand_root, tmp_path, monkeypatch):
+    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
+    shown, follow = [], SightingErrors.next
+    monkeypatch.setattr(SightingErrors, "next", lambda self, *told: shown.append(told[1]) or follow(self, *told))
+    policy = learner(hand_root, virtual_share=1.0)
+    policy({"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)})
+    assert (policy.virtual.errors[0].true[:, 3] == 0).all()
+    assert (torch.cat(shown)[:, 3] == 0).all()
 
 
 def test_each_camera_starts_from_weights_of_its_own():
