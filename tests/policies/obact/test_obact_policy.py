@@ -356,6 +356,19 @@ def test_frames_that_were_dropped_count_as_time_that_passed():
     assert not torch.equal(with_drops[2], on_time[2])
 
 
+def test_a_decision_tells_what_it_saw_expects_and_attends_to():
+    policy = varied(n_obs_frames=None)
+    assert policy.thought is None
+    for i in range(3):
+        policy.select_action(step(policy, seed=i))
+    thought = policy.thought
+    assert thought.sighted.shape == (2, 1, 3)
+    assert thought.forecast.shape == (2, len(thought.ahead_s), 3)
+    assert thought.meeting.shape == (2, 3)
+    assert thought.weights.shape == (2, 4, 3), "of three frames observed, in four readouts"
+    torch.testing.assert_close(thought.weights.sum(-1), torch.ones(2, 4))
+
+
 def test_another_number_of_environments_needs_a_reset():
     policy = hand_policy(n_action_steps=1)
     policy.select_action(step(policy, n=2))
