@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from einops import repeat
-from lerobot.utils.constants import ACTION
 from torch import Tensor
 
 from .belief import FORECAST_FRAMES
@@ -135,13 +134,3 @@ class Decisions(Record):
     actions: Tensor
     weight: Tensor
     future: Future | None = None
-
-
-def window_decisions(batch: dict[str, Any], frames: Frames) -> Decisions:
-    """Return the decisions at the end of windows of frames, one of each sample of a LeRobot batch."""
-    padding, actions = batch.get(f"{ACTION}_is_pad"), batch[ACTION]
-    weight = torch.ones(actions.shape[:2], device=actions.device) if padding is None else (~padding).float()
-    now = slice(-1, None)
-    return Decisions(
-        frames.palm[:, now, None], frames.state[:, now, None], actions[:, None, None], weight[:, None, None]
-    )

@@ -521,7 +521,7 @@ def decision_losses(model: ObActModel, outlook: Outlook, decisions: Decisions) -
 
 def _losses_of_windows(model: ObActModel, batch: Batch) -> dict[str, Tensor]:
     """Return the losses of decisions at the end of windows of images, ``(B,)`` each."""
-    from .decisions import window_decisions
+    from .decisions import Decisions
 
     config, offsets = model.config, model.config.observation_delta_indices or []
     at = [offsets.index(offset) for offset in config.lookback]
@@ -534,7 +534,11 @@ def _losses_of_windows(model: ObActModel, batch: Batch) -> dict[str, Tensor]:
     time_s = torch.tensor(config.lookback, device=state.device) / config.rig.fps
     frames = Frames(rearrange(flat, "(b t) ... -> b t ...", t=len(at)), state, time_s)
     rows = torch.full((len(state), 1), len(at) - 1, device=state.device)
-    return decision_losses(model, model.encode_history(frames, rows), window_decisions(batch, frames))
+    actions, padding = batch[ACTION], batch.get(f"{ACTION}_is_pad")
+    weight = torch.ones(actions.shape[:2], device=state.device) if padding is None else (~padding).float()
+    palm, now = frames.palm[:, -1:, None], frames.state[:, -1:, None]
+    decisions = Decisions(palm, now, actions[:, None, None], weight[:, None, None])
+    return decision_losses(model, model.encode_history(frames, rows), decisions)
 
 
 def _pairs(now: Tensor, before: Tensor | None) -> Tensor:
