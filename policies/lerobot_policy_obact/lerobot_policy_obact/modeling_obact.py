@@ -350,6 +350,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._history, self._outlook = History(), None
         self._frames: deque[Frames] = deque(maxlen=2)
         self._frame = -1  # the number of the newest one
+        self._began_s = self._now_s = 0.0  # when the first and the newest one were seen
         self._images: dict[str, Tensor] = {}
         self._queue: deque[Tensor] = deque()
         self._sent: deque[Tensor] = deque(maxlen=self.config.rig.delay_frames + 1)
@@ -366,7 +367,7 @@ class ObActPolicy(PreTrainedPolicy):
             **kwargs: unused.
         """
         self.eval()
-        self._note(batch, float(self._frames[-1].time_s) + 1 / self.config.rig.fps if self._frames else 0.0)
+        self._note(batch, self._now_s + 1 / self.config.rig.fps)
         if not self._queue:
             self._queue.extend(self._chunk()[:, : self.config.n_action_steps].unbind(1))
         action = self._queue.popleft()
@@ -422,11 +423,14 @@ class ObActPolicy(PreTrainedPolicy):
             )
         if "timestamp" in batch:
             time_s = float(batch["timestamp"].flatten()[0])
+        self._now_s = time_s
+        if not self._frames:
+            self._began_s = time_s  # single precision keeps differences of such times, not times of day
         now = {key: batch[key] for key in config.cameras}
         before = (self._images or now) if model.sees_motion else dict.fromkeys(now)
         sightings = model.encode_images({key: _pairs(now[key], before[key]) for key in now})
         self._images = now
-        self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([time_s])))
+        self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([time_s - self._began_s])))
         self._frame += 1
         self._outlook = self._history.see(model, self._frames[-1])
 
@@ -459,8 +463,9 @@ class ObActPolicy(PreTrainedPolicy):
         palm, rig = self._frames[-1].palm[:, 0], self.config.rig
         if not rig.delay_frames or len(self._frames) < 2:
             return palm
-        before, elapsed_s = self._frames[0].palm[:, 0], float(self._frames[1].time_s - self._frames[0].time_s)
+        before = self._frames[0].palm[:, 0]
         if not self._sent:
+            elapsed_s = max(1e-3, float(self._frames[1].time_s - self._frames[0].time_s))
             return palm + (palm - before) / elapsed_s * rig.delay_frames / rig.fps
         executed, *coming = self._sent
         if len(coming) < rig.delay_frames:

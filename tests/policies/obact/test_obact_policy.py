@@ -354,6 +354,9 @@ def test_frames_that_were_dropped_count_as_time_that_passed():
     on_time = [policy.select_action({k: x for k, x in batch.items() if k != "timestamp"}) for batch in seen]
     torch.testing.assert_close(with_drops[0], on_time[0])
     assert not torch.equal(with_drops[2], on_time[2])
+    policy.reset()
+    by_the_clock = [policy.select_action(x | {"timestamp": x["timestamp"].double() + 1.7e9}) for x in seen]
+    torch.testing.assert_close(torch.stack(by_the_clock), torch.stack(with_drops), atol=1e-4, rtol=0)
 
 
 def test_a_decision_tells_what_it_saw_expects_and_attends_to():
