@@ -212,7 +212,8 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
 @pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
 def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
-    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)  # each call plays episodes of its own
+    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
+    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.USES", 0)  # each call plays episodes of its own
     policy = learner(hand_root, virtual_share=virtual_share, episodes_per_sample=8)
 
     def named(*episodes: int) -> dict[str, torch.Tensor]:
